@@ -1,0 +1,1 @@
+"""Simulate, identify and compensate multi-axis actuators with hysteresis."""

@@ -1,0 +1,69 @@
+"""What can go wrong, one class per exit code of the command line.
+
+Exit codes: 0 fine, 1 a number left its tolerance, 2 a file is wrong,
+3 a simulation diverged or is out of reach, 4 identification cannot fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, NamedTuple
+
+
+class HammersteinError(Exception):
+    """Any mistake that a caller can mend. Its text is the whole message for a person."""
+
+    exit_code: ClassVar[int] = 1
+
+
+class ToleranceError(HammersteinError):
+    """A number left the tolerance that its baseline allows."""
+
+    exit_code = 1
+
+
+class Mistake(NamedTuple):
+    """One thing that is wrong in a file: where it stands, and what to do about it."""
+
+    where: str
+    what: str
+
+
+class InputError(HammersteinError):
+    """A file, or a value given in its place, is wrong.
+
+    Parameters
+    ----------
+    source : the file, or the name of the value, that is wrong
+    mistakes : every mistake found in it, or one sentence
+    """
+
+    exit_code = 2
+
+    def __init__(self, source: str, mistakes: str | Sequence[Mistake]):
+        self.source = source
+        self.mistakes = (Mistake("", mistakes),) if isinstance(mistakes, str) else tuple(mistakes)
+        super().__init__(self._message())
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.source, self.mistakes)  # so that it survives a process pool
+
+    def _message(self) -> str:
+        if len(self.mistakes) == 1 and not self.mistakes[0].where:
+            return f"{self.source}: {self.mistakes[0].what}"
+        width = max(len(m.where) for m in self.mistakes)
+        count = f"{len(self.mistakes)} mistake{'s' * (len(self.mistakes) > 1)}"
+        lines = [f"  {m.where:<{width}}  {m.what}" for m in self.mistakes]
+        return "\n".join([f"{self.source}: {count}", *lines])
+
+
+class SimulationError(HammersteinError):
+    """A simulation diverged, a law cannot converge, or a reference is out of reach."""
+
+    exit_code = 3
+
+
+class IdentificationError(HammersteinError):
+    """The data do not determine the model that was asked for."""
+
+    exit_code = 4
