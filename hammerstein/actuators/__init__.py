@@ -1,0 +1,1 @@
+"""Packaged actuators, as model files."""

@@ -1,0 +1,1 @@
+"""Compensators: laws from a reference in um to a drive in V."""

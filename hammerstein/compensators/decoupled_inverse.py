@@ -1,0 +1,104 @@
+"""The analytic inverse, axis by axis (paper, reference 20): what the paper compares with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hammerstein.compensators.law import Array, Law, require_square
+from hammerstein.errors import SimulationError
+from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii
+from hammerstein.model import HammersteinModel
+
+
+@dataclass(frozen=True, eq=False)
+class InverseState:
+    """Memory of the inverse: its plays, the last value before the jump (m,) [V] and its direction (m,)."""
+
+    plays: PlayState
+    last_v: Array
+    direction: Array
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain lists."""
+        return {
+            "plays": self.plays.as_dict(),
+            "last_v": self.last_v.tolist(),
+            "direction": self.direction.tolist(),
+        }
+
+
+def inverse_pair(pair: Pair, axis: str = "pair") -> Pair:
+    """Analytic inverse of one bank whose smallest threshold is zero.
+
+    With s_j = w_1 + ... + w_j:
+
+        r'_j = sum over i <= j of w_i (r_j - r_i),  w'_1 = 1 / w_1,  w'_j = -w_j / (s_j s_{j-1})
+
+    Source: Kuhnen, European Journal of Control 9 (2003) 407-418 (paper, reference 20).
+
+    Raises
+    ------
+    SimulationError : a partial sum of the weights is not positive, or there is no operator
+
+    Examples
+    --------
+    >>> inverse_pair(Pair([0.0, 1.0], [2.0, 2.0])).weights_um_per_v
+    array([ 0.5 , -0.25])
+    """
+    r, w, s = pair.thresholds_v, pair.weights_um_per_v, pair.slopes
+    if len(r) == 0:
+        raise SimulationError(f"{axis} has no operator, so it has no inverse.")
+    if (s <= 0).any():
+        j = int(np.argmax(s <= 0))
+        raise SimulationError(
+            f"{axis} has no inverse: its slope is {s[j]:.3g} um/V once {j + 1} operators move "
+            f"(threshold {r[j]:.3g} V). Phase lag identified as hysteresis does this; identify at a lower "
+            "frequency or by bounded partial sums."
+        )
+    thresholds = np.array([w[: j + 1] @ (r[j] - r[: j + 1]) for j in range(len(r))])
+    weights = np.concatenate([[1.0 / w[0]], -w[1:] / (s[1:] * s[:-1])])
+    return Pair(thresholds, weights)
+
+
+class DecoupledInverse(Law[InverseState]):
+    """Each axis inverted on its own, as if the cross-couplings were not there.
+
+    A smallest threshold r_1 above zero is split off, for play(a) after play(b) is play(a+b): the bank is
+    (thresholds r - r_1) after play(r_1), and the inverse of play(r_1) jumps by 2 r_1 at a reversal.
+    """
+
+    def __init__(self, model: HammersteinModel, range_v: float):
+        hysteresis = model.hysteresis
+        require_square(hysteresis.n_inputs, hysteresis.n_outputs, "decoupled_inverse")
+        m = self.n_inputs = self.n_outputs = hysteresis.n_inputs
+        self.range_v = range_v
+        pairs = [[Pair.absent()] * m for _ in range(m)]
+        self.jump_v = np.zeros(m)
+        for k in range(m):
+            direct = hysteresis.pairs[k][k]
+            smallest = direct.thresholds_v[:1].sum()
+            shifted = Pair(direct.thresholds_v - smallest, direct.weights_um_per_v)
+            pairs[k][k] = inverse_pair(shifted, f"Direct transfer {model.outputs[k]}")
+            self.jump_v[k] = smallest
+        self.inverse = PrandtlIshlinskii(tuple(tuple(row) for row in pairs))
+
+    def rest(self) -> InverseState:
+        """All plays at zero, no direction yet."""
+        return InverseState(self.inverse.rest(), np.zeros(self.n_inputs), np.zeros(self.n_inputs))
+
+    def restore(self, data: dict[str, Any]) -> InverseState:
+        """State from what ``as_dict`` gave."""
+        last, direction = (np.array(data[name], dtype=np.float64) for name in ("last_v", "direction"))
+        return InverseState(PlayState.from_dict(data["plays"]), last, direction)
+
+    def _respond(self, reference_um: Array, start: InverseState) -> tuple[Array, InverseState]:
+        from hammerstein.compensators.kernels import respond_inverse_play
+
+        v, plays = self.inverse.respond(reference_um, start.plays)
+        last, direction = start.last_v.copy(), start.direction.copy()
+        drive = np.empty_like(v)
+        respond_inverse_play(v, self.jump_v, self.range_v, last, direction, drive)
+        return drive, InverseState(plays, last, direction)

@@ -1,0 +1,171 @@
+"""The paper's compensator, which needs no inversion of the model (Theorem 4.1)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hammerstein.compensators.law import Array, Law, require_square
+from hammerstein.compensators.slopes import slope_matrices
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.hysteresis import PlayState, PrandtlIshlinskii
+from hammerstein.model import HammersteinModel
+
+
+@dataclass(frozen=True, eq=False)
+class FeedbackState:
+    """Memory of the law: the plays of its inner model and the delayed or filtered signal (m,) [V]."""
+
+    plays: PlayState
+    memory_v: Array
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain lists."""
+        return {"plays": self.plays.as_dict(), "memory_v": self.memory_v.tolist()}
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """Whether the iteration inside the law converges, over all slopes its model can have.
+
+    slope_min_um_per_v, slope_max_um_per_v : smallest and largest direct slope
+    spectral_radius : largest of |1 - (1-a) eig(K J)|; below 1 the iteration converges
+    overshoot : whether some eigenvalue of (1-a) K J exceeds 1 (or is complex): false reversals
+    """
+
+    slope_min_um_per_v: float
+    slope_max_um_per_v: float
+    spectral_radius: float
+    overshoot: bool
+
+    @property
+    def converges(self) -> bool:
+        """True if every reachable slope lets the iteration contract."""
+        return self.spectral_radius < 1.0
+
+    def statement(self) -> str:
+        """Say in one sentence whether it converges, with the numbers."""
+        slopes = f"slopes {self.slope_min_um_per_v:.3g} to {self.slope_max_um_per_v:.3g} um/V"
+        verdict = "converges" if self.converges else "does not converge"
+        tail = ", with overshoot" if self.converges and self.overshoot else ""
+        return f"The inner iteration {verdict}{tail}: {slopes}, spectral radius {self.spectral_radius:.4g}."
+
+
+class InverseMultiplicative(Law[FeedbackState]):
+    """U(t) = K Y_r(t) + F (U - K Gamma(U)), F a delay of one sample or a first-order filter.
+
+    With K the identity [V/um] and the delay this is Theorem 4.1 as printed,
+    ``U(t) = Y_r(t) + U(t-T) - Gamma(U(t-T))``; with the filter ``F = 1 / (1 + tau s)`` it is the remark
+    in section 6. Both are fixed-point iterations, which converge while the spectral radius of
+    ``I - (1-a) K J`` stays below 1 for every slope matrix J of the model, a = exp(-T/tau).
+
+    Parameters
+    ----------
+    model : square model whose static block is used
+    range_v : range of the drive [V]
+    sample_time_s : time between samples [s]
+    gain : "identity", "auto" (from the slopes, without overshoot) or a matrix (m, m) [V/um]
+    filter_s : time constant tau of the first-order filter [s]; None: the one-sample delay
+    iterations : passes of the law in each sample
+    run_anyway : accept an iteration that cannot converge
+
+    Raises
+    ------
+    InputError : the model is not square, or the gain does not fit it
+    SimulationError : the iteration cannot converge, with slopes, spectral radius and remedy
+    """
+
+    def __init__(
+        self,
+        model: HammersteinModel,
+        range_v: float,
+        sample_time_s: float,
+        gain: Literal["identity", "auto"] | ArrayLike = "auto",
+        filter_s: float | None = None,
+        iterations: int = 1,
+        run_anyway: bool = False,
+    ):
+        hysteresis = model.hysteresis
+        require_square(hysteresis.n_inputs, hysteresis.n_outputs, "inverse_multiplicative")
+        self.n_inputs = self.n_outputs = hysteresis.n_inputs
+        self.hysteresis, self.range_v, self.iterations = hysteresis, range_v, iterations
+        self.pole = 0.0 if filter_s is None else math.exp(-sample_time_s / filter_s)
+        self.gain_v_per_um = _gain_matrix(gain, hysteresis, self.pole)
+        self.convergence = convergence(hysteresis, self.gain_v_per_um, self.pole)
+        if not (self.convergence.converges or run_anyway):
+            raise SimulationError(f"{self.convergence.statement()} {self._remedy()}")
+
+    def _remedy(self) -> str:
+        if self.convergence.slope_min_um_per_v <= 0:
+            return (
+                "The direct slope of the model falls to zero or below, as when phase lag is identified as "
+                "hysteresis. Identify at a lower frequency, or set run_anyway = true."
+            )
+        return 'Set gain = "auto", a smaller gain or a slower filter (filter_s), or run_anyway = true.'
+
+    def rest(self) -> FeedbackState:
+        """All plays and the feedback at zero."""
+        return FeedbackState(self.hysteresis.rest(), np.zeros(self.n_inputs))
+
+    def restore(self, data: dict[str, Any]) -> FeedbackState:
+        """State from what ``as_dict`` gave."""
+        return FeedbackState(PlayState.from_dict(data["plays"]), np.array(data["memory_v"], dtype=np.float64))
+
+    def _respond(self, reference_um: Array, start: FeedbackState) -> tuple[Array, FeedbackState]:
+        from hammerstein.compensators.kernels import respond_inverse_multiplicative
+
+        plays, memory = start.plays.copy(), start.memory_v.copy()
+        drive = np.empty_like(reference_um)
+        b = self.hysteresis.bank
+        respond_inverse_multiplicative(
+            reference_um,
+            self.gain_v_per_um,
+            self.pole,
+            self.iterations,
+            self.range_v,
+            b.r,
+            b.slope,
+            b.moment,
+            plays.count,
+            plays.end,
+            plays.x,
+            plays.d,
+            plays.below,
+            memory,
+            drive,
+        )
+        return drive, FeedbackState(plays, memory)
+
+
+def convergence(hysteresis: PrandtlIshlinskii, gain_v_per_um: Array, pole: float = 0.0) -> Convergence:
+    """Examine ``I - (1-a) K J`` over every slope matrix J of a square model."""
+    slopes = slope_matrices(hysteresis)
+    direct = np.diagonal(slopes, axis1=1, axis2=2)
+    eigenvalues = (1.0 - pole) * np.linalg.eigvals(gain_v_per_um @ slopes)
+    overshoot = bool((eigenvalues.real > 1.0 + 1e-9).any() or (np.abs(eigenvalues.imag) > 1e-9).any())
+    radius = float(np.abs(1.0 - eigenvalues).max())
+    return Convergence(float(direct.min()), float(direct.max()), radius, overshoot)
+
+
+def _gain_matrix(gain: str | ArrayLike, hysteresis: PrandtlIshlinskii, pole: float) -> Array:
+    m = hysteresis.n_inputs
+    if isinstance(gain, str):
+        return np.eye(m) if gain == "identity" else _auto_gain(hysteresis, pole)
+    matrix = np.asarray(gain, dtype=np.float64)
+    if matrix.shape != (m, m) or not np.isfinite(matrix).all():
+        raise InputError("gain", f"has shape {matrix.shape}; give a finite ({m}, {m}) matrix in V/um")
+    return matrix
+
+
+def _auto_gain(hysteresis: PrandtlIshlinskii, pole: float) -> Array:
+    """Largest multiple of the inverse of the summed weights that overshoots at no slope."""
+    summed = np.stack([hysteresis.slope_columns(k)[-1] for k in range(hysteresis.n_inputs)], axis=1)
+    if abs(np.linalg.det(summed)) < 1e-12 * np.abs(summed).max() ** len(summed):
+        raise SimulationError("The summed weights form a singular matrix: the model has no automatic gain.")
+    inverse = np.linalg.inv(summed)
+    largest = np.linalg.eigvals(inverse @ slope_matrices(hysteresis)).real.max()
+    return np.asarray(inverse / (largest * (1.0 - pole)))

@@ -1,0 +1,64 @@
+"""Compiled time loops of the compensators."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from hammerstein.hysteresis.kernels import advance
+
+
+@njit(cache=True, nogil=True)
+def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
+    reference, gain, pole, iterations, limit, r, slope, moment, count, end, x, d, below, memory, drive
+):
+    """U[k] = K Y_r[k] + f[k],  f[k+1] = a f[k] + (1 - a) (U[k] - K Gamma(U[k])); a = 0: one-sample delay.
+
+    reference : (p, N); gain : (m, p) [V/um]; pole : a; limit : range of the drive [V]
+    r, slope, moment : threshold grids and partial sums; count, end, x, d, below : play memory, updated
+    memory : (m,) f, updated; drive : (m, N), overwritten
+    """
+    m, p = gain.shape
+    v = np.empty(p)
+    u = np.empty(m)
+    for t in range(reference.shape[1]):
+        for _ in range(iterations):
+            for k in range(m):
+                wanted = memory[k]
+                for o in range(p):
+                    wanted += gain[k, o] * reference[o, t]
+                u[k] = min(max(wanted, -limit), limit)
+            v[:] = 0.0
+            for k in range(m):
+                count[k] = advance(u[k], r[k], slope[k], moment[k], count[k], end[k], x[k], d[k], below[k])
+                top = count[k] - 1
+                engaged = end[k, top]
+                for o in range(p):
+                    v[o] += (
+                        slope[k, engaged, o] * x[k, top]
+                        - d[k, top] * moment[k, engaged, o]
+                        + below[k, top, o]
+                    )
+            for k in range(m):
+                left = u[k]
+                for o in range(p):
+                    left -= gain[k, o] * v[o]
+                memory[k] = pole * memory[k] + (1.0 - pole) * left
+        drive[:, t] = u
+
+
+@njit(cache=True, nogil=True)
+def respond_inverse_play(v, r, limit, last, sign, u):  # type: ignore[no-untyped-def]
+    """Inverse of one play of threshold r an axis: u = v + r rising, v - r falling; jumps 2 r at a reversal.
+
+    v : (m, N) wanted play outputs; r : (m,); last, sign : (m,) last v and direction, updated
+    u : (m, N), overwritten, kept within the limit
+    """
+    for k in range(v.shape[0]):
+        for t in range(v.shape[1]):
+            if v[k, t] > last[k]:
+                sign[k] = 1.0
+            elif v[k, t] < last[k]:
+                sign[k] = -1.0
+            last[k] = v[k, t]
+            u[k, t] = min(max(v[k, t] + sign[k] * r[k], -limit), limit)

@@ -1,0 +1,106 @@
+"""What every compensator is: a law from a reference in um to a drive in V."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hammerstein.errors import InputError, SimulationError
+
+Array = NDArray[np.float64]
+
+
+class State(Protocol):
+    """Memory of a law, which JSON keeps to the last bit."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain lists and numbers."""
+        ...
+
+
+S = TypeVar("S", bound=State)
+
+
+class Law(ABC, Generic[S]):
+    """A sensorless compensator of an actuator with m inputs and p outputs.
+
+    ``respond`` and ``step`` work on a stream: what leaves at sample k is the drive for the reference
+    sample k - ``preview_samples``. ``drive_for`` aligns a whole reference that is known ahead.
+
+    A law respects the drive's range itself, so that its memory stays that of the actuator; where the
+    drive stands at the range the reference was not reached.
+    """
+
+    n_inputs: int
+    n_outputs: int
+    preview_samples: int = 0
+
+    @abstractmethod
+    def rest(self) -> S:
+        """State of a law that was never used: actuator at rest, reference at zero."""
+
+    @abstractmethod
+    def restore(self, data: dict[str, Any]) -> S:
+        """State from what its ``as_dict`` gave."""
+
+    @abstractmethod
+    def _respond(self, reference_um: Array, start: S) -> tuple[Array, S]:
+        """Drive (m, N) for a checked reference (p, N), and the state after it; ``start`` is kept."""
+
+    def respond(self, reference_um: ArrayLike, start: S | None = None) -> tuple[Array, S]:
+        """Drive for a stretch of reference.
+
+        Parameters
+        ----------
+        reference_um : (output, sample) reference [um], finite
+        start : state before the first sample; at rest if not given
+
+        Returns
+        -------
+        drive_v : (input, sample) voltages [V], later by ``preview_samples``
+        state : state after the last sample
+
+        Raises
+        ------
+        InputError : wrong number of axes, or a value that is not finite
+        """
+        reference = checked_reference(reference_um, self.n_outputs)
+        drive, state = self._respond(reference, self.rest() if start is None else start)
+        if not np.isfinite(drive).all():
+            sample = int(np.nonzero(~np.isfinite(drive).all(axis=0))[0][0])
+            raise SimulationError(f"the compensator's drive grows beyond all bounds at sample {sample}")
+        return drive, state
+
+    def step(self, reference_um: ArrayLike, state: S) -> tuple[Array, S]:
+        """Drive (m,) for one sample of reference (p,); equal to ``respond`` to the last bit."""
+        drive, after = self.respond(np.reshape(np.asarray(reference_um, dtype=np.float64), (-1, 1)), state)
+        return drive[:, 0], after
+
+    def drive_for(self, reference_um: ArrayLike) -> Array:
+        """Drive (m, N) aligned with a reference (p, N) that is known ahead; its last value is held."""
+        reference = checked_reference(reference_um, self.n_outputs)
+        ahead = np.repeat(reference[:, -1:], self.preview_samples, axis=1)
+        drive, _ = self.respond(np.hstack([reference, ahead]))
+        return drive[:, self.preview_samples :]
+
+
+def checked_reference(reference_um: ArrayLike, n_outputs: int) -> Array:
+    """Reference as a contiguous (output, sample) array; InputError names axis and sample of a bad value."""
+    reference = np.ascontiguousarray(np.atleast_2d(np.asarray(reference_um, dtype=np.float64)))
+    if reference.shape[0] != n_outputs or reference.ndim != 2:
+        raise InputError("reference", f"has shape {reference.shape}; the model wants ({n_outputs}, samples)")
+    if not np.isfinite(reference).all():
+        axis, sample = (int(i[0]) for i in np.nonzero(~np.isfinite(reference)))
+        raise InputError("reference", f"axis {axis + 1} is not finite at sample {sample}")
+    return reference
+
+
+def require_square(n_inputs: int, n_outputs: int, law: str) -> None:
+    """Raise InputError unless the model has as many inputs as outputs."""
+    if n_inputs != n_outputs:
+        raise InputError(
+            law, f"needs as many inputs as outputs; the model has {n_inputs} inputs and {n_outputs} outputs"
+        )

@@ -1,0 +1,47 @@
+"""No compensation: the inverse of the low-frequency gain matrix."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hammerstein.compensators.law import Array, Law
+from hammerstein.model import HammersteinModel
+
+
+@dataclass(frozen=True)
+class NoMemory:
+    """State of a law that has none."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give an empty dictionary."""
+        return {}
+
+
+class LinearGain(Law[NoMemory]):
+    """U = G^+ Y_r, with the gain matrix G of the settled loops; the least drive if inputs outnumber outputs.
+
+    This is what one sends without a compensator: the right size, and all of the hysteresis.
+    """
+
+    def __init__(self, model: HammersteinModel, range_v: float):
+        self.n_inputs, self.n_outputs = model.hysteresis.n_inputs, model.hysteresis.n_outputs
+        self.gain_v_per_um: Array = np.asarray(
+            np.linalg.pinv(model.hysteresis.gain(model.amplitude_v)), dtype=np.float64
+        )
+        self.range_v = range_v
+
+    def rest(self) -> NoMemory:
+        """Give the empty state."""
+        return NoMemory()
+
+    def restore(self, data: dict[str, Any]) -> NoMemory:
+        """Give the empty state."""
+        return NoMemory()
+
+    def _respond(self, reference_um: Array, start: NoMemory) -> tuple[Array, NoMemory]:
+        # einsum, not a BLAS product: its sums do not depend on how many samples there are.
+        drive = np.einsum("ko,ot->kt", self.gain_v_per_um, reference_um)
+        return np.clip(drive, -self.range_v, self.range_v), start

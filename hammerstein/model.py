@@ -1,0 +1,175 @@
+"""The Hammerstein model: hysteresis followed by linear dynamics, and its file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field, replace
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, PositiveFloat, ValidationError, model_validator
+
+from hammerstein.dynamics import AxesDynamics, Dynamics, StateSpaceDynamics, StaticDynamics
+from hammerstein.errors import InputError, Mistake
+from hammerstein.files import read_limited, write_atomic
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.instruments import Instruments
+from hammerstein.validation import mistakes_of
+
+FORMAT = "hammerstein-model/1"
+
+
+@dataclass(frozen=True, eq=False)
+class HammersteinModel:
+    """An actuator or a model of one: Prandtl-Ishlinskii hysteresis followed by linear dynamics.
+
+        v = Gamma(u),    y = G v            (Hammerstein structure: paper, section 6)
+
+    Parameters
+    ----------
+    name : what it is called in reports
+    hysteresis : m inputs, p outputs
+    dynamics : p inputs, p outputs, unit gain at the frequencies where the static block was found
+    amplitude_v : largest voltage amplitude for which the static block was found [V]
+    inputs, outputs : names of the axes
+    instruments : drive and sensor that belong to the actuator
+    provenance : where it comes from, as plain JSON
+    """
+
+    name: str
+    hysteresis: PrandtlIshlinskii
+    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics
+    amplitude_v: float
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    instruments: Instruments = field(default_factory=Instruments)
+    provenance: JsonValue = None
+
+    def __post_init__(self) -> None:
+        m, p = self.hysteresis.n_inputs, self.hysteresis.n_outputs
+        mistakes = []
+        if len(self.inputs) != m:
+            mistakes.append(Mistake("inputs", f"names {len(self.inputs)} inputs of {m}"))
+        if len(self.outputs) != p:
+            mistakes.append(Mistake("outputs", f"names {len(self.outputs)} outputs of {p}"))
+        if self.dynamics.n_outputs != p or self._dynamics_inputs() != p:
+            mistakes.append(
+                Mistake("dynamics", f"must have {p} inputs and {p} outputs, as the hysteresis has")
+            )
+        if mistakes:
+            raise InputError(f"model {self.name}", mistakes)
+
+    def _dynamics_inputs(self) -> int:
+        dynamics = self.dynamics
+        return len(dynamics.D[0]) if isinstance(dynamics, StateSpaceDynamics) else dynamics.n_outputs
+
+    def static(self) -> HammersteinModel:
+        """Give the same static block without its dynamics."""
+        return replace(self, dynamics=StaticDynamics(n_outputs=self.hysteresis.n_outputs))
+
+    @classmethod
+    def load(cls, path: str | Path) -> HammersteinModel:
+        """Read a model file, or a packaged actuator by its name.
+
+        Raises InputError with every mistake in the file.
+        """
+        source = _packaged(str(path)) or Path(path)
+        text = read_limited(source, what="model file")
+        try:
+            file = ModelFile.model_validate_json(text)
+        except ValidationError as error:
+            raise InputError(str(path), mistakes_of(error, ModelFile)) from None
+        try:
+            return file.model()
+        except InputError as error:
+            raise InputError(str(path), error.mistakes) from None
+
+    def save(self, path: str | Path) -> None:
+        """Write the model file; nothing is left half-written."""
+        write_atomic(Path(path), self.to_json())
+
+    def to_json(self) -> str:
+        """Text of the model file: full precision, sorted keys."""
+        return (
+            json.dumps(
+                ModelFile.of(self).model_dump(mode="json", exclude_none=True), indent=1, sort_keys=True
+            )
+            + "\n"
+        )
+
+
+class PairFile(BaseModel):
+    """One pair in a model file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    thresholds_v: tuple[float, ...]
+    weights_um_per_v: tuple[float, ...]
+    weight_errors_um_per_v: tuple[float, ...] | None = None
+
+    @model_validator(mode="after")
+    def _is_a_pair(self) -> Self:
+        try:
+            self.pair()
+        except InputError as error:
+            raise ValueError("; ".join(f"{m.where} {m.what}" for m in error.mistakes)) from None
+        return self
+
+    def pair(self) -> Pair:
+        """Give the pair this describes."""
+        errors = self.weight_errors_um_per_v
+        return Pair(
+            np.asarray(self.thresholds_v, dtype=float),
+            np.asarray(self.weights_um_per_v, dtype=float),
+            None if errors is None else np.asarray(errors, dtype=float),
+        )
+
+    @classmethod
+    def of(cls, pair: Pair) -> PairFile:
+        """Describe a pair."""
+        return cls.model_validate({name: getattr(pair, name) for name in cls.model_fields})
+
+
+class ModelFile(BaseModel):
+    """What a model file holds: the pairs (output, input), the dynamics, names and provenance."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    format: Literal["hammerstein-model/1"] = "hammerstein-model/1"
+    name: str
+    pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
+    dynamics: Dynamics
+    amplitude_v: PositiveFloat
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    instruments: Instruments = Instruments()
+    provenance: JsonValue = None
+
+    def model(self) -> HammersteinModel:
+        """Give the model this describes."""
+        hysteresis = PrandtlIshlinskii(tuple(tuple(pair.pair() for pair in row) for row in self.pairs))
+        fields: dict[str, Any] = {
+            n: getattr(self, n) for n in type(self).model_fields if n not in {"format", "pairs"}
+        }
+        return HammersteinModel(hysteresis=hysteresis, **fields)
+
+    @classmethod
+    def of(cls, model: HammersteinModel) -> ModelFile:
+        """Describe a model."""
+        fields = {n: getattr(model, n) for n in cls.model_fields if n not in {"format", "pairs"}}
+        pairs = tuple(tuple(PairFile.of(pair) for pair in row) for row in model.hysteresis.pairs)
+        return cls(pairs=pairs, **fields)
+
+
+def packaged_actuators() -> list[str]:
+    """Names of the actuators that come with the package."""
+    folder = resources.files("hammerstein.actuators")
+    return sorted(f.name.removesuffix(".json") for f in folder.iterdir() if f.name.endswith(".json"))
+
+
+def _packaged(name: str) -> Path | None:
+    if name.endswith(".json") or name not in packaged_actuators():
+        return None
+    return Path(str(resources.files("hammerstein.actuators") / f"{name}.json"))
