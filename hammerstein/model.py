@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass, field, replace
 from importlib import resources
@@ -89,6 +90,11 @@ class HammersteinModel:
     def save(self, path: str | Path) -> None:
         """Write the model file; nothing is left half-written."""
         write_atomic(Path(path), self.to_json())
+
+    def digest(self) -> str:
+        """Short hash of everything in the model that changes its numbers."""
+        content = ModelFile.of(self).model_dump(mode="json", exclude={"provenance", "name"})
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def to_json(self) -> str:
         """Text of the model file: full precision, sorted keys."""

@@ -14,7 +14,11 @@ from hammerstein.errors import Mistake
 def mistakes_of(error: ValidationError, model: type[BaseModel]) -> list[Mistake]:
     """Every finding with its key path, what is wrong and the nearest known name."""
     names = sorted(set(_names(model.model_json_schema())))
-    return [_mistake(dict(finding), names) for finding in error.errors()]
+    found: dict[str, Mistake] = {}
+    for finding in error.errors():
+        mistake = _mistake(dict(finding), names)
+        found.setdefault(mistake.where or mistake.what, mistake)  # a union complains once a member
+    return list(found.values())
 
 
 def _mistake(finding: dict[str, Any], names: list[str]) -> Mistake:
@@ -29,7 +33,7 @@ def _mistake(finding: dict[str, Any], names: list[str]) -> Mistake:
         tags = context["expected_tags"]
         near = _suggestion(context["tag"], [t.strip(" '") for t in tags.split(",")])
         return Mistake(
-            f"{where}.{context['discriminator']}".replace("'", ""),
+            f"{where}.{context['discriminator'].strip('_()')}".replace("'", ""),
             f"{context['tag']!r} is not one of {tags}{near}",
         )
     if kind == "union_tag_not_found":
@@ -50,7 +54,7 @@ def _path(location: tuple[Any, ...], names: list[str]) -> str:
     for i, part in enumerate(location):
         if isinstance(part, int):
             path += f"[{part + 1}]"
-        elif part in names or i == len(location) - 1:
+        elif part in names or (i == len(location) - 1 and part.isidentifier()):
             path += f".{part}" if path else str(part)
     return path
 

@@ -34,7 +34,7 @@ class Convergence:
 
     slope_min_um_per_v, slope_max_um_per_v : smallest and largest direct slope
     spectral_radius : largest of |1 - (1-a) eig(K J)|; below 1 the iteration converges
-    overshoot : whether some eigenvalue of (1-a) K J exceeds 1 (or is complex): false reversals
+    overshoot : whether the real part of some eigenvalue of (1-a) K J exceeds 1: false reversals
     """
 
     slope_min_um_per_v: float
@@ -146,7 +146,7 @@ def convergence(hysteresis: PrandtlIshlinskii, gain_v_per_um: Array, pole: float
     slopes = slope_matrices(hysteresis)
     direct = np.diagonal(slopes, axis1=1, axis2=2)
     eigenvalues = (1.0 - pole) * np.linalg.eigvals(gain_v_per_um @ slopes)
-    overshoot = bool((eigenvalues.real > 1.0 + 1e-9).any() or (np.abs(eigenvalues.imag) > 1e-9).any())
+    overshoot = bool((eigenvalues.real > 1.0 + 1e-9).any())
     radius = float(np.abs(1.0 - eigenvalues).max())
     return Convergence(float(direct.min()), float(direct.max()), radius, overshoot)
 

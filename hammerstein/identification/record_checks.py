@@ -57,7 +57,8 @@ def length_mistakes(samples: int) -> Iterator[Mistake]:
     """Too few samples to identify anything."""
     if samples < FEWEST_SAMPLES:
         yield Mistake(
-            "length", f"{samples} samples are too short; give {FEWEST_SAMPLES} or more, at least one full cycle"
+            "length",
+            f"{samples} samples are too short; give {FEWEST_SAMPLES} or more, at least one full cycle",
         )
 
 

@@ -225,7 +225,9 @@ def _refuse_arguments(
     for column in sorted({column for column in chosen if chosen.count(column) > 1}):
         mistakes.append(Mistake("columns", f"{column} is named twice; an input cannot be an output as well"))
     if (rate_hz is None) == (time is None):
-        mistakes.append(Mistake("rate or time", "give one of them: the rate in Hz (--rate) or a column (--time)"))
+        mistakes.append(
+            Mistake("rate or time", "give one of them: the rate in Hz (--rate) or a column (--time)")
+        )
     if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
         mistakes.append(Mistake("rate", f"is {rate_hz:g} Hz; it must be above 0"))
     for name, scale in (("input scale", input_scale), ("output scale", output_scale)):
@@ -238,39 +240,31 @@ def _refuse_arguments(
 def _record(
     columns: Columns, m: int, p: int, rate_hz: float | None, input_scale: float, output_scale: float
 ) -> Record:
-    mistakes: list[Mistake] = list(columns.mistakes)
+    mistakes = list(columns.mistakes)
     step = 1.0 / rate_hz if rate_hz is not None else 1.0
     if rate_hz is None:
         found, step = _sample_time(columns)
         mistakes += found
-    record = None
-    try:
-        record = Record(
-            input_scale * columns.values[:m],
-            output_scale * columns.values[m : m + p],
-            step,
-            columns.names[:m],
-            columns.names[m : m + p],
-            columns.source,
-            columns.rows,
-        )
-    except InputError as error:
-        spoiled = {mistake.where for mistake in mistakes}
-        mistakes += [mistake for mistake in error.mistakes if mistake.where not in spoiled]
-    if mistakes or record is None:
+    if mistakes:
         raise InputError(columns.source, mistakes)
-    return record
+    return Record(
+        input_scale * columns.values[:m],
+        output_scale * columns.values[m : m + p],
+        step,
+        columns.names[:m],
+        columns.names[m : m + p],
+        columns.source,
+        columns.rows,
+    )
 
 
 def _sample_time(columns: Columns) -> tuple[list[Mistake], float]:
     """Mistakes of the time column, which is the last one, and the sample time."""
     name, time_s = columns.names[-1], columns.values[-1]
-    mistakes = list(gap_mistakes([name], time_s[None], columns.rows))
-    if not mistakes and len(time_s) > 1:
-        mistakes = time_mistakes(name, time_s, columns.rows)
-    if mistakes or len(time_s) < 2:
-        return mistakes, 1.0
-    return [], sample_time(time_s)
+    if len(time_s) < 2 or not np.isfinite(time_s).all():
+        return [], 1.0  # told already, as too short or as gaps
+    mistakes = time_mistakes(name, time_s, columns.rows)
+    return mistakes, 1.0 if mistakes else sample_time(time_s)
 
 
 def _together(failures: Sequence[InputError]) -> InputError:
@@ -370,7 +364,9 @@ def read_paired_records(
 def _refuse_axes(axes: Sequence[str]) -> None:
     unknown = [axis for axis in axes if axis not in AXES]
     if unknown or len(set(axes)) != len(axes) or "sample" not in axes:
-        raise InputError("axes", f"are {', '.join(axes)}; name sample, and each of {', '.join(AXES[1:])} once")
+        raise InputError(
+            "axes", f"are {', '.join(axes)}; name sample, and each of {', '.join(AXES[1:])} once"
+        )
 
 
 def _by_experiment(array: Array, axes: Sequence[str], source: str) -> Array:

@@ -204,7 +204,9 @@ def read_text(
     filled = np.flatnonzero(np.isfinite(values).any(axis=0) | _text_flags(spoiled, values.shape[1]))
     samples = int(filled[-1]) + 1 if filled.size else 0
     rows = _rows(path, layout, samples)
-    mistakes = [m for name, texts in zip(names, spoiled, strict=True) for m in _text_mistakes(name, texts, rows)]
+    mistakes = [
+        m for name, texts in zip(names, spoiled, strict=True) for m in _text_mistakes(name, texts, rows)
+    ]
     return values[:, :samples], rows, mistakes
 
 
@@ -254,7 +256,9 @@ def _text_flags(spoiled: Sequence[dict[int, str]], samples: int) -> NDArray[np.b
 def _text_mistakes(name: str, texts: dict[int, str], rows: Rows) -> list[Mistake]:
     shown = list(texts.items())[:SHOWN]
     mistakes = [
-        Mistake(where(name, rows, k, k), f"{text[:40]!r} is text in a column of numbers; mend or delete the row")
+        Mistake(
+            where(name, rows, k, k), f"{text[:40]!r} is text in a column of numbers; mend or delete the row"
+        )
         for k, text in shown
     ]
     if len(texts) > SHOWN:

@@ -120,7 +120,9 @@ def find_cycles(u_v: ArrayLike) -> Cycles:
     return Cycles(tuple(points), tuple(excursions), band)
 
 
-def _without_minor(u: NDArray[np.float64], points: list[int], band: float) -> tuple[list[int], list[Excursion]]:
+def _without_minor(
+    u: NDArray[np.float64], points: list[int], band: float
+) -> tuple[list[int], list[Excursion]]:
     """Turns of the main cycles, and the minor loops taken out (four-point rule of rainflow counting)."""
     kept: list[int] = []
     minor: list[Excursion] = []

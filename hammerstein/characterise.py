@@ -1,0 +1,95 @@
+"""Identification experiments on a simulated actuator: what a person would do at the bench.
+
+The model that comes out has seen the actuator only through its drive and its sensor.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.cycles import settled_cycle
+from hammerstein.dynamics import StaticDynamics
+from hammerstein.errors import IdentificationError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.identification.closed_form import closed_form
+from hammerstein.instruments import Drive
+from hammerstein.model import HammersteinModel
+from hammerstein.plant import Plant
+from hammerstein.sources import ClosedFormSpec, JointFitSpec
+
+Array = NDArray[np.float64]
+
+
+def identify_by_experiment(plant: Plant, spec: ClosedFormSpec | JointFitSpec, seed: int) -> HammersteinModel:
+    """Model of a simulated actuator, found by driving it one input at a time (paper, section 3.3).
+
+    Parameters
+    ----------
+    plant : the actuator on its bench
+    spec : the experiment and the method
+    seed : of the sensor's noise; the experiment's own settings are mixed in
+
+    Raises
+    ------
+    IdentificationError : the data do not determine the model, or the drive cuts the voltage
+    """
+    seeds = [seed, zlib.crc32(spec.model_dump_json().encode())]
+    if isinstance(spec, JointFitSpec):
+        raise IdentificationError("the joint fit is not connected")
+    return _closed_form(plant, spec, seeds)
+
+
+def _closed_form(plant: Plant, spec: ClosedFormSpec, seeds: list[int]) -> HammersteinModel:
+    """Equations 14-17 on the settled loop of each input (steps 1-4 of section 3.3)."""
+    bench = _at_sample_time(plant, spec.sample_time_s)
+    _refuse_cut_voltage(bench, spec.amplitude_v)
+    columns: list[list[Pair]] = []
+    for k in range(plant.model.hysteresis.n_inputs):
+        u, y = _settled_loop(bench, spec, k, seeds)
+        columns.append(closed_form(u, y, spec.operators))
+    rows = tuple(tuple(column[o] for column in columns) for o in range(plant.model.hysteresis.n_outputs))
+    return HammersteinModel(
+        name=f"closed form at {spec.frequency_hz:g} Hz",
+        hysteresis=PrandtlIshlinskii(rows),
+        dynamics=StaticDynamics(n_outputs=len(rows)),
+        amplitude_v=spec.amplitude_v,
+        inputs=plant.model.inputs,
+        outputs=plant.model.outputs,
+        instruments=plant.instruments,
+        provenance={"actuator": plant.model.name, "identification": spec.model_dump(mode="json")},
+    )
+
+
+def _settled_loop(bench: Plant, spec: ClosedFormSpec, k: int, seeds: list[int]) -> tuple[Array, Array]:
+    """Mean settled cycle of the driven voltage (phase,) and of the readings (output, phase)."""
+    period = 1.0 / spec.frequency_hz
+    settle = max(spec.settle_cycles, math.ceil(0.05 / period))
+    samples = round((settle + spec.measured_cycles) * period / bench.sample_time_s)
+    voltage = np.zeros((bench.model.hysteresis.n_inputs, samples))
+    time_s = np.arange(samples) * bench.sample_time_s
+    voltage[k] = spec.amplitude_v * np.sin(2.0 * np.pi * spec.frequency_hz * time_s)
+    response = bench.respond(voltage, [*seeds, k])
+    phases = 2 * max(1, round(0.5 * period / bench.sample_time_s))
+    both = np.vstack([response.drive_v[k], response.reading_um])
+    cycle = settled_cycle(both, spec.frequency_hz, bench.sample_time_s, phases, skip_cycles=settle)
+    return cycle[0], cycle[1:]
+
+
+def _at_sample_time(plant: Plant, sample_time_s: float | None) -> Plant:
+    if sample_time_s is None:
+        return plant
+    drive = plant.instruments.drive.model_copy(update={"sample_time_s": sample_time_s})
+    return Plant(plant.model, plant.instruments.model_copy(update={"drive": drive}))
+
+
+def _refuse_cut_voltage(plant: Plant, amplitude_v: float) -> None:
+    drive: Drive = plant.instruments.drive
+    if amplitude_v > drive.range_v:
+        raise IdentificationError(
+            f"the identification asks for {amplitude_v:g} V, the drive gives {drive.range_v:g} V; "
+            "lower amplitude_v"
+        )

@@ -1,0 +1,98 @@
+"""From a scenario to its report: simulate every case, measure it, gather the rows.
+
+reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one Response, every wire kept
+"""
+
+from __future__ import annotations
+
+from hammerstein.errors import InputError
+from hammerstein.measure import rows_of, statements_of
+from hammerstein.plant import Response
+from hammerstein.report import Report
+from hammerstein.scenario import Scenario
+from hammerstein.setup import Progress, prepare, scenario_axes
+
+
+def simulate(
+    scenario: Scenario, compensator: str | None = None, excited_axis: str | None = None, **values: float
+) -> Response:
+    """Simulate one case of a scenario and keep every wire.
+
+    Parameters
+    ----------
+    scenario : what to run
+    compensator : label of the compensator; the first one if not given
+    excited_axis : name of the axis, where each is driven in turn; the first one if not given
+    values : values of the sweep, such as ``frequency_hz=50.0``; the first ones if not given
+
+    Returns
+    -------
+    the response, from rest, settling included
+
+    Raises
+    ------
+    InputError : no such case
+
+    Examples
+    --------
+    >>> scenario = Scenario.model_validate({
+    ...     "question": "How large is a loop?", "actuator": "duo_bimorph_static",
+    ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}})
+    >>> response = simulate(scenario)
+    >>> response.position_um.shape
+    (2, 2000)
+    """
+    swept = {key: (value,) for key, value in values.items()}
+    chosen = scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update=swept)})
+    setup = prepare(chosen)
+    names = scenario_axes(scenario, setup.plant.model)
+    for case in setup.cases():
+        right_axis = excited_axis is None or case.axis is None or names[case.axis] == excited_axis
+        if right_axis and (compensator is None or case.label == compensator):
+            return setup.simulate(case)
+    raise InputError("simulate", f"the scenario has no case {compensator!r} on axis {excited_axis!r}")
+
+
+def run(
+    scenario: Scenario, name: str = "scenario", jobs: int = 1, progress: Progress | None = None
+) -> Report:
+    """Run every case of a scenario and measure it.
+
+    Parameters
+    ----------
+    scenario : what to run
+    name : what the report is called
+    jobs : threads; the numbers do not depend on it
+    progress : called with what is done, how much of it, and of how much
+
+    Returns
+    -------
+    the report, with one row for each case and measured axis
+
+    Raises
+    ------
+    the errors of ``prepare``, and SimulationError where a run diverges
+    """
+    from joblib import Parallel, delayed
+
+    setup = prepare(scenario, name, progress)
+    cases = list(setup.cases())
+    results = []
+    parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")
+    for i, result in enumerate(parallel(delayed(rows_of)(setup, case) for case in cases)):
+        results.append(result)
+        if progress:
+            progress("simulating", i + 1, len(cases))
+    rows = tuple(row for result in results for row in result.rows)
+    traces = tuple(result.trace for result in results)
+    return Report(
+        name=name,
+        scenario=scenario,
+        actuator=setup.plant.model.name,
+        digest=scenario.digest(),
+        model_digest=setup.plant.model.digest(),
+        axes=setup.plant.model.outputs,
+        rows=rows,
+        statements=statements_of(setup, results),
+        traces=traces,
+    )

@@ -1,0 +1,189 @@
+"""From a response to the rows of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein import metrics
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
+from hammerstein.dynamics import StaticDynamics, discretise
+from hammerstein.model import HammersteinModel
+from hammerstein.plant import Response
+from hammerstein.report import Prediction, Row, Trace
+from hammerstein.setup import Case, SetUp, Window, scenario_axes
+from hammerstein.signals import OneFrequency
+
+Array = NDArray[np.float64]
+
+SETTLED_FRACTION = 1e-3  # cycles may differ by this part of the range, beside the sensor's noise
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Rows of one case, its measured trace, and whether it had settled."""
+
+    rows: tuple[Row, ...]
+    trace: Trace
+    settled: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """What a position (axis, sample) is compared with: a reference, or the prediction of a model."""
+
+    label: str
+    reading_um: Array
+    position_um: Array
+
+
+NO_TARGET: tuple[Target | None, ...] = (None,)
+
+
+def rows_of(setup: SetUp, case: Case) -> Result:
+    """Simulate one case and measure it."""
+    response = setup.simulate(case)
+    window = Window.of(setup.scenario, case.signal, setup.plant.sample_time_s)
+    targets = _targets(setup, case, response)
+    rows = [
+        _row(setup, case, response, window, target, axis)
+        for target in (targets or NO_TARGET)
+        for axis in range(len(response.position_um))
+    ]
+    names = scenario_axes(setup.scenario, setup.plant.model)
+    predictions = tuple(
+        Prediction(t.label, t.reading_um[:, window.first :], t.position_um[:, window.first :])
+        for t in targets
+        if setup.scenario.drive is not None
+    )
+    trace = Trace(
+        label=case.label,
+        signal=case.signal,
+        excited_axis="all" if case.axis is None else names[case.axis],
+        response=response.after(window.first),
+        first_sample=window.first,
+        predictions=predictions,
+    )
+    return Result(tuple(rows), trace, _settled(setup, case, response, window))
+
+
+def _targets(setup: SetUp, case: Case, response: Response) -> list[Target]:
+    if response.reference_um is not None:
+        return [Target(case.label, response.reference_um, response.reference_um)]
+    return [
+        Target(source.label, *_prediction(setup, setup.models[source.label], response))
+        for source in setup.scenario.models
+    ]
+
+
+def _prediction(setup: SetUp, model: HammersteinModel, response: Response) -> tuple[Array, Array]:
+    """What a model says the sensor reads, and where it says the actuator is."""
+    v, _ = model.hysteresis.respond(response.drive_v)
+    if isinstance(model.dynamics, StaticDynamics):
+        return v, v  # a static model was found from readings: it stands for both
+    sensor = setup.plant.instruments.sensor
+    block = discretise(model.dynamics, setup.plant.sample_time_s, sensor.bandwidth_hz)
+    position, reading = np.split(block.respond(v)[0], 2)
+    return reading, position
+
+
+def _row(
+    setup: SetUp, case: Case, response: Response, window: Window, target: Target | None, axis: int
+) -> Row:
+    start = window.first
+    names = scenario_axes(setup.scenario, setup.plant.model)
+    signal = case.signal.model_dump()
+    error = None if target is None else (response.reading_um - target.reading_um)[:, start:]
+    true = None if target is None else (response.position_um - target.position_um)[:, start:]
+    path = _path_figures(response, start) if case.axis is None and len(response.position_um) == 2 else {}
+    return Row(
+        compensator=case.label if target is None else target.label,
+        excited_axis="all" if case.axis is None else names[case.axis],
+        measured_axis=setup.plant.model.outputs[axis],
+        frequency_hz=case.signal.highest_frequency_hz,
+        amplitude_v=signal.get("amplitude_v", signal.get("radius_v")),
+        amplitude_um=signal.get("amplitude_um", signal.get("radius_um")),
+        rms_um=None if error is None else metrics.rms(error[axis]),
+        max_um=None if error is None else metrics.worst(error[axis]),
+        rms_true_um=None if true is None else metrics.rms(true[axis]),
+        max_true_um=None if true is None else metrics.worst(true[axis]),
+        euclidean_rms_um=None if error is None else metrics.rms(metrics.euclidean(error)),
+        euclidean_max_um=None if error is None else metrics.worst(metrics.euclidean(error)),
+        euclidean_rms_true_um=None if true is None else metrics.rms(metrics.euclidean(true)),
+        euclidean_max_true_um=None if true is None else metrics.worst(metrics.euclidean(true)),
+        saturated_samples=int(response.saturated[:, start:].sum()),
+        **path,
+        **_loop(setup, case, response, window, axis),
+    )
+
+
+def _path_figures(response: Response, start: int) -> dict[str, float]:
+    """Radial error and the paper's epsilon of a path in the plane."""
+    if response.reference_um is None:
+        return {}
+    reference, reading = response.reference_um[:, start:], response.reading_um[:, start:]
+    return {
+        "radial_max_um": metrics.worst(metrics.radial(reference, reading)),
+        "radial_max_true_um": metrics.worst(metrics.radial(reference, response.position_um[:, start:])),
+        "epsilon_max_um": metrics.worst(metrics.epsilon(reference, reading)),
+    }
+
+
+def _loop(setup: SetUp, case: Case, response: Response, window: Window, axis: int) -> dict[str, float]:
+    """Loop of the reading against the one signal that is driven."""
+    if case.axis is None or not isinstance(case.signal, OneFrequency) or not case.signal.periodic:
+        return {}
+    frequency, sensor = case.signal.frequency_hz, setup.plant.instruments.sensor
+    nyquist = 0.5 / response.sample_time_s
+    input_ = response.drive_v if response.reference_um is None else response.reference_um
+    figures = metrics.loop_figures(
+        input_[case.axis],
+        response.reading_um[axis],
+        frequency,
+        response.sample_time_s,
+        window.settle_cycles,
+        max(1, int(min(sensor.bandwidth_hz, nyquist) / frequency)),
+    )
+    return {
+        "height_um": figures.height_um,
+        "width_um": figures.width_um,
+        "width_percent": figures.width_percent,
+        "gain": figures.gain,
+        "phase_deg": figures.phase_deg,
+    }
+
+
+def _settled(setup: SetUp, case: Case, response: Response, window: Window) -> bool:
+    """Whether the first and the last measured cycle of the true position agree."""
+    cycles = setup.scenario.measure.measured_cycles
+    if not isinstance(case.signal, OneFrequency) or not case.signal.repeats or cycles < 2:
+        return True
+    position = response.position_um
+    length = int(case.signal.period_s / response.sample_time_s)
+    lag = round((cycles - 1) * case.signal.period_s / response.sample_time_s)
+    first = position[:, window.first : window.first + length]
+    last = position[:, window.first + lag : window.first + lag + length]
+    fraction = abs(lag * response.sample_time_s / case.signal.period_s - (cycles - 1))
+    allowed = (SETTLED_FRACTION + 2.0 * np.pi * fraction) * float(np.ptp(position))
+    return float(np.abs(first[:, : last.shape[1]] - last).max()) <= allowed + 1e-9
+
+
+def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
+    """What a reader of the report must know: convergence, saturation, and what did not settle."""
+    statements = []
+    for label, law in setup.laws.items():
+        if isinstance(law, InverseMultiplicative):
+            statements.append(f"{label}: {law.convergence.statement()}")
+    for result in results:
+        row = result.rows[0]
+        where = (
+            f"{row.compensator or setup.plant.model.name} at {row.frequency_hz:g} Hz, axis {row.excited_axis}"
+        )
+        if not result.settled:
+            statements.append(f"{where}: the loop has not settled; wait longer (measure.settle_cycles).")
+        if row.saturated_samples:
+            statements.append(f"{where}: the drive's range cut {row.saturated_samples} samples.")
+    return tuple(statements)

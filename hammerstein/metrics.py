@@ -1,0 +1,114 @@
+"""Figures of merit of a run: pure functions of arrays."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.cycles import settled_cycle
+
+Array = NDArray[np.float64]
+
+
+def rms(error: Array) -> float:
+    """Root of the mean square over the last axis.
+
+    >>> round(rms(np.array([3.0, -4.0])), 4)
+    3.5355
+    """
+    return float(np.sqrt(np.mean(np.square(error))))
+
+
+def worst(error: Array) -> float:
+    """Largest absolute value."""
+    return float(np.abs(error).max())
+
+
+def euclidean(error: Array) -> Array:
+    """Distance (sample,) between two paths, from the error (axis, sample)."""
+    return np.asarray(np.linalg.norm(error, axis=0))
+
+
+def radial(reference: Array, position: Array) -> Array:
+    """Error of the radius (sample,): how far a path is outside (+) or inside (-) its reference."""
+    return np.asarray(np.linalg.norm(position, axis=0) - np.linalg.norm(reference, axis=0))
+
+
+def epsilon(reference: Array, position: Array) -> Array:
+    """The paper's error of a two-axis path (sample,), as printed (section 5.4).
+
+        eps = sgn(theta) sqrt|theta|,   theta = (x_r + y_r)^2 - (x + y)^2
+
+    It turns a small error into a large value where x_r + y_r is large; judge paths by the error per axis.
+    """
+    theta = reference.sum(axis=0) ** 2 - position.sum(axis=0) ** 2
+    return np.asarray(np.sign(theta) * np.sqrt(np.abs(theta)))
+
+
+@dataclass(frozen=True)
+class LoopFigures:
+    """A settled loop: what the eye reads from it.
+
+    height_um : from its lowest to its highest point (2 x amplitude)
+    width_um : vertical opening at the middle of the input's range
+    gain : first harmonic of the output over that of the input (um/V, or um/um for a reference)
+    phase_deg : phase of the same ratio; negative for a lag
+    """
+
+    height_um: float
+    width_um: float
+    gain: float
+    phase_deg: float
+
+    @property
+    def width_percent(self) -> float:
+        """Width over height, h/H in the paper (section 5.2); NaN for a loop without height."""
+        return 100.0 * self.width_um / self.height_um if self.height_um > 0.0 else math.nan
+
+
+def loop_figures(
+    input_: Array,
+    output_um: Array,
+    frequency_hz: float,
+    sample_time_s: float,
+    skip_cycles: int,
+    harmonics: int,
+) -> LoopFigures:
+    """Figures of the mean settled loop of one input and one output.
+
+    Parameters
+    ----------
+    input_ : (sample,) voltage [V] or reference [um] from phase 0
+    output_um : (sample,) position or reading
+    frequency_hz, sample_time_s : frequency of the cycle and time between samples
+    skip_cycles : cycles that have not settled
+    harmonics : harmonics kept of the mean cycle; above the sensor's bandwidth there is only noise
+    """
+    phases = 2 * max(2, round(0.5 / (frequency_hz * sample_time_s)))
+    cycle = settled_cycle(
+        np.stack([input_, output_um]), frequency_hz, sample_time_s, phases, skip_cycles=skip_cycles
+    )
+    spectrum = np.fft.rfft(cycle, axis=1)
+    ratio = spectrum[1, 1] / spectrum[0, 1]
+    spectrum[1, harmonics + 1 :] = 0.0
+    y = np.fft.irfft(spectrum[1], phases)
+    return LoopFigures(
+        height_um=float(np.ptp(y)),
+        width_um=_opening(cycle[0], y),
+        gain=float(abs(ratio)),
+        phase_deg=float(np.degrees(np.angle(ratio))),
+    )
+
+
+def _opening(u: Array, y: Array) -> float:
+    """Distance of the two branches at the middle of the input's range."""
+    start = int(np.argmin(u))
+    u, y = np.roll(u, -start), np.roll(y, -start)
+    top = int(np.argmax(u))
+    middle = 0.5 * (u[0] + u[top])
+    rising = np.interp(middle, u[: top + 1], y[: top + 1])
+    falling = np.interp(middle, np.append(u[top:], u[0])[::-1], np.append(y[top:], y[0])[::-1])
+    return float(abs(falling - rising))

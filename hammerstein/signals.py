@@ -1,0 +1,405 @@
+"""Test signals as frozen values: sine, triangle, circle, spiral, Lissajous, multisine, or a file.
+
+A signal has no unit of its own: it is a drive in V or a reference in um, as the scenario says.
+Every signal gives values (axis, sample) for an array of times.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
+
+from hammerstein.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+class Shape(BaseModel, ABC):
+    """A signal of any kind.
+
+    ``smooth_start_s`` lets it grow from zero by a smooth step, so that a path which begins away from zero
+    is reached without a jump.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    smooth_start_s: float = Field(default=0.0, ge=0.0, description="time in which the signal grows from zero")
+
+    def sample(self, time_s: Array, n_axes: int) -> Array:
+        """Values (axis, sample) at the given times (sample,) [s]."""
+        values = self._values(time_s, n_axes)
+        if self.smooth_start_s > 0.0:
+            values = values * smooth_step(time_s / self.smooth_start_s)
+        return values
+
+    @abstractmethod
+    def _values(self, time_s: Array, n_axes: int) -> Array:
+        """Values (axis, sample) without the smooth start."""
+
+    @property
+    @abstractmethod
+    def period_s(self) -> float:
+        """Time after which the signal repeats; for one that does not, the time it lasts."""
+
+    @property
+    def periodic(self) -> bool:
+        """Whether the signal has cycles, so that it can be left to settle."""
+        return True
+
+    @property
+    def repeats(self) -> bool:
+        """Whether every cycle is like the one before."""
+        return self.periodic
+
+    @property
+    @abstractmethod
+    def highest_frequency_hz(self) -> float:
+        """Highest frequency named in the signal; it must stay below half the sample rate."""
+
+
+def smooth_step(x: Array) -> Array:
+    """Fifth-order step from 0 at x <= 0 to 1 at x >= 1, with two continuous derivatives.
+
+    >>> smooth_step(np.array([-1.0, 0.5, 2.0])).tolist()
+    [0.0, 0.5, 1.0]
+    """
+    x = np.clip(x, 0.0, 1.0)
+    return x**3 * (10.0 + x * (6.0 * x - 15.0))
+
+
+class OneFrequency(Shape, ABC):
+    """A signal of one frequency."""
+
+    frequency_hz: PositiveFloat
+
+    @property
+    def period_s(self) -> float:
+        """One period."""
+        return 1.0 / self.frequency_hz
+
+    @property
+    def highest_frequency_hz(self) -> float:
+        """The frequency."""
+        return self.frequency_hz
+
+
+class OnAxes(OneFrequency, ABC):
+    """The same wave on one axis, on each axis in turn, or on all axes together."""
+
+    axis: int | Literal["each", "all"] = Field(
+        default="each", description='number of the axis from 1, "each" in turn, or "all" together'
+    )
+    amplitude: PositiveFloat
+    phase_deg: float = 0.0
+
+    @abstractmethod
+    def _wave(self, cycles: Array) -> Array:
+        """Wave of unit amplitude over cycles."""
+
+    def _values(self, time_s: Array, n_axes: int) -> Array:
+        wave = self.amplitude * self._wave(self.frequency_hz * time_s + self.phase_deg / 360.0)
+        values = np.zeros((n_axes, len(time_s)))
+        if self.axis == "all":
+            values[:] = wave
+        elif self.axis != "each":
+            values[self.axis - 1] = wave
+        return values
+
+
+class Sine(OnAxes):
+    """A sin(2 pi (f t + phase/360))."""
+
+    kind: Literal["sine"] = "sine"
+
+    def _wave(self, cycles: Array) -> Array:
+        return np.sin(2.0 * np.pi * cycles)
+
+
+class Triangle(OnAxes):
+    """A symmetric triangle wave that starts at zero and rises."""
+
+    kind: Literal["triangle"] = "triangle"
+
+    def _wave(self, cycles: Array) -> Array:
+        return 1.0 - 4.0 * np.abs((cycles + 0.25) % 1.0 - 0.5)
+
+
+class Circle(OneFrequency):
+    """x = R cos(2 pi f t + phase), y = R sin(2 pi f t + phase) (paper, section 5.4)."""
+
+    kind: Literal["circle"] = "circle"
+    radius: PositiveFloat
+    phase_deg: float = 0.0
+
+    def _values(self, time_s: Array, n_axes: int) -> Array:
+        _require_two_axes(n_axes, "circle")
+        angle = 2.0 * np.pi * self.frequency_hz * time_s + math.radians(self.phase_deg)
+        return self.radius * np.stack([np.cos(angle), np.sin(angle)])
+
+
+class Spiral(OneFrequency):
+    """A circle until the trigger, then one whose radius decays as exp(-t / tau) (paper, section 5.4)."""
+
+    kind: Literal["spiral"] = "spiral"
+    radius: PositiveFloat
+    trigger_s: float = Field(ge=0.0, description="time at which the decay starts")
+    decay_s: PositiveFloat = Field(description="time constant of the decay")
+    phase_deg: float = 0.0
+
+    def _values(self, time_s: Array, n_axes: int) -> Array:
+        _require_two_axes(n_axes, "spiral")
+        angle = 2.0 * np.pi * self.frequency_hz * time_s + math.radians(self.phase_deg)
+        decay = np.exp(-np.maximum(time_s - self.trigger_s, 0.0) / self.decay_s)
+        return np.asarray(self.radius * decay * np.stack([np.cos(angle), np.sin(angle)]))
+
+    @property
+    def repeats(self) -> bool:
+        """Its cycles shrink."""
+        return False
+
+
+class Lissajous(Shape):
+    """x = A cos(2 pi f_x t + phase), y = A sin(2 pi f_y t + phase) (paper, section 5.4)."""
+
+    kind: Literal["lissajous"] = "lissajous"
+    amplitude: PositiveFloat
+    frequency_x_hz: PositiveFloat
+    frequency_y_hz: PositiveFloat
+    phase_deg: float = 0.0
+
+    def _values(self, time_s: Array, n_axes: int) -> Array:
+        _require_two_axes(n_axes, "lissajous")
+        phase = math.radians(self.phase_deg)
+        x = np.cos(2.0 * np.pi * self.frequency_x_hz * time_s + phase)
+        y = np.sin(2.0 * np.pi * self.frequency_y_hz * time_s + phase)
+        return self.amplitude * np.stack([x, y])
+
+    @property
+    def period_s(self) -> float:
+        """Time after which both axes repeat together (for a ratio of whole numbers up to 100)."""
+        from fractions import Fraction
+
+        ratio = Fraction(self.frequency_x_hz / self.frequency_y_hz).limit_denominator(100)
+        return ratio.numerator / self.frequency_x_hz
+
+    @property
+    def highest_frequency_hz(self) -> float:
+        """The higher of the two frequencies."""
+        return max(self.frequency_x_hz, self.frequency_y_hz)
+
+
+class Multisine(Shape):
+    """Sum of equal sines on a grid of lines with random phases from a seed, another one on each axis.
+
+    The rms of each axis is ``amplitude`` / 3, so that peaks seldom pass the amplitude; larger ones are
+    scaled down to it.
+    """
+
+    kind: Literal["multisine"] = "multisine"
+    amplitude: PositiveFloat
+    lowest_hz: PositiveFloat
+    highest_hz: PositiveFloat
+    seed: int = Field(default=0, ge=0)
+
+    @model_validator(mode="after")
+    def _band_is_ordered(self) -> Self:
+        if self.highest_hz <= self.lowest_hz:
+            raise ValueError("highest_hz must be above lowest_hz")
+        return self
+
+    def _values(self, time_s: Array, n_axes: int) -> Array:
+        generator = np.random.default_rng(self.seed)
+        lines = np.arange(1, math.floor(self.highest_hz / self.lowest_hz) + 1) * self.lowest_hz
+        phases = generator.uniform(0.0, 2.0 * np.pi, (n_axes, len(lines)))
+        wave = np.zeros((n_axes, len(time_s)))
+        for line, phase in zip(lines, phases.T, strict=True):
+            wave += np.sin(2.0 * np.pi * line * time_s + phase[:, None])
+        wave *= self.amplitude / 3.0 * math.sqrt(2.0 / len(lines))
+        peak = np.abs(wave).max(axis=1, keepdims=True)
+        return np.asarray(wave * np.minimum(1.0, self.amplitude / np.maximum(peak, 1e-300)))
+
+    @property
+    def period_s(self) -> float:
+        """Period of the lowest line."""
+        return 1.0 / self.lowest_hz
+
+    @property
+    def highest_frequency_hz(self) -> float:
+        """Frequency of the highest line."""
+        return self.highest_hz
+
+
+class FromFile(Shape):
+    """Values from a CSV file: one column named ``time_s``, then one column an axis.
+
+    Between its rows the signal is interpolated linearly, after the last row it holds its value.
+    """
+
+    kind: Literal["file"] = "file"
+    path: str
+    scale: float = 1.0
+
+    def _values(self, time_s: Array, n_axes: int) -> Array:
+        times, values = self.table()
+        if len(values) != n_axes:
+            raise InputError(self.path, f"has {len(values)} axes beside time_s, the actuator has {n_axes}")
+        return self.scale * np.stack([np.interp(time_s, times, axis) for axis in values])
+
+    def table(self) -> tuple[Array, Array]:
+        """Times (row,) [s] and values (axis, row) of the file; InputError names the row that is wrong."""
+        return read_signal(Path(self.path))
+
+    @property
+    def periodic(self) -> bool:
+        """A file is run once, from its first row to its last."""
+        return False
+
+    @property
+    def period_s(self) -> float:
+        """Length of the file."""
+        times, _ = self.table()
+        return float(times[-1] - times[0])
+
+    @property
+    def highest_frequency_hz(self) -> float:
+        """Zero: a file names no frequency."""
+        return 0.0
+
+
+def read_signal(path: Path) -> tuple[Array, Array]:
+    """Read a CSV file with a column ``time_s`` and one column an axis.
+
+    Returns times (row,) [s] and values (axis, row). InputError names the row and column that are wrong.
+    """
+    import pandas as pd
+
+    from hammerstein.files import read_limited
+
+    text = read_limited(path, what="CSV file")
+    try:
+        frame = pd.read_csv(io.StringIO(text), skipinitialspace=True, comment="#")
+    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        raise InputError(str(path), f"is not a CSV table: {error}") from None
+    if "time_s" not in frame.columns or frame.shape[1] < 2:
+        raise InputError(str(path), "needs a header with a column time_s and one column for each axis")
+    first_row = 2 + sum(line.lstrip().startswith("#") for line in text.splitlines()[:20])
+    numbers = frame.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    bad = np.argwhere(~np.isfinite(numbers))
+    if len(bad):
+        row, column = (int(i) for i in bad[0])
+        value = frame.iloc[row, column]
+        raise InputError(
+            str(path),
+            f"row {row + first_row}, column {frame.columns[column]}: {value!s} is not a finite number",
+        )
+    times = frame["time_s"].to_numpy(dtype=float)
+    if len(times) < 2:
+        raise InputError(str(path), "has a single row; a signal needs at least two")
+    late = np.nonzero(np.diff(times) <= 0)[0]
+    if len(late):
+        raise InputError(str(path), f"row {int(late[0]) + first_row + 1}: time_s does not increase")
+    return times - times[0], frame.drop(columns="time_s").to_numpy(dtype=float).T
+
+
+def _require_two_axes(n_axes: int, kind: str) -> None:
+    if n_axes != 2:
+        raise InputError("reference", f"a {kind} needs two axes, the actuator has {n_axes}")
+
+
+def _named(unit: str) -> ConfigDict:
+    """Names with a unit for the fields whose unit depends on what the signal is for."""
+    sized = {"amplitude", "radius"}
+    return ConfigDict(
+        frozen=True,
+        extra="forbid",
+        alias_generator=lambda name: f"{name}_{unit}" if name in sized else name,
+        serialize_by_alias=True,
+    )
+
+
+class SineUm(Sine):
+    """A sine as a reference [um]."""
+
+    model_config = _named("um")
+
+
+class TriangleUm(Triangle):
+    """A triangle as a reference [um]."""
+
+    model_config = _named("um")
+
+
+class CircleUm(Circle):
+    """A circle as a reference [um]."""
+
+    model_config = _named("um")
+
+
+class SpiralUm(Spiral):
+    """A spiral as a reference [um]."""
+
+    model_config = _named("um")
+
+
+class LissajousUm(Lissajous):
+    """A Lissajous figure as a reference [um]."""
+
+    model_config = _named("um")
+
+
+class MultisineUm(Multisine):
+    """A multisine as a reference [um]."""
+
+    model_config = _named("um")
+
+
+class SineV(Sine):
+    """A sine as a drive [V]."""
+
+    model_config = _named("v")
+
+
+class TriangleV(Triangle):
+    """A triangle as a drive [V]."""
+
+    model_config = _named("v")
+
+
+class CircleV(Circle):
+    """A circle as a drive [V]."""
+
+    model_config = _named("v")
+
+
+class SpiralV(Spiral):
+    """A spiral as a drive [V]."""
+
+    model_config = _named("v")
+
+
+class LissajousV(Lissajous):
+    """A Lissajous figure as a drive [V]."""
+
+    model_config = _named("v")
+
+
+class MultisineV(Multisine):
+    """A multisine as a drive [V]."""
+
+    model_config = _named("v")
+
+
+Reference = Annotated[
+    SineUm | TriangleUm | CircleUm | SpiralUm | LissajousUm | MultisineUm | FromFile,
+    Field(discriminator="kind"),
+]
+Excitation = Annotated[
+    SineV | TriangleV | CircleV | SpiralV | LissajousV | MultisineV | FromFile, Field(discriminator="kind")
+]

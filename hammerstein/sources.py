@@ -1,0 +1,76 @@
+"""Where a model comes from: an identification experiment, or a model file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    PositiveFloat,
+    PositiveInt,
+    Tag,
+    model_validator,
+)
+
+_STRICT = ConfigDict(frozen=True, extra="forbid")
+Frequencies = Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
+
+
+class ClosedFormSpec(BaseModel):
+    """Identify the static block by the paper's closed form, one input driven at a time (section 3.3)."""
+
+    model_config = _STRICT
+
+    method: Literal["closed_form"] = "closed_form"
+    frequency_hz: PositiveFloat = 50.0
+    amplitude_v: PositiveFloat = 10.0
+    operators: PositiveInt = 15
+    settle_cycles: PositiveInt = 5
+    measured_cycles: PositiveInt = 10
+    sample_time_s: PositiveFloat | None = Field(
+        default=None, description="sample time of this experiment, where it is not that of the run"
+    )
+
+
+class JointFitSpec(BaseModel):
+    """Identify hysteresis and dynamics together by least squares through the linear block and the sensor."""
+
+    model_config = _STRICT
+
+    method: Literal["hammerstein"]
+    amplitude_v: PositiveFloat = 10.0
+    operators: PositiveInt = 24
+    frequencies_hz: Frequencies = (10.0, 50.0, 100.0, 200.0, 300.0, 420.0)
+    creep_modes: int = Field(default=0, ge=0, le=5)
+    creep_record_s: PositiveFloat = Field(default=600.0, description="length of the creep record")
+
+
+def _method(value: Any) -> str:
+    if isinstance(value, dict):
+        return str(value.get("method", "closed_form"))
+    return str(getattr(value, "method", "closed_form"))
+
+
+IdentificationSpec = Annotated[
+    Annotated[ClosedFormSpec, Tag("closed_form")] | Annotated[JointFitSpec, Tag("hammerstein")],
+    Discriminator(_method),
+]
+
+
+class ModelSource(BaseModel):
+    """A labelled model: identified from a simulated experiment, or read from a model file."""
+
+    model_config = _STRICT
+
+    label: Annotated[str, Field(min_length=1, max_length=60)]
+    identification: IdentificationSpec | None = None
+    model: str | None = Field(default=None, description="model file, or name of a packaged actuator")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.identification is None) == (self.model is None):
+            raise ValueError("give either identification or model")
+        return self

@@ -1,0 +1,364 @@
+"""Loops in records: against the closed forms of a settled Prandtl-Ishlinskii loop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hammerstein.errors import InputError
+from hammerstein.identification.loops import branches, loop_table, pair_loops, settled_loop
+from hammerstein.identification.noise import dead_band, noise_rms, quantum
+from hammerstein.identification.preparation import leads
+from hammerstein.identification.records import Record, read_paired_records, read_records
+from hammerstein.identification.turning_points import find_cycles, turning_points
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+# the printed table of the published actuator, x voltage to x displacement (paper, equations 12 and 13)
+R = np.array([0.07, 0.32, 0.74, 1.3, 2, 2.8, 3.67, 4.61, 5.54, 6.5, 7.34, 8.1, 8.8, 9.3, 9.7])
+W = np.array(
+    [4.3, -0.395, 0.117, 0.657, 0.207, 0.252, 0.605, 0.15, 0.265, 0.229, 0.207, 0.381, 0.411, 0.256, 2.28]
+)
+
+
+def respond(u, r=R, w=W, start=0.0):
+    """Textbook play operators, one sample after the other."""
+    plays, y = np.full(len(r), start), np.empty(len(u))
+    for k, value in enumerate(u):
+        plays = np.maximum(value - r, np.minimum(value + r, plays))
+        y[k] = w @ plays
+    return y
+
+
+def height(amplitude, r=R, w=W):
+    return 2.0 * w @ np.maximum(amplitude - r, 0.0)
+
+
+def area(amplitude, r=R, w=W):
+    return 4.0 * (w * r) @ np.maximum(amplitude - r, 0.0)
+
+
+def opening(amplitude, r=R, w=W):
+    """Falling minus rising branch at mid voltage, from the branch of facts: sum w max(0, u + A - 2 r)."""
+    rise = w @ np.maximum(amplitude - 2.0 * r, 0.0)
+    return height(amplitude, r, w) - 2.0 * rise
+
+
+def measured(y, seed=1, noise_um=0.04, step_um=0.04):
+    rng = np.random.default_rng(seed)
+    return np.round((y + noise_um * rng.standard_normal(y.shape)) / step_um) * step_um
+
+
+def sine(cycles, samples=400.0, amplitude=10.0, bias=0.0):
+    return bias + amplitude * np.sin(2.0 * np.pi * np.arange(int(cycles * samples)) / samples)
+
+
+def line(*corners):
+    """Straight lines through (sample, volt)."""
+    samples, volts = np.array(corners).T
+    return np.interp(np.arange(int(samples[-1]) + 1), samples, volts)
+
+
+def triangle(cycles, samples=400, amplitude=10.0, bias=0.0):
+    quarters = [0.0, *([amplitude, -amplitude] * (cycles + 1))]
+    at = [0, *(samples // 4 + samples // 2 * np.arange(2 * cycles + 2))]
+    return bias + line(*zip(at, quarters, strict=True))[: cycles * samples]
+
+
+def record(u, y, sample_time_s=5e-5):
+    return Record(np.atleast_2d(u), np.atleast_2d(y), sample_time_s)
+
+
+@pytest.mark.parametrize("excitation", [sine, triangle])
+@pytest.mark.parametrize("amplitude", [10.0, 5.0])
+def test_clean_loop_is_the_closed_form(excitation, amplitude):
+    u = excitation(4, amplitude=amplitude)
+    loops = loop_table(record(u, respond(u)))
+    assert len(loops) == 3
+    for loop in loops:
+        assert loop.settled
+        assert not loop.minor
+        assert loop.amplitude_v == pytest.approx(amplitude, rel=1e-9)
+        assert loop.height_um == pytest.approx(height(amplitude), rel=1e-9)
+        assert loop.width_um == pytest.approx(opening(amplitude), rel=1e-3)
+        assert loop.area_v_um == pytest.approx(area(amplitude), rel=1e-3)
+        assert loop.closure_um == pytest.approx(0.0, abs=1e-9)
+        assert loop.drift_um == pytest.approx(0.0, abs=1e-9)
+
+
+def test_published_width_is_the_papers():
+    u = sine(3)
+    loop = settled_loop(record(u, respond(u)))
+    assert loop.width_percent == pytest.approx(16.7, abs=0.05)
+    assert loop.area_v_um == pytest.approx(281.90, abs=0.05)
+    assert loop.height_um == pytest.approx(2 * 58.40, abs=0.01)
+
+
+@pytest.mark.parametrize("excitation", [sine, triangle])
+@pytest.mark.parametrize("amplitude", [10.0, 5.0])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_sensor_noise_and_quantisation_move_nothing(excitation, amplitude, seed):
+    u = excitation(6, amplitude=amplitude)
+    loops = loop_table(record(u, measured(respond(u), seed)))
+    assert len(loops) == 5
+    for loop in loops:
+        assert loop.settled
+        assert loop.height_um == pytest.approx(height(amplitude), rel=0.006)
+        assert loop.width_um == pytest.approx(opening(amplitude), abs=0.12)
+        assert loop.area_v_um == pytest.approx(area(amplitude), rel=0.004)
+        assert loop.closure_um == pytest.approx(0.0, abs=0.1)
+        assert loop.drift_um == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize("samples", [41.3, 133.33, 200.37])
+@pytest.mark.parametrize("noise_um", [0.0, 0.04])
+def test_period_of_no_whole_number_of_samples(samples, noise_um):
+    u = sine(6, samples)
+    y = respond(u) if noise_um == 0 else measured(respond(u))
+    loops = loop_table(record(u, y))
+    missed = 10.0 * (1.0 - np.cos(np.pi / samples))  # a tip between two samples is cut off by as much
+    chord = (2.0 * np.pi / samples) ** 2  # and an arc between samples becomes a chord
+    assert len(loops) == 5
+    for loop in loops:
+        assert loop.settled
+        assert loop.amplitude_v == pytest.approx(10.0, abs=missed)
+        assert loop.height_um == pytest.approx(height(10.0), rel=missed / 2.0 + 4.0 * noise_um / 100.0)
+        assert loop.area_v_um == pytest.approx(area(10.0), rel=chord + 0.002)
+        assert loop.closure_um == pytest.approx(0.0, abs=0.05 + 5.0 * noise_um)
+
+
+def test_triangle_whose_samples_miss_the_tips_still_settles():
+    phase = np.arange(1200) / 133.33 % 1.0
+    u = np.interp(phase, [0.0, 0.25, 0.75, 1.0], [0.0, 10.0, -10.0, 0.0])
+    assert all(loop.settled for loop in loop_table(record(u, measured(respond(u)))))
+
+
+def test_biased_loop_with_asymmetric_branches():
+    """A drive from 0 to 12 V around 6 V, with a bump on the rising branch alone."""
+    r, w = np.array([0.5, 2.0, 4.0]), np.array([3.0, 2.0, 1.0])
+    u = sine(4, amplitude=6.0, bias=6.0)
+    y = respond(u, r, w, start=6.0) - 200.0
+    bump = np.where(np.gradient(u) > 0, np.maximum(0.0, 6.0 - np.abs(u - 6.0)), 0.0)
+    plain = settled_loop(record(u, y))
+    bent = settled_loop(record(u, y + bump))
+    assert plain.mid_v == pytest.approx(6.0)
+    assert plain.area_v_um == pytest.approx(area(6.0, r, w), rel=1e-3)
+    assert bent.area_v_um == pytest.approx(area(6.0, r, w) - 36.0, rel=2e-3)  # triangle under the bump
+    assert bent.width_um == pytest.approx(plain.width_um - 6.0, rel=2e-3)
+    assert bent.settled
+
+
+def test_leading_output_has_negative_area_and_width():
+    u = sine(3)
+    x = respond(u)
+    loop = settled_loop(record(x, u))
+    assert loop.area_v_um == pytest.approx(-area(10.0), rel=1e-3)
+    assert loop.width_percent < -10.0
+
+
+def test_start_from_rest_is_no_settled_cycle():
+    """From 0 V up and down a record starts on the level of its turns, yet its first cycle is open."""
+    u = line((0, 0), (200, 10), (400, 0), (600, 10), (800, 0), (1000, 10), (1200, 0))
+    loops = loop_table(record(u, respond(u)))
+    assert [loop.settled for loop in loops] == [False, True, True]
+    virgin = W @ np.maximum(10.0 - R, 0.0)
+    back = W @ np.maximum(10.0 - 2.0 * R, 0.0)  # falls by as much as the settled branch rises
+    assert loops[0].closure_um == pytest.approx(virgin - back, rel=1e-9)
+    assert loops[1].area_v_um == pytest.approx(area(5.0), rel=1e-3)
+
+
+def test_symmetric_drive_from_rest_leaves_the_first_quarter_out():
+    u = sine(2)
+    first = loop_table(record(u, respond(u)))[0]
+    assert (first.start, first.turn, first.stop) == (100, 300, 500)
+    assert first.settled
+
+
+def test_first_rise_alone_holds_no_loop():
+    u = sine(0.7)
+    whole = record(u, respond(u))
+    assert loop_table(whole) == []
+    with pytest.raises(InputError, match=r"no full cycles up to row 280; record more cycles"):
+        settled_loop(whole)
+
+
+def test_a_transient_is_not_settled_until_it_is():
+    u = sine(8)
+    decay = 20.0 * np.exp(-np.arange(len(u)) / 500.0)
+    loops = loop_table(record(u, measured(respond(u) + decay)))
+    settled = [loop.settled for loop in loops]
+    assert settled == sorted(settled)
+    assert not settled[0]
+    assert settled[-1]
+    with pytest.raises(
+        InputError, match="too short to settle: 2 full cycles up to row 1100, still moving by"
+    ):
+        settled_loop(record(u[:1100], (respond(u) + decay)[:1100]))
+
+
+def test_drift_is_the_creep_of_a_cycle():
+    u = sine(5)
+    creep = 0.3 * np.arange(len(u)) / 400.0
+    for loop in loop_table(record(u, measured(respond(u) + creep))):
+        assert loop.drift_um == pytest.approx(0.3, abs=0.02)
+        assert loop.closure_um == pytest.approx(0.3, abs=0.1)
+
+
+def test_plateaus_add_no_turns_and_no_area():
+    u = line(
+        (0, 0), (100, 10), (180, 10), (300, -10), (330, -10), (450, 10), (500, 10), (620, -10), (700, -10)
+    )
+    u = np.concatenate([np.zeros(60), u, line((0, -10), (100, 10), (150, 10))])
+    loops = loop_table(record(u, measured(respond(u))))
+    assert [loop.turn for loop in loops] == [360, 680]
+    for loop in loops:
+        assert loop.settled
+        assert loop.area_v_um == pytest.approx(area(10.0), rel=0.004)
+
+
+def test_several_amplitudes_in_one_record():
+    parts = [sine(2, amplitude=a) for a in (10.0, 7.0, 4.0)]
+    u = np.concatenate(parts)
+    loops = loop_table(record(u, measured(respond(u))))
+    for amplitude in (10.0, 7.0, 4.0):
+        equal = [
+            loop for loop in loops if abs(loop.amplitude_v - amplitude) < 0.01 and loop.stop % 800 == 500
+        ]
+        assert equal
+        assert all(loop.area_v_um == pytest.approx(area(amplitude), rel=0.01) for loop in equal)
+        assert all(loop.settled for loop in equal)
+    assert settled_loop(record(u, respond(u))).amplitude_v == pytest.approx(10.0)
+
+
+def test_minor_loop_on_a_branch_is_a_loop_of_its_own():
+    """Wiping out: the major loop is what it is without the excursion from 4 V to 1 V and back."""
+    u = line((0, 0), (500, 10), (1500, -10), (2200, 4), (2350, 1), (2800, 10), (3800, -10), (4800, 10))
+    loops = loop_table(record(u, respond(u)))
+    major, minor, last = loops
+    assert [loop.minor for loop in loops] == [False, True, False]
+    assert (minor.start, minor.turn, minor.stop) == (2200, 2350, 2500)
+    assert minor.amplitude_v == pytest.approx(1.5)
+    assert minor.height_um == pytest.approx(height(1.5), rel=1e-6)
+    assert minor.area_v_um == pytest.approx(area(1.5), rel=1e-3)
+    assert minor.settled
+    assert major.area_v_um == pytest.approx(area(10.0), rel=1e-3)
+    assert major.width_um == pytest.approx(last.width_um, rel=1e-3)
+    assert major.drift_um == pytest.approx(0.0, abs=1e-6)
+    assert major.settled
+
+
+def test_modulated_amplitude_gives_open_cycles():
+    n = np.arange(4000)
+    u = 10.0 * np.sin(2.0 * np.pi * n / 400) * (1.0 - 0.6 * n / 4000)
+    loops = loop_table(record(u, measured(respond(u))))
+    assert len(loops) == 9
+    assert not any(loop.settled for loop in loops)
+    swings = [loop.amplitude_v for loop in loops]
+    assert swings == sorted(swings, reverse=True)
+
+
+def test_every_driven_pair_is_listed_in_order():
+    u = np.vstack([sine(3), np.full(1200, 0.3)])
+    x = respond(u[0])
+    loops = loop_table(Record(u, [x, 0.1 * x], 5e-5, ("ux", "uy"), ("x", "y")))
+    assert [(loop.input, loop.output) for loop in loops] == [("ux", "x")] * 2 + [("ux", "y")] * 2
+    assert loops[2].height_um == pytest.approx(0.1 * loops[0].height_um)
+
+
+def test_a_voltage_measured_with_noise_has_the_same_loops():
+    rng = np.random.default_rng(3)
+    u = sine(5)
+    noisy = np.round((u + 0.02 * rng.standard_normal(u.size)) / 0.005) * 0.005
+    loops = loop_table(record(noisy, measured(respond(u))))
+    assert len(loops) == 4
+    for loop in loops:
+        assert loop.settled
+        assert loop.area_v_um == pytest.approx(area(10.0), rel=0.01)
+        assert loop.width_um == pytest.approx(opening(10.0), abs=0.2)
+
+
+def test_branches_are_the_closed_form():
+    u = sine(3)
+    whole = record(u, respond(u))
+    rising_v, rising_um, falling_v, falling_um = branches(whole, settled_loop(whole))
+    theory = np.maximum(rising_v[:, None] + 10.0 - 2.0 * R, 0.0) @ W - height(10.0) / 2.0
+    np.testing.assert_allclose(rising_um, theory, atol=1e-9)
+    np.testing.assert_allclose(falling_um, -np.interp(-falling_v, rising_v, rising_um), atol=2e-3)
+    assert np.all(np.diff(rising_v) >= 0)
+    assert np.all(np.diff(falling_v) <= 0)
+
+
+def test_branches_leave_minor_loops_out():
+    u = line((0, 0), (500, 10), (1500, -10), (2200, 4), (2350, 1), (2800, 10))
+    whole = record(u, respond(u))
+    rising_v = branches(whole, loop_table(whole)[0]).rising_v
+    assert np.all(np.diff(rising_v) >= 0)
+    assert rising_v[-1] == 10.0
+
+
+@pytest.mark.parametrize("noise_v", [0.0, 0.05])
+def test_turning_points_under_noise_and_plateaus(noise_v):
+    rng = np.random.default_rng(5)
+    u = line((0, 2), (300, 2), (500, 6), (700, 6), (1000, -3), (1200, 5), (1500, 0))
+    points = turning_points(u + noise_v * rng.standard_normal(u.size))
+    assert len(points) == 5
+    assert points[0] <= 310
+    assert 490 <= points[1] <= 700
+    np.testing.assert_allclose(points[2:], [1000, 1200, 1500], atol=12)
+
+
+def test_a_straight_line_and_a_constant_have_no_turns():
+    assert turning_points(np.linspace(0.0, 5.0, 50)).tolist() == [0, 49]
+    assert turning_points(np.zeros(50)).tolist() == [0, 49]
+    assert find_cycles(np.zeros(50)).excursions == ()
+
+
+@pytest.mark.parametrize("samples", [50, 200, 400])
+def test_noise_estimate_ignores_the_signal(samples):
+    rng = np.random.default_rng(2)
+    u = sine(8000 / samples, samples)
+    assert noise_rms(u) < 2e-3
+    assert noise_rms(respond(u)) < 0.04  # of 117 um: its corners are no noise
+    assert noise_rms(u + 0.05 * rng.standard_normal(u.size)) == pytest.approx(0.05, rel=0.06)
+
+
+def test_dead_band_covers_noise_and_converter():
+    rng = np.random.default_rng(4)
+    noise = rng.standard_normal(100_000)
+    assert dead_band(noise) > np.ptp(noise)
+    steps = 0.005 * np.round(np.linspace(0.0, 1000.0, 5000))
+    assert quantum(steps) == pytest.approx(0.005)
+    assert dead_band(steps) > 0.005
+
+
+def test_measured_actuator_settles_and_lags():
+    folder = DATA / "dbo_piezo_micromanipulator"
+    if not folder.is_dir():
+        pytest.skip("measured records are not beside the repository")
+    (whole,) = read_records([folder / "Model_Vi_Do.dat"], inputs=["1"], outputs=["5"], rate_hz=200.0)
+    loops = loop_table(whole)
+    assert len(loops) == 39  # 8027 samples of 200 a period, less the way to the first turn
+    assert all(loop.settled for loop in loops)
+    assert all(loop.samples == 200 for loop in loops)
+    assert all(loop.width_percent == pytest.approx(22.6, abs=0.7) for loop in loops)
+    assert leads(whole) == ()
+
+
+def test_measured_magnetic_loops_are_closed():
+    folder = DATA / "ja_magnetic_loops"
+    if not folder.is_dir():
+        pytest.skip("measured records are not beside the repository")
+    voltages = sorted(folder.glob("*_H_*.mat"))
+    assert len(voltages) == 5
+    for path in voltages:
+        for loop in (
+            read
+            for whole in read_paired_records(
+                path, folder / path.name.replace("_H_", "_B_"), axes=("sample", "experiment"), rate_hz=1.0
+            )
+            for read in pair_loops(whole, 0, 0)
+        ):
+            assert loop.settled
+            assert loop.area_v_um > 0
