@@ -74,6 +74,11 @@ class AxesDynamics(BaseModel):
         """Number of outputs."""
         return len(self.axes)
 
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        axes = ", ".join(f"{a.resonance_hz:.4g} Hz (damping {a.damping_ratio:.3g})" for a in self.axes)
+        return f"resonant axes: {axes}" + (", with creep" if any(a.creep for a in self.axes) else "")
+
     def system(self) -> control.StateSpace:
         """Give the block as a continuous ``control.StateSpace``."""
         import control
@@ -94,6 +99,10 @@ class StaticDynamics(BaseModel):
     kind: Literal["static"] = "static"
     n_outputs: int = Field(ge=1)
     input_delay_s: float = Field(default=0.0, ge=0.0)
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        return "none"
 
     def system(self) -> control.StateSpace:
         """Give the block as a ``control.StateSpace`` without states."""
@@ -128,6 +137,11 @@ class StateSpaceDynamics(BaseModel):
         if p == 0 or m == 0:
             raise ValueError("D must have at least one row and one column")
         return self
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        kind = "continuous" if self.sample_time_s is None else f"at {self.sample_time_s:g} s a sample"
+        return f"state space of order {len(self.A)}, {kind}"
 
     @classmethod
     def of(cls, system: control.StateSpace, input_delay_s: float = 0.0) -> StateSpaceDynamics:

@@ -91,6 +91,7 @@ def run(
         actuator=setup.plant.model.name,
         digest=scenario.digest(),
         model_digest=setup.plant.model.digest(),
+        inputs=setup.plant.model.inputs,
         axes=setup.plant.model.outputs,
         rows=rows,
         statements=statements_of(setup, results),

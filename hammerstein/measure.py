@@ -76,6 +76,7 @@ def _targets(setup: SetUp, case: Case, response: Response) -> list[Target]:
     return [
         Target(source.label, *_prediction(setup, setup.models[source.label], response))
         for source in setup.scenario.models
+        if source.is_tested_at(case.signal.highest_frequency_hz)
     ]
 
 

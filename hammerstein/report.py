@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -104,10 +104,15 @@ class Report:
     actuator: str
     digest: str
     model_digest: str
+    inputs: tuple[str, ...]
     axes: tuple[str, ...]
     rows: tuple[Row, ...]
     statements: tuple[str, ...]
     traces: tuple[Trace, ...] = ()
+
+    def without_traces(self) -> Report:
+        """Give the report without its traces, as small as its file."""
+        return replace(self, traces=())
 
     def to_frame(self) -> pd.DataFrame:
         """Rows as a pandas table; a figure without meaning is NaN."""

@@ -77,9 +77,9 @@ class SetUp:
         scenario = self.scenario
         n_axes = len(scenario_axes(scenario, self.plant.model))
         axes = range(n_axes) if scenario.one_axis_at_a_time else [None]
-        labels = [c.label for c in scenario.compensators] or [""]
-        for label in labels:
-            for signal in scenario.signals():
+        for signal in scenario.signals():
+            tested = [c.label for c in scenario.compensators if c.is_tested_at(signal.highest_frequency_hz)]
+            for label in [""] if scenario.drive is not None else tested:
                 for axis in axes:
                     yield Case(signal, axis, label)
 

@@ -68,6 +68,13 @@ class ModelSource(BaseModel):
     label: Annotated[str, Field(min_length=1, max_length=60)]
     identification: IdentificationSpec | None = None
     model: str | None = Field(default=None, description="model file, or name of a packaged actuator")
+    only_at_hz: Frequencies | None = Field(
+        default=None, description="frequencies of the sweep at which it is tested; all if not given"
+    )
+
+    def is_tested_at(self, frequency_hz: float) -> bool:
+        """Whether this source takes part at a frequency of the sweep."""
+        return self.only_at_hz is None or frequency_hz in self.only_at_hz
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:

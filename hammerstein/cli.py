@@ -1,0 +1,181 @@
+"""The command line. Only this module prints and exits."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hammerstein.errors import HammersteinError
+
+if TYPE_CHECKING:
+    from hammerstein.batch import Outcome
+    from hammerstein.setup import Progress
+
+app = typer.Typer(
+    name="hammerstein",
+    help="Simulate, identify and compensate multi-axis actuators with hysteresis.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Paths = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Scenario files, or folders of them.")]
+Jobs = Annotated[
+    int, typer.Option(min=1, help="Runs side by side.", show_default="the processors of this machine")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
+INTERRUPTED = 130
+PROCESSORS = os.cpu_count() or 1
+
+
+def main() -> None:
+    """Run the command line; a mistake of the user is one message and an exit code, never a traceback."""
+    try:
+        app(standalone_mode=True)
+    except HammersteinError as error:
+        _complain(str(error))
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        _complain("interrupted; what was finished has been written")
+        sys.exit(INTERRUPTED)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+
+
+@app.command()
+def run(
+    paths: Paths,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the reports go.")] = Path("reports"),
+    jobs: Jobs = PROCESSORS,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
+    traces: Annotated[
+        str | None, typer.Option(metavar="csv|mat", help="Write every wire of every case.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Run scenarios and write a report for each: numbers, a page, figures."""
+    from hammerstein.batch import Writer, load_all, run_all
+    from hammerstein.errors import InputError
+    from hammerstein.tables import result_table
+
+    if traces not in (None, "csv", "mat"):
+        raise InputError("--traces", f"{traces!r} is not one of csv, mat")
+    scenarios = load_all(paths)
+    writer = Writer(out, figures, "mat" if traces == "mat" else "csv" if traces == "csv" else None)
+    outcomes = []
+    with _Watch(len(scenarios)) as watch:
+        for outcome in run_all(scenarios, writer, jobs, watch.progress):
+            watch.finished(outcome.name)
+            outcomes.append(outcome)
+    outcomes.sort(key=lambda outcome: outcome.name)
+    if as_json:
+        reports = [json.loads(o.report.to_json()) for o in outcomes if o.report is not None]
+        typer.echo(json.dumps({"reports": reports, "errors": [str(o.error) for o in outcomes if o.error]}))
+    else:
+        _print(result_table([o.report for o in outcomes if o.report is not None]))
+        typer.echo(f"reports in {out}")
+    _fail_with(outcomes)
+
+
+def _fail_with(outcomes: list[Outcome]) -> None:
+    """Tell every error; exit with the code of the gravest."""
+    errors = [outcome.error for outcome in outcomes if outcome.error is not None]
+    for error in errors:
+        _complain(str(error))
+    if errors:
+        raise typer.Exit(max(error.exit_code for error in errors))
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of scenario files, for editors."""
+    from hammerstein.scenario import Scenario
+
+    typer.echo(json.dumps(Scenario.model_json_schema(), indent=1, sort_keys=True))
+
+
+@app.command()
+def actuators(as_json: AsJson = False) -> None:
+    """List the actuators that come with the package."""
+    from hammerstein.model import HammersteinModel, packaged_actuators
+    from hammerstein.tables import actuator_table
+
+    models = [HammersteinModel.load(name) for name in packaged_actuators()]
+    if as_json:
+        typer.echo(json.dumps([json.loads(model.to_json()) for model in models]))
+    else:
+        _print(actuator_table(models))
+
+
+@app.command()
+def plot(
+    path: Annotated[Path, typer.Argument(help="Scenario file.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the figures go.")] = Path("reports"),
+    jobs: Jobs = PROCESSORS,
+) -> None:
+    """Draw the figures of one scenario, and nothing else."""
+    from hammerstein.batch import load_all
+    from hammerstein.experiment import run as run_scenario
+    from hammerstein.figures import write_figures
+
+    ((name, scenario),) = load_all([path]).items()
+    with _Watch(1) as watch:
+        report = run_scenario(scenario, name, jobs, watch.progress)
+    for figure in write_figures(report, out / name):
+        typer.echo(str(figure))
+
+
+class _Watch:
+    """Progress with the remaining time on stderr, when a person watches."""
+
+    def __init__(self, scenarios: int):
+        self.scenarios = scenarios
+        self.bar: Any = None
+
+    def __enter__(self) -> _Watch:
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+            columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+            self.bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self.bar.start()
+            self.task = self.bar.add_task("running", total=self.scenarios)
+            self.inner = self.bar.add_task("", total=1, visible=False)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+
+    @property
+    def progress(self) -> Progress | None:
+        """What a run calls while it works; None when nobody watches."""
+        return None if self.bar is None else self._within
+
+    def _within(self, what: str, done: int, total: int) -> None:
+        self.bar.update(self.inner, description=what, completed=done, total=total, visible=True)
+
+    def finished(self, name: str) -> None:
+        """Count one more scenario."""
+        if self.bar is not None:
+            self.bar.update(self.task, advance=1, description=name)
+            self.bar.update(self.inner, visible=False)
+
+
+def _print(renderable: Any) -> None:
+    from rich.console import Console
+
+    console = Console()
+    console.print(renderable) if console.is_terminal else Console(width=140).print(renderable)
+
+
+def _complain(message: str) -> None:
+    typer.echo(message, err=True)

@@ -1,0 +1,61 @@
+"""Tables for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+from hammerstein.model import HammersteinModel
+from hammerstein.report import Report, Row
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_LEFT = 3  # the first columns hold words
+
+
+def _table(title: str, columns: Sequence[str]) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title, box=box.SIMPLE, title_justify="left")
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="left" if i < _LEFT else "right", overflow="fold")
+    return table
+
+
+def result_table(reports: Iterable[Report]) -> Table:
+    """One line for each scenario and compensator or model: what a person looks at first."""
+    columns = ("scenario", "compensator", "frequency_hz", "rms_um", "max_um", "max_true_um", "saturated")
+    table = _table("Worst figures of each scenario, over its direct transfers and paths", columns)
+    for report in reports:
+        for label in dict.fromkeys(row.compensator for row in report.rows):
+            rows = [row for row in report.rows if row.compensator == label and _is_direct(row)]
+            table.add_row(report.name, label or "(drive in V)", *_figures(rows))
+    return table
+
+
+def _is_direct(row: Row) -> bool:
+    return row.excited_axis in (row.measured_axis, "all")
+
+
+def _figures(rows: Sequence[Row]) -> list[str]:
+    frequencies = sorted({row.frequency_hz for row in rows})
+    span = f"{frequencies[0]:g}" + (f" ... {frequencies[-1]:g}" if len(frequencies) > 1 else "")
+    cells = [span]
+    for name in ("rms_um", "max_um", "max_true_um"):
+        values = [value for row in rows if (value := getattr(row, name)) is not None]
+        cells.append(f"{max(values):.3f}" if values else "")
+    return [*cells, str(sum(row.saturated_samples for row in rows))]
+
+
+def actuator_table(models: Iterable[HammersteinModel]) -> Table:
+    """One line an actuator: size, operators, dynamics."""
+    table = _table(
+        "Packaged actuators", ("name", "inputs", "outputs", "operators", "dynamics", "amplitude_v")
+    )
+    for model in models:
+        operators = sum(len(pair.thresholds_v) for row in model.hysteresis.pairs for pair in row)
+        words = (model.name, ", ".join(model.inputs), ", ".join(model.outputs), str(operators))
+        table.add_row(*words, model.dynamics.describe(), f"{model.amplitude_v:g}")
+    return table
