@@ -18,7 +18,7 @@ class Drive(BaseModel):
     section 5.1) is the default; the paper names the converter, not its resolution: 16 bits are assumed.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     range_v: PositiveFloat = Field(default=10.0, description="largest voltage of either sign; inf: no limit")
     resolution_v: float = Field(default=20.0 / 2**16, ge=0.0, description="step of the converter; 0: none")
@@ -38,7 +38,7 @@ class Sensor(BaseModel):
     and no noise: it is read both as the converter's step and as the rms noise.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     range_um: PositiveFloat = Field(
         default=250.0, description="largest reading of either sign; inf: no limit"
@@ -57,7 +57,7 @@ class Sensor(BaseModel):
 class Instruments(BaseModel):
     """Drive and sensor of one set-up."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     drive: Drive = Drive()
     sensor: Sensor = Sensor()

@@ -17,7 +17,7 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited, write_atomic
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.instruments import Instruments
-from hammerstein.validation import mistakes_of
+from hammerstein.validation import mistakes_of, suggestion
 
 FORMAT = "hammerstein-model/1"
 
@@ -76,7 +76,7 @@ class HammersteinModel:
 
         Raises InputError with every mistake in the file.
         """
-        source = _packaged(str(path)) or Path(path)
+        source = _place_of(str(path))
         text = read_limited(source, what="model file")
         try:
             file = ModelFile.model_validate_json(text)
@@ -93,17 +93,13 @@ class HammersteinModel:
 
     def digest(self) -> str:
         """Short hash of everything in the model that changes its numbers."""
-        content = ModelFile.of(self).model_dump(mode="json", exclude={"provenance", "name"})
+        content = json.loads(ModelFile.of(self).model_dump_json(exclude={"provenance", "name"}))
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def to_json(self) -> str:
         """Text of the model file: full precision, sorted keys."""
-        return (
-            json.dumps(
-                ModelFile.of(self).model_dump(mode="json", exclude_none=True), indent=1, sort_keys=True
-            )
-            + "\n"
-        )
+        content = json.loads(ModelFile.of(self).model_dump_json(exclude_none=True))
+        return json.dumps(content, indent=1, sort_keys=True) + "\n"
 
 
 class PairFile(BaseModel):
@@ -175,7 +171,13 @@ def packaged_actuators() -> list[str]:
     return sorted(f.name.removesuffix(".json") for f in folder.iterdir() if f.name.endswith(".json"))
 
 
-def _packaged(name: str) -> Path | None:
-    if name.endswith(".json") or name not in packaged_actuators():
-        return None
-    return Path(str(resources.files("hammerstein.actuators") / f"{name}.json"))
+def _place_of(name: str) -> Path:
+    """Place of a packaged actuator, or of the file that is named."""
+    names = packaged_actuators()
+    if name in names:
+        return Path(str(resources.files("hammerstein.actuators") / f"{name}.json"))
+    if Path(name).suffix or Path(name).exists():
+        return Path(name)
+    raise InputError(
+        name, f"is neither a model file nor a packaged actuator ({', '.join(names)}){suggestion(name, names)}"
+    )

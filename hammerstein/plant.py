@@ -69,6 +69,9 @@ class Plant:
     def respond(self, requested_v: Array, seed: list[int], reference_um: Array | None = None) -> Response:
         """Response to a voltage (input, sample) from rest, every wire kept."""
         drive_v, saturated = self.instruments.drive.apply(requested_v)
+        if reference_um is not None:
+            # A law stays within the range itself; where it stands at the range, it wanted more.
+            saturated |= np.abs(requested_v) >= self.instruments.drive.range_v
         hysteresis_um, _ = self.model.hysteresis.respond(drive_v)
         both_um, _ = self.block.respond(hysteresis_um)
         position_um, filtered_um = np.split(both_um, 2)

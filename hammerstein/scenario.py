@@ -132,7 +132,7 @@ class Scenario(BaseModel):
 
     def portable(self) -> dict[str, Any]:
         """Content as plain JSON, the same wherever its files lie."""
-        content = self.model_dump(mode="json", exclude_defaults=True)
+        content = json.loads(self.model_dump_json(exclude_none=True))
         return {key: _without_folders(value, key) for key, value in content.items()}
 
     def digest(self) -> str:

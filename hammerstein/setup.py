@@ -59,7 +59,7 @@ class Window:
             return cls(0, round(period / sample_time_s) + 1, 0)
         waited = max(measure.settle_cycles * period, measure.settle_s, signal.smooth_start_s)
         settle = math.ceil(waited / period - 1e-9)
-        total = round((settle + measure.measured_cycles) * period / sample_time_s)
+        total = math.ceil((settle + measure.measured_cycles) * period / sample_time_s - 1e-9)
         return cls(math.ceil(settle * period / sample_time_s - 1e-9), total, settle)
 
 

@@ -25,13 +25,13 @@ def _mistake(finding: dict[str, Any], names: list[str]) -> Mistake:
     kind, message = finding["type"], finding["msg"]
     where = _path(finding["loc"], names)
     if kind == "extra_forbidden":
-        return Mistake(where, "unknown key" + _suggestion(str(finding["loc"][-1]), names))
+        return Mistake(where, "unknown key" + suggestion(str(finding["loc"][-1]), names))
     if kind == "missing":
         return Mistake(where, "is missing")
     if kind == "union_tag_invalid":
         context = finding["ctx"]
         tags = context["expected_tags"]
-        near = _suggestion(context["tag"], [t.strip(" '") for t in tags.split(",")])
+        near = suggestion(context["tag"], [t.strip(" '") for t in tags.split(",")])
         return Mistake(
             f"{where}.{context['discriminator'].strip('_()')}".replace("'", ""),
             f"{context['tag']!r} is not one of {tags}{near}",
@@ -44,7 +44,7 @@ def _mistake(finding: dict[str, Any], names: list[str]) -> Mistake:
     shown = _shown(finding.get("input"))
     if kind == "literal_error" and isinstance(finding.get("input"), str):
         options = [o.strip(" '") for o in finding["ctx"]["expected"].replace(" or ", ", ").split(",")]
-        return Mistake(where, f"{text}{shown}{_suggestion(finding['input'], options)}")
+        return Mistake(where, f"{text}{shown}{suggestion(finding['input'], options)}")
     return Mistake(where, f"{text}{shown if kind != 'value_error' else ''}")
 
 
@@ -63,7 +63,8 @@ def _shown(value: Any) -> str:
     return f", not {value!r}" if isinstance(value, (str, int, float, bool)) and len(repr(value)) < 60 else ""
 
 
-def _suggestion(name: str, names: list[str]) -> str:
+def suggestion(name: str, names: list[str]) -> str:
+    """Give "; did you mean ...?" with the nearest known name, or nothing."""
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
     return f"; did you mean {near[0]}?" if near else ""
 

@@ -17,364 +17,386 @@ An input that would leave its range stands still at the range, and takes one equ
 Sources: Katzenelson, Bell System Technical Journal 44 (1965) 1605-1620; Fujisawa and Kuh, SIAM Journal on
 Applied Mathematics 22 (1972) 307-328 (one sign suffices); Murty, Linear Algebra and its Applications 9
 (1974) 133-140 (least index).
+
+Everything stands in a few tables, first index the input k (or the row o), last index one of the columns
+named below; what has one entry a row o stands in the columns from that name on. Few arguments make the
+compiled calls cheap.
+
+    grid (m, n_max+1, 1+2m)    R: threshold of operator j; SLOPE, SLOPE+m: sums of w and w r below operator j
+    about (m, 4+m)             PLAY: r_0; BOUND: largest |q|; SOFT: ramp of the jump; STILL: no movement;
+                               GAIN: size of what input k does to each row
+    stack (m, n_max+2, 3+m)    the law's memory, a segment an entry: END, X, D; BELOW: what lies deeper
+    hand (m, 3)                also memory: COUNT of segments, WANTED q, RAMP of the jump from -1 to 1
+    now (m, 15+m)              where a walk stands; follows from the memory between two samples
+    passed (m, n_max+2, 3)     pieces that the walk has passed: PREFIX, OWNER, NEAR
+    matrix (3, m, 2m)          J, its inverse, and the elimination
 """
 
 from __future__ import annotations
-
-from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 SINGULAR = 1e-14
 
-
-class Grid(NamedTuple):
-    """The model as the walk wants it, square, with smallest thresholds of 0. Index k is an input, o a row.
-
-    n : (m,) operators; r : (m, n_max) thresholds [V]; slope, moment : (m, n_max+1, m) partial sums of w, w r
-    gain : (m, m) size of what input k does to row o; virtual : number of rows at the end without an output
-    play : (m,) r_0 [V]; bound : (m,) largest |q| [V]; softening : (m,) ramp of the jump [V]
-    still : change of q that counts as none [V]
-    """
-
-    n: Any
-    r: Any
-    slope: Any
-    moment: Any
-    gain: Any
-    virtual: int
-    play: Any
-    bound: Any
-    softening: Any
-    still: float
+R, SLOPE = 0, 1
+PLAY, BOUND, SOFT, STILL, GAIN = 0, 1, 2, 3, 4
+END, X, D, BELOW = 0, 1, 2, 3
+COUNT, WANTED, RAMP = 0, 1, 2
+# Of an input: the piece (engaged operators, segment that owns the next one, where it begins and ends, how
+# many pieces lie behind), q and its aim, the row taken at the range and where, the drive.
+PREFIX, OWNER, NEAR, FAR, SIGMA, DEPTH, Q, AIM, FIXED, AT, U = range(11)
+# Of a row: target, sum of the constants, what is left, what the memory has more than the target.
+Y, TOTAL, LEFT, MISSED = range(11, 15)
+CONSTANT = 15
 
 
-class Memory(NamedTuple):
-    """What the law remembers, updated in place: the stack of segments of every input and the jump's ramp.
-
-    count : (m,); end, x, d : (m, n_max+1); below : (m, n_max+1, m); wanted, ramp : (m,)
-    """
-
-    count: Any
-    end: Any
-    x: Any
-    d: Any
-    below: Any
-    wanted: Any
-    ramp: Any
-
-
-class Walk(NamedTuple):
-    """Scratch of one walk; nothing in it outlives a sample but what follows from the memory alone.
-
-    y : (m,) target; u : (m,) drive; missed : (m,) what the drive's output has more than the target
-    q, aim : (m,); sigma, near, far : (m,) direction of a piece and where it begins and ends
-    prefix, owner, depth : (m,) engaged operators, segment of the next one, pieces passed
-    passed_prefix, passed_owner, passed_near : (m, n_max+2) the pieces passed
-    jacobian, inverse : (m, m); constant : (m, m) by input and row; total, left : (m,)
-    fixed : (m,) row that an input at its range took, or -1; scratch : (m, 2 m); ready : (1,)
-    """
-
-    y: Any
-    u: Any
-    missed: Any
-    q: Any
-    aim: Any
-    sigma: Any
-    near: Any
-    far: Any
-    prefix: Any
-    owner: Any
-    depth: Any
-    passed_prefix: Any
-    passed_owner: Any
-    passed_near: Any
-    jacobian: Any
-    inverse: Any
-    constant: Any
-    total: Any
-    left: Any
-    fixed: Any
-    scratch: Any
-    ready: Any
-
-    @classmethod
-    def of(cls, m: int, width: int) -> Walk:
-        """Scratch for m inputs whose stacks are ``width`` high."""
-
-        def reals(*shape: int) -> Any:
-            return np.zeros(shape)
-
-        def integers(*shape: int) -> Any:
-            return np.zeros(shape, np.int64)
-
-        return cls(
-            y=reals(m),
-            u=reals(m),
-            missed=reals(m),
-            q=reals(m),
-            aim=reals(m),
-            sigma=reals(m),
-            near=reals(m),
-            far=reals(m),
-            prefix=integers(m),
-            owner=integers(m),
-            depth=integers(m),
-            passed_prefix=integers(m, width + 1),
-            passed_owner=integers(m, width + 1),
-            passed_near=reals(m, width + 1),
-            jacobian=reals(m, m),
-            inverse=reals(m, m),
-            constant=reals(m, m),
-            total=reals(m),
-            left=reals(m),
-            fixed=integers(m),
-            scratch=reals(m, 2 * m),
-            ready=np.zeros(1, np.bool_),
-        )
-
-
-@njit(cache=True, nogil=True)
-def respond_exact(reference, g, s, w, drive):  # type: ignore[no-untyped-def]
-    """Drive (m, N), overwritten, whose model output is the reference (p, N)."""
-    p = reference.shape[0]
-    prepare(g, s, w)
+@njit(cache=True, nogil=True, error_model="numpy")
+def respond_exact(reference, virtual, grid, about, stack, hand, now, passed, matrix, drive):  # type: ignore[no-untyped-def]
+    """Drive (m, N), overwritten, whose model output is the reference (p, N); the memory is updated."""
+    ready = prepare(grid, about, stack, hand, now, matrix)
     for t in range(reference.shape[1]):
-        for o in range(p):
-            w.y[o] = reference[o, t]
-        if not (w.ready[0] and stay(g, s, w)):
-            walk(g, s, w)
+        for o in range(reference.shape[0]):
+            now[o, Y] = reference[o, t]
+        if not (ready and stay(about, stack, hand, now, matrix)):
+            ready = walk(ready, virtual, grid, about, stack, hand, now, passed, matrix)
         for k in range(drive.shape[0]):
-            drive[k, t] = w.u[k]
+            drive[k, t] = now[k, U]
 
 
-@njit(cache=True, nogil=True)
-def prepare(g, s, w):  # type: ignore[no-untyped-def]
-    """Pieces, Jacobian and its inverse as they follow from the memory; whether ``stay`` may use them."""
-    w.ready[0] = True
-    for k in range(w.q.shape[0]):
-        top = s.count[k] - 1
-        _first_piece(g, s, w, k, s.d[k, top] if s.d[k, top] != 0.0 else 1.0)
-        w.fixed[k] = -1
-        if s.d[k, top] == 0.0 or (g.softening[k] > 0.0 and s.ramp[k] != s.d[k, top]):
-            w.ready[0] = False
-    if w.ready[0]:
-        w.ready[0] = _aim(g, w)
+@njit(cache=True, nogil=True, error_model="numpy")
+def prepare(grid, about, stack, hand, now, matrix):  # type: ignore[no-untyped-def]
+    """Put the walk where the memory is; True where ``stay`` may start from there."""
+    ready = True
+    for k in range(now.shape[0]):
+        now[k, FIXED] = -1.0
+        now[k, U] = hand[k, WANTED] + hand[k, RAMP] * about[k, PLAY]
+        ready = _first_piece(grid, stack, hand, now, matrix, k, 0.0) and ready
+        if about[k, SOFT] > 0.0 and hand[k, RAMP] != now[k, SIGMA]:
+            ready = False
+    return ready and _jacobian(now, matrix)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def stay(g, s, w):  # type: ignore[no-untyped-def]
-    """Solve within the pieces of the last sample; False, and nothing changed, where they do not hold q."""
-    m = w.q.shape[0]
-    _solve(w)
+@njit(cache=True, nogil=True, error_model="numpy")
+def stay(about, stack, hand, now, matrix):  # type: ignore[no-untyped-def]
+    """Solve within the pieces of the last sample; False, and no memory changed, where they do not hold q."""
+    m = now.shape[0]
+    _aim(now, matrix)
     for k in range(m):
-        d = w.sigma[k]
-        q = w.aim[k]
-        if d * (q - w.q[k]) < -g.still or d * q > d * w.far[k] or abs(q) > g.bound[k]:
+        d, q = now[k, SIGMA], now[k, AIM]
+        if d * (q - now[k, Q]) < -about[k, STILL] or d * (q - now[k, FAR]) > 0.0 or abs(q) > about[k, BOUND]:
             return False
     for k in range(m):
-        if w.sigma[k] * (w.aim[k] - w.q[k]) > 0.0:
-            w.q[k] = w.aim[k]
-            s.x[k, s.count[k] - 1] = w.aim[k]
-            s.wanted[k] = w.aim[k]
-            w.u[k] = w.aim[k] + w.sigma[k] * g.play[k]
-        w.missed[k] = 0.0
+        d, q = now[k, SIGMA], now[k, AIM]
+        if d * (q - now[k, Q]) > 0.0:
+            now[k, Q] = q
+            now[k, NEAR] = q
+            now[k, U] = q + d * about[k, PLAY]
+            stack[k, int(hand[k, COUNT]) - 1, X] = q
+            hand[k, WANTED] = q
+        now[k, MISSED] = 0.0
     return True
 
 
-@njit(cache=True, nogil=True)
-def walk(g, s, w):  # type: ignore[no-untyped-def]
-    """Solve one sample from the memory, whatever it takes; memory and drive are those of what was reached."""
-    m = w.q.shape[0]
-    for k in range(m):
-        w.fixed[k] = -1
+@njit(cache=True, nogil=True, error_model="numpy")
+def walk(ready, virtual, grid, about, stack, hand, now, passed, matrix):  # type: ignore[no-untyped-def]
+    """Solve one sample from the memory, whatever it takes; drive and memory are those of what was reached.
+
+    ready : whether the walk stands at the memory and has its aim already. Returns what ``prepare`` does.
+    """
+    m = now.shape[0]
     exact = True
-    for _ in range(m + 1):
-        for k in range(m):
-            top = s.count[k] - 1
-            _first_piece(g, s, w, k, s.d[k, top] if s.d[k, top] != 0.0 else 1.0)
-        exact = _to_target(g, s, w) and exact
-        if not _fix_one(g, w):
+    while True:
+        if not ready:
+            for k in range(m):
+                _first_piece(grid, stack, hand, now, matrix, k, 0.0)
+            ready = _jacobian(now, matrix)
+            _aim(now, matrix)
+        exact = ready and _to_target(grid, about, stack, hand, now, passed, matrix) and exact
+        if not _fix_one(virtual, about, now):
             break
-        exact = False
+        exact = ready = False
+    whole = exact
     for k in range(m):
-        exact = _commit(g, s, w, k) and exact
-    prepare(g, s, w)
+        moved, lags = _commit(grid, about, stack, hand, now, passed, matrix, k)
+        exact = exact and not lags
+        whole = whole and moved and not lags
+    if whole:
+        # The pieces of the walk are those of the memory now, and so are the Jacobian and its inverse.
+        for k in range(m):
+            now[k, DEPTH], now[k, NEAR], now[k, MISSED] = 0.0, now[k, Q], 0.0
+        return True
+    ready = prepare(grid, about, stack, hand, now, matrix)
     for o in range(m):
-        w.missed[o] = 0.0
-    if not exact:
-        _miss(g, s, w)
+        now[o, MISSED] = 0.0 if exact else _output(grid, stack, hand, o) - now[o, Y]
+    return ready
 
 
-@njit(cache=True, nogil=True)
-def _first_piece(g, s, w, k, direction):  # type: ignore[no-untyped-def]
-    """Piece of input k that begins at its memory in a direction."""
-    top = s.count[k] - 1
-    w.sigma[k] = direction
-    w.depth[k] = 0
-    w.q[k] = s.x[k, top]
-    w.near[k] = s.x[k, top]
-    if s.d[k, top] == direction:
-        w.prefix[k] = s.end[k, top]
-        w.owner[k] = top - 1
+@njit(cache=True, nogil=True, error_model="numpy")
+def _first_piece(grid, stack, hand, now, matrix, k, direction):  # type: ignore[no-untyped-def]
+    """Piece of input k that begins at its memory, in a direction or (0) in that of the last movement.
+
+    False where the input never moved.
+    """
+    top = int(hand[k, COUNT]) - 1
+    d = stack[k, top, D]
+    if direction == 0.0:
+        direction = d if d != 0.0 else 1.0
+    now[k, SIGMA] = direction
+    now[k, DEPTH] = 0.0
+    now[k, Q] = now[k, NEAR] = stack[k, top, X]
+    if d == direction:
+        now[k, PREFIX], now[k, OWNER] = stack[k, top, END], top - 1
     else:
-        w.prefix[k] = 1
-        w.owner[k] = top if s.end[k, top] > 1 else top - 1
-    _describe(g, s, w, k)
+        now[k, PREFIX], now[k, OWNER] = 1.0, top if stack[k, top, END] > 1.0 else top - 1
+    _describe(grid, stack, now, matrix, k)
+    return d != 0.0
 
 
-@njit(cache=True, nogil=True)
-def _describe(g, s, w, k):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _describe(grid, stack, now, matrix, k):  # type: ignore[no-untyped-def]
     """End of the piece of input k, and what it adds to every row: slope q + constant."""
-    i, j, direction = w.owner[k], w.prefix[k], w.sigma[k]
-    if i < 0:
-        w.far[k] = direction * np.inf
-    else:
-        w.far[k] = s.x[k, i] + direction * (1.0 - direction * s.d[k, i]) * g.r[k, j]
-    for o in range(w.q.shape[0]):
-        w.jacobian[o, k] = g.slope[k, j, o]
-        w.constant[k, o] = _below(g, s, k, i, j, o) - direction * g.moment[k, j, o]
+    m = now.shape[0]
+    i, j, direction = int(now[k, OWNER]), int(now[k, PREFIX]), now[k, SIGMA]
+    now[k, FAR] = direction * np.inf
+    if i >= 0:
+        now[k, FAR] = stack[k, i, X] + direction * (1.0 - direction * stack[k, i, D]) * grid[k, j, R]
+    for o in range(m):
+        matrix[0, o, k] = grid[k, j, SLOPE + o]
+        below = _below(grid, stack, m, k, i, j, o)
+        now[k, CONSTANT + o] = below - direction * grid[k, j, SLOPE + m + o]
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _below(g, s, k, i, j, o):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _below(grid, stack, m, k, i, j, o):  # type: ignore[no-untyped-def]
     """What the operators from j on add to row o while segment i and those under it stand still."""
-    if i < 0:
-        return 0.0
-    end = s.end[k, i]
-    line = s.x[k, i] * (g.slope[k, end, o] - g.slope[k, j, o])
-    return s.below[k, i, o] + line - s.d[k, i] * (g.moment[k, end, o] - g.moment[k, j, o])
+    value = 0.0
+    if i >= 0:
+        end = int(stack[k, i, END])
+        line = stack[k, i, X] * (grid[k, end, SLOPE + o] - grid[k, j, SLOPE + o])
+        knee = stack[k, i, D] * (grid[k, end, SLOPE + m + o] - grid[k, j, SLOPE + m + o])
+        value = stack[k, i, BELOW + o] + line - knee
+    return value
 
 
-@njit(cache=True, nogil=True)
-def _next_piece(g, s, w, k):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _next_piece(grid, stack, now, passed, matrix, k):  # type: ignore[no-untyped-def]
     """Input k passes the end of its piece: the next operators engage."""
-    depth, i = w.depth[k], w.owner[k]
-    w.passed_prefix[k, depth] = w.prefix[k]
-    w.passed_owner[k, depth] = i
-    w.passed_near[k, depth] = w.near[k]
-    w.depth[k] = depth + 1
-    w.near[k] = w.far[k]
+    depth, i = int(now[k, DEPTH]), int(now[k, OWNER])
+    for field in range(3):
+        passed[k, depth, field] = now[k, field]
+    now[k, DEPTH] = depth + 1
+    now[k, Q] = now[k, NEAR] = now[k, FAR]
     # A segment of the same direction is caught up with as a whole: its memory is wiped out.
-    w.prefix[k] = s.end[k, i] if s.d[k, i] == w.sigma[k] else w.prefix[k] + 1
-    if w.prefix[k] == s.end[k, i]:
-        w.owner[k] = i - 1
-    _describe(g, s, w, k)
+    now[k, PREFIX] = stack[k, i, END] if stack[k, i, D] == now[k, SIGMA] else now[k, PREFIX] + 1.0
+    if now[k, PREFIX] == stack[k, i, END]:
+        now[k, OWNER] = i - 1
+    _describe(grid, stack, now, matrix, k)
 
 
-@njit(cache=True, nogil=True)
-def _previous_piece(g, s, w, k):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _previous_piece(grid, stack, hand, now, passed, matrix, k):  # type: ignore[no-untyped-def]
     """Input k turns back over the beginning of its piece; from the memory itself it turns around."""
-    if w.depth[k] == 0:
-        _first_piece(g, s, w, k, -w.sigma[k])
-        return
-    depth = w.depth[k] - 1
-    w.depth[k] = depth
-    w.prefix[k] = w.passed_prefix[k, depth]
-    w.owner[k] = w.passed_owner[k, depth]
-    w.near[k] = w.passed_near[k, depth]
-    _describe(g, s, w, k)
+    depth = int(now[k, DEPTH]) - 1
+    if depth < 0:
+        _first_piece(grid, stack, hand, now, matrix, k, -now[k, SIGMA])
+    else:
+        now[k, Q] = now[k, NEAR]
+        now[k, DEPTH] = depth
+        for field in range(3):
+            now[k, field] = passed[k, depth, field]
+        _describe(grid, stack, now, matrix, k)
 
 
-@njit(cache=True, nogil=True)
-def _aim(g, w):  # type: ignore[no-untyped-def]
-    """Jacobian, its inverse and the constants of the present pieces; False where it is singular."""
-    m = w.q.shape[0]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _jacobian(now, matrix):  # type: ignore[no-untyped-def]
+    """Sum of the constants and inverse of the Jacobian of the present pieces; False where it is singular."""
+    m = now.shape[0]
     for o in range(m):
         total = 0.0
         for k in range(m):
-            total += w.constant[k, o]
-        w.total[o] = total
+            total += now[k, CONSTANT + o]
+        now[o, TOTAL] = total
     for k in range(m):
-        o = w.fixed[k]
+        o = int(now[k, FIXED])
         if o >= 0:
+            now[o, TOTAL] = now[o, Y] - now[k, AT]
             for i in range(m):
-                w.jacobian[o, i] = 0.0
-            w.jacobian[o, k] = 1.0
-    return _invert(w.jacobian, w.inverse, w.scratch)
+                matrix[0, o, i] = 1.0 if i == k else 0.0
+    return _invert(matrix)
 
 
-@njit(cache=True, nogil=True)
-def _invert(a, inverse, z):  # type: ignore[no-untyped-def]
-    """Inverse of a (m, m) by elimination with row exchange; False where a is singular."""
-    m = a.shape[0]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _invert(matrix):  # type: ignore[no-untyped-def]
+    """Inverse of the Jacobian by elimination with row exchange; False where it is singular."""
+    m = matrix.shape[1]
+    a, inverse, z = 0, 1, 2
     largest = 0.0
     for i in range(m):
         for j in range(m):
-            z[i, j] = a[i, j]
-            z[i, m + j] = 1.0 if i == j else 0.0
-            largest = max(largest, abs(a[i, j]))
+            matrix[z, i, j] = matrix[a, i, j]
+            matrix[z, i, m + j] = 1.0 if i == j else 0.0
+            largest = max(largest, abs(matrix[a, i, j]))
     for j in range(m):
         best = j
         for i in range(j + 1, m):
-            if abs(z[i, j]) > abs(z[best, j]):
+            if abs(matrix[z, i, j]) > abs(matrix[z, best, j]):
                 best = i
-        if abs(z[best, j]) <= SINGULAR * largest:
+        if abs(matrix[z, best, j]) <= SINGULAR * largest:
             return False
-        for c in range(2 * m):
-            z[j, c], z[best, c] = z[best, c], z[j, c]
+        if best != j:
+            for c in range(2 * m):
+                matrix[z, j, c], matrix[z, best, c] = matrix[z, best, c], matrix[z, j, c]
         for i in range(m):
-            factor = z[i, j] / z[j, j]
-            if i != j and factor != 0.0:
+            if i != j and matrix[z, i, j] != 0.0:
+                factor = matrix[z, i, j] / matrix[z, j, j]
                 for c in range(j, 2 * m):
-                    z[i, c] -= factor * z[j, c]
+                    matrix[z, i, c] -= factor * matrix[z, j, c]
     for i in range(m):
         for j in range(m):
-            inverse[i, j] = z[i, m + j] / z[i, i]
+            matrix[inverse, i, j] = matrix[z, i, m + j] / matrix[z, i, i]
     return True
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _solve(w):  # type: ignore[no-untyped-def]
-    """Aim of the present pieces, J^-1 (y - c), corrected once so that it does not depend on J's condition."""
-    m = w.q.shape[0]
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _aim(now, matrix):  # type: ignore[no-untyped-def]
+    """Aim of the present pieces, J^-1 (y - c), corrected once so that it does not suffer from J's condition."""
+    m = now.shape[0]
     for k in range(m):
         aim = 0.0
         for o in range(m):
-            aim += w.inverse[k, o] * (w.y[o] - w.total[o])
-        w.aim[k] = aim
+            aim += matrix[1, k, o] * (now[o, Y] - now[o, TOTAL])
+        now[k, AIM] = aim
     for o in range(m):
-        left = w.y[o] - w.total[o]
+        left = now[o, Y] - now[o, TOTAL]
         for k in range(m):
-            left -= w.jacobian[o, k] * w.aim[k]
-        w.left[o] = left
+            left -= matrix[0, o, k] * now[k, AIM]
+        now[o, LEFT] = left
     for k in range(m):
+        more = 0.0
         for o in range(m):
-            w.aim[k] += w.inverse[k, o] * w.left[o]
+            more += matrix[1, k, o] * now[o, LEFT]
+        now[k, AIM] += more
 
 
-@njit(cache=True, nogil=True)
-def _to_target(g, s, w):  # type: ignore[no-untyped-def]
-    """Walk from the first pieces to the target; False where the model lets no walk get there."""
-    m = w.q.shape[0]
-    steps = 64
-    for k in range(m):
-        steps += 8 * g.n[k]
-    for _ in range(steps):
-        if not _aim(g, w):
-            return False
-        _aim_at_target(g, w)
-        first, share = _first_to_leave(g, w)
-        for k in range(m):
-            w.q[k] = w.aim[k] if share >= 1.0 else w.q[k] + share * (w.aim[k] - w.q[k])
+@njit(cache=True, nogil=True, error_model="numpy")
+def _to_target(grid, about, stack, hand, now, passed, matrix):  # type: ignore[no-untyped-def]
+    """Walk towards an aim already taken; False where the model lets no walk get to the target."""
+    m = now.shape[0]
+    for _ in range(64 + 8 * m * grid.shape[1]):
+        first, share = _first_to_leave(about, now)
         if first < 0:
             for k in range(m):
-                w.q[k] = _between(w.q[k], w.near[k], w.far[k])
+                low, high = min(now[k, NEAR], now[k, FAR]), max(now[k, NEAR], now[k, FAR])
+                now[k, Q] = min(max(now[k, AIM], low), high)
             return True
-        if w.sigma[first] * (w.aim[first] - w.q[first]) > 0.0:
-            w.q[first] = w.far[first]
-            _next_piece(g, s, w, first)
-        else:
-            w.q[first] = w.near[first]
-            _previous_piece(g, s, w, first)
+        onwards = now[first, SIGMA] * (now[first, AIM] - now[first, Q]) > 0.0
         for k in range(m):
-            if w.fixed[k] >= 0:
-                for i in range(m):
-                    w.jacobian[w.fixed[k], i] = 0.0
+            now[k, Q] += share * (now[k, AIM] - now[k, Q])
+        if onwards:
+            _next_piece(grid, stack, now, passed, matrix, first)
+        else:
+            _previous_piece(grid, stack, hand, now, passed, matrix, first)
+        if not _jacobian(now, matrix):
+            return False
+        _aim(now, matrix)
     return False
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _between(value, one, other):  # type: ignore[no-untyped-def]
-    return min(max(value, min(one, other)), max(one, other))
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _first_to_leave(about, now):  # type: ignore[no-untyped-def]
+    """Input that leaves its piece first on the way to the aim, or -1, and the share of the way until then."""
+    first, share = np.int64(-1), 1.0
+    for k in range(now.shape[0]):
+        sigma = now[k, SIGMA]
+        along = sigma * (now[k, AIM] - now[k, Q])
+        room = sigma * (now[k, FAR] - now[k, Q]) if along > 0.0 else sigma * (now[k, Q] - now[k, NEAR])
+        way = abs(along)
+        if way > room + about[k, STILL] and max(room, 0.0) < share * way:
+            first, share = k, max(room, 0.0) / way
+    return first, share
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fix_one(virtual, about, now):  # type: ignore[no-untyped-def]
+    """Fix the input that is furthest outside its range at the range; False where none is outside.
+
+    It takes one row with it: a row without an output if there is one, else the output it moves most.
+    """
+    m = now.shape[0]
+    worst, excess = -1, 0.0
+    for k in range(m):
+        outside = abs(now[k, Q]) - about[k, BOUND]
+        if now[k, FIXED] < 0.0 and outside > max(excess, about[k, STILL]):
+            worst, excess = k, outside
+    if worst < 0:
+        return False
+    row, most = -1, -1.0
+    for o in range(m):
+        gain = about[worst, GAIN + o]
+        size = gain + (1e12 if o >= m - virtual and gain > 0.0 else 0.0)
+        taken = False
+        for k in range(m):
+            taken = taken or now[k, FIXED] == o
+        if not taken and size > most:
+            row, most = o, size
+    now[worst, FIXED] = row
+    now[worst, AT] = about[worst, BOUND] if now[worst, Q] > 0.0 else -about[worst, BOUND]
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _commit(grid, about, stack, hand, now, passed, matrix, k):  # type: ignore[no-untyped-def]
+    """Put the end of the walk of input k into the memory, and its drive.
+
+    Returns whether the input moved, and whether its smallest play lags behind a soft jump.
+    """
+    last = stack[k, int(hand[k, COUNT]) - 1, X]
+    q = min(max(now[k, Q], -about[k, BOUND]), about[k, BOUND])
+    lags = False
+    if about[k, SOFT] > 0.0:
+        step = 2.0 * (q - hand[k, WANTED]) / about[k, SOFT]
+        hand[k, RAMP] = min(max(hand[k, RAMP] + step, -1.0), 1.0)
+        hand[k, WANTED] = q
+        if hand[k, RAMP] != now[k, SIGMA]:
+            u = q + hand[k, RAMP] * about[k, PLAY]
+            q = max(u - about[k, PLAY], min(u + about[k, PLAY], last))
+            lags = q != hand[k, WANTED]
+    moved = abs(q - last) > about[k, STILL]
+    if moved:
+        while now[k, SIGMA] * (q - now[k, NEAR]) < 0.0:
+            _previous_piece(grid, stack, hand, now, passed, matrix, k)
+        now[k, Q] = q
+        _push(grid, stack, hand, now, k)
+        if about[k, SOFT] == 0.0:
+            hand[k, RAMP] = now[k, SIGMA]
+            hand[k, WANTED] = q
+    now[k, U] = hand[k, WANTED] + hand[k, RAMP] * about[k, PLAY]
+    return moved, lags
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _push(grid, stack, hand, now, k):  # type: ignore[no-untyped-def]
+    """Make the piece that input k stands on the top segment of its stack."""
+    m = now.shape[0]
+    owner = int(now[k, OWNER])
+    new = owner + 1
+    for o in range(m):
+        stack[k, new, BELOW + o] = _below(grid, stack, m, k, owner, int(now[k, PREFIX]), o)
+    stack[k, new, END] = now[k, PREFIX]
+    stack[k, new, X] = now[k, Q]
+    stack[k, new, D] = now[k, SIGMA]
+    hand[k, COUNT] = new + 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _output(grid, stack, hand, o):  # type: ignore[no-untyped-def]
+    """Output of the memory in row o."""
+    m = stack.shape[0]
+    output = 0.0
+    for k in range(m):
+        top = int(hand[k, COUNT]) - 1
+        j = int(stack[k, top, END])
+        line = grid[k, j, SLOPE + o] * stack[k, top, X] - stack[k, top, D] * grid[k, j, SLOPE + m + o]
+        output += line + stack[k, top, BELOW + o]
+    return output

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import struct
 import warnings
-import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -21,8 +19,6 @@ Variables = Mapping[str, Callable[[], Any]]
 """Name of each variable in a file, and how to load it; the only one of an ``.npy`` file has no name."""
 
 SUFFIXES = (".npy", ".npz", ".mat")
-BROKEN = (ValueError, OSError, EOFError, TypeError, KeyError, IndexError, struct.error, zlib.error)
-"""What the readers of NumPy, SciPy and h5py raise on a file that is cut or of another kind."""
 
 
 def array_columns(path: Path, wanted: Sequence[str]) -> Array:
@@ -91,7 +87,7 @@ def _loaded(variables: Variables, name: str) -> Array:
         raise InputError("file", f"{start}{f'; did you mean {near[0]}?' if near else ';'} {known}")
     try:
         array = np.asarray(variables[name]())
-    except BROKEN as error:
+    except Exception as error:  # on a damaged file NumPy, SciPy and h5py raise whatever they stumble over
         raise InputError("file", f"{name or 'the array'} cannot be read ({error})") from None
     if array.dtype.kind not in "biuf":
         kind = "complex numbers" if array.dtype.kind == "c" else "no numbers"
@@ -123,7 +119,7 @@ def _variables(path: Path) -> Variables:
         if suffix == ".npy":
             return _numpy_array(path)
         return _numpy_archive(path) if suffix == ".npz" else _matlab(path)
-    except BROKEN as error:
+    except Exception as error:  # as above
         what = f"is no {suffix} file that can be read ({error}); was it cut short, or is it of another kind?"
         raise InputError(str(path), what) from None
 
@@ -155,14 +151,10 @@ def _matlab(path: Path) -> Variables:
 def _matlab_old(path: Path) -> Variables:
     """Versions 4 to 7.2."""
     import scipy.io
-    from scipy.io.matlab import MatReadError
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # SciPy warns of objects that it cannot read; they are left out here
-        try:
-            content = scipy.io.loadmat(path)
-        except (MatReadError, NotImplementedError) as error:
-            raise ValueError(str(error)) from None
+        content = scipy.io.loadmat(path)
     found = (pair for name, value in content.items() if name[:2] != "__" for pair in _flat(name, value))
     return {name: partial(np.asarray, value) for name, value in found}
 

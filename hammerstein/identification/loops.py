@@ -294,7 +294,7 @@ def _compared(k: int, loops: Sequence[Loop], paths: Sequence[_Path], band_v: flo
             continue
         apart_v = _apart(path, paths[other])
         if apart_v <= same_v:
-            # samples that miss the tips make voltages differ a little: twice the mean slope of that is no drift
+            # where samples miss the tips, voltages differ a little: twice the mean slope of that is no drift
             explained = apart_v * loop.height_um / loop.amplitude_v
             difference = sign * (_profile(paths[other]) - _profile(path))
             settled = float(np.sqrt(np.mean(difference**2))) <= limit + explained

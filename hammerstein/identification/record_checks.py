@@ -90,16 +90,12 @@ def unit_mistake(place: str, span: float, kind: str) -> Mistake | None:
     low, high = VOLTAGE_RANGE if kind == "input" else DISPLACEMENT_RANGE
     if low <= span <= high:
         return None
-    unit, small, large = ("V", "kV", "mV") if kind == "input" else ("um", "mm", "nm")
-    if kind == "output" and span < low * 1e-1:
-        small, factor = "m", "1e6"
-    else:
-        factor = "1e3" if span < low else "1e-3"
+    unit = "V" if kind == "input" else "um"
+    small = {"kV": "1e3"} if kind == "input" else {"m": "1e6", "mm": "1e3"}
+    large = {"mV": "1e-3"} if kind == "input" else {"nm": "1e-3"}
     typed = small if span < low else large
-    return Mistake(
-        place,
-        f"covers {span:.3g} {unit}, which cannot be; if the file is in {typed}, use --{kind}-scale {factor}",
-    )
+    scales = " or ".join(f"--{kind}-scale {scale} if the file is in {name}" for name, scale in typed.items())
+    return Mistake(place, f"covers {span:.3g} {unit}, which cannot be; try {scales}")
 
 
 def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Rows) -> Iterator[Mistake]:
@@ -188,17 +184,22 @@ def _grid(time_s: Array) -> Array:
 
 def time_tolerance(time_s: Array) -> float:
     """Distance from the uniform grid that is allowed: a tenth of a sample, or the last digit written."""
-    sample_time = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    step = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    return min(max(0.1 * step, 1.05 * _last_digit(time_s)), 0.6 * step)
+
+
+def _last_digit(time_s: Array) -> float:
+    """Decimal unit of which all instants are multiples; 0 beyond nine digits."""
     for digits in range(10):
         unit = 10.0**-digits
         if np.all(np.abs(time_s / unit - np.round(time_s / unit)) < 1e-3):
-            return min(max(0.1 * sample_time, 1.05 * unit), 0.6 * sample_time)
-    return 0.1 * sample_time
+            return unit
+    return 0.0
 
 
 def sample_time(time_s: Array) -> float:
-    """Sample time of a uniform time column [s], at a whole rate [Hz] where the digits allow one."""
+    """Sample time of a uniform time column [s], at a whole rate [Hz] where the last digit allows one."""
     step = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     rate = round(1.0 / step)
-    allowed = 2.0 * time_tolerance(time_s) / (len(time_s) - 1)
+    allowed = 2.0 * max(_last_digit(time_s), 1e-9 * step) / (len(time_s) - 1)
     return 1.0 / rate if rate > 0 and abs(1.0 / rate - step) <= allowed else step

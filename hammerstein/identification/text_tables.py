@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -70,8 +71,9 @@ def find_layout(path: Path) -> Layout:
     encoding = _encoding(head)
     if encoding != "utf-16" and b"\0" in head:
         raise InputError(str(path), "is a binary file; give CSV or other text, .npy, .npz, .mat or .parquet")
-    lines = head.decode(encoding, errors="replace").splitlines()
-    lines = lines[:-1] if len(head) == HEAD_BYTES else lines
+    lines = re.split("\r\n|\r|\n", head.decode(encoding, errors="replace"))[
+        : -1 if len(head) == HEAD_BYTES else None
+    ]
     lines = lines[:HEAD_LINES]
     comment = "%" if any(line.lstrip().startswith("%") for line in lines) else "#"
     body = [line for line in lines if line.strip() and not _is_comment(line, COMMENTS)]
@@ -192,25 +194,31 @@ def _header(lines: Sequence[str], separator: str, decimal: str, width: int) -> t
 def read_text(
     path: Path, layout: Layout, indices: Sequence[int], names: Sequence[str]
 ) -> tuple[Array, Rows, list[Mistake]]:
-    """Columns of a text file: values (column, sample), the row of every sample, and fields that hold text.
+    """Columns of a text file: values (column, sample), the row of every sample, and what is no number.
 
-    Raises
-    ------
-    InputError : a line with more columns than the others
+    Parameters
+    ----------
+    path : file
+    layout : how it holds its numbers
+    indices : columns wanted, from 0
+    names : of these columns, for the messages
     """
-    frame = _frame(path, layout, sorted(set(indices)))
+    lines, skipped, mistakes = _scan(path, layout)
+    frame = _frame(path, layout, sorted(set(indices)), skipped)
+    if len(frame) != len(lines):
+        raise InputError(
+            str(path), f"{len(lines)} lines of numbers hold {len(frame)} rows: is a quotation mark left open?"
+        )
     columns, spoiled = zip(*(_numbers(frame[index]) for index in indices), strict=True)
     values = np.vstack(columns)
     filled = np.flatnonzero(np.isfinite(values).any(axis=0) | _text_flags(spoiled, values.shape[1]))
     samples = int(filled[-1]) + 1 if filled.size else 0
-    rows = _rows(path, layout, samples)
-    mistakes = [
-        m for name, texts in zip(names, spoiled, strict=True) for m in _text_mistakes(name, texts, rows)
-    ]
-    return values[:, :samples], rows, mistakes
+    for name, texts in zip(names, spoiled, strict=True):
+        mistakes += _text_mistakes(name, texts, lines)
+    return values[:, :samples], lines[:samples], mistakes
 
 
-def _frame(path: Path, layout: Layout, indices: list[int]) -> Any:
+def _frame(path: Path, layout: Layout, indices: list[int], skipped: list[int]) -> Any:
     import pandas as pd
 
     try:
@@ -224,15 +232,12 @@ def _frame(path: Path, layout: Layout, indices: list[int]) -> Any:
             header=None,
             names=list(range(layout.width)),
             usecols=indices,
-            skiprows=layout.first,
+            skiprows=[*range(layout.first), *skipped],
+            skip_blank_lines=False,
             low_memory=False,
         )
-    except pd.errors.ParserError as error:
-        found = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
-        if found is None:
-            raise InputError(str(path), f"cannot be read as a table ({error})") from None
-        what = f"has {found[3]} columns, the rows above {found[1]}; mend the row or its separators"
-        raise InputError(str(path), [Mistake(f"row {found[2]}", what)]) from None
+    except (pd.errors.ParserError, ValueError) as error:
+        raise InputError(str(path), f"cannot be read as a table ({error})") from None
 
 
 def _numbers(series: Any) -> tuple[Array, dict[int, str]]:
@@ -266,13 +271,33 @@ def _text_mistakes(name: str, texts: dict[int, str], rows: Rows) -> list[Mistake
     return mistakes
 
 
-def _rows(path: Path, layout: Layout, samples: int) -> Rows:
-    """Row of every sample in the file, from 1; comments and empty lines between them are counted."""
+def _scan(path: Path, layout: Layout) -> tuple[Rows, list[int], list[Mistake]]:
+    """Rows of the samples, as an editor counts them from 1; lines to skip, from 0; rows that are too long."""
+    skipped, long = [], []
+    row = layout.first
     with path.open(encoding=layout.encoding, errors="replace") as file:
-        numbered = enumerate(file, start=1)
-        skipped, last = [], 0
-        for last, line in numbered:
-            if last > layout.first and (line.isspace() or line.startswith(layout.comment)):
-                skipped.append(last - layout.first - 1)
-    rows = np.arange(layout.first + 1, last + 1)
-    return np.delete(rows, skipped)[:samples]
+        for row, line in enumerate(islice(file, layout.first, None), start=layout.first + 1):
+            if line.isspace() or line.lstrip().startswith(layout.comment):
+                skipped.append(row - 1)
+            elif _count(line, layout) > layout.width:
+                long.append(row)
+    rows = np.delete(np.arange(layout.first + 1, row + 1), np.array(skipped, dtype=np.int64) - layout.first)
+    mistakes = [
+        Mistake(
+            f"row {row}", f"has more columns than the others, which have {layout.width}; mend its separators"
+        )
+        for row in long[:SHOWN]
+    ]
+    if len(long) > SHOWN:
+        mistakes.append(Mistake("rows", f"{len(long) - SHOWN} more rows with too many columns"))
+    return rows, skipped, mistakes
+
+
+def _count(line: str, layout: Layout) -> int:
+    """Columns of a line; separators alone at its end open none."""
+    if layout.separator == " ":
+        return len(line.split(layout.comment)[0].split())
+    if line.count(layout.separator) < layout.width:
+        return layout.width
+    fields = _fields(line.split(layout.comment)[0], layout.separator)
+    return max((k + 1 for k, field in enumerate(fields) if field), default=0)

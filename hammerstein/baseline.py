@@ -1,0 +1,125 @@
+"""The numbers of a scenario as they were accepted, and their file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.files import read_limited, write_atomic
+from hammerstein.report import KEY, Report
+from hammerstein.validation import mistakes_of
+
+FORMAT = "hammerstein-baseline/1"
+
+Key = tuple[str | float | None, ...]
+"""What tells one row from the others: the values of ``report.KEY``, in that order."""
+Numbers = Mapping[Key, Mapping[str, float]]
+
+
+class RowFile(BaseModel):
+    """One row in a baseline file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    key: dict[str, str | FiniteFloat | None]
+    numbers: dict[str, FiniteFloat]
+
+
+class BaselineFile(BaseModel):
+    """What a baseline file holds."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    format: Literal["hammerstein-baseline/1"]
+    scenario_digest: str
+    model_digest: str
+    rows: Annotated[tuple[RowFile, ...], Field(min_length=1)]
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """Accepted numbers of one scenario, and the hashes of the scenario and the model that gave them."""
+
+    scenario_digest: str
+    model_digest: str
+    rows: Numbers
+
+    @classmethod
+    def of(cls, report: Report) -> Baseline:
+        """Give the numbers of a report.
+
+        Raises
+        ------
+        SimulationError : a number is infinite or NaN, so that nothing could be compared with it
+        InputError : two rows cannot be told apart
+        """
+        rows = numbers_of(report)
+        for key, numbers in rows.items():
+            for metric, value in numbers.items():
+                if not math.isfinite(value):
+                    raise SimulationError(
+                        f"{report.name}: {metric} is {value} in the row {words_of(key)}; "
+                        "a baseline holds finite numbers only"
+                    )
+        return cls(report.digest, report.model_digest, rows)
+
+    @classmethod
+    def load(cls, path: Path) -> Baseline:
+        """Read a baseline file; InputError with every mistake in it."""
+        text = read_limited(path, what="baseline")
+        try:
+            file = BaselineFile.model_validate_json(text)
+        except ValidationError as error:
+            raise InputError(str(path), mistakes_of(error, BaselineFile)) from None
+        rows = _by_key(((row.key, row.numbers) for row in file.rows), str(path))
+        return cls(file.scenario_digest, file.model_digest, rows)
+
+    def to_json(self) -> str:
+        """Text of the baseline file: one row a line, full precision, sorted keys, no clock and no host."""
+        rows = [{"key": dict(zip(KEY, k, strict=True)), "numbers": dict(n)} for k, n in self.rows.items()]
+        lines = ",\n".join("  " + json.dumps(row, sort_keys=True, allow_nan=False) for row in rows)
+        head = {"format": FORMAT, "model_digest": self.model_digest, "scenario_digest": self.scenario_digest}
+        start = json.dumps(head, indent=1, sort_keys=True).removesuffix("\n}")
+        return f'{start},\n "rows": [\n{lines}\n ]\n}}\n'
+
+    def save(self, path: Path) -> bool:
+        """Write the file in one piece, unless it holds the same already; tell whether it was written."""
+        data = self.to_json().encode()
+        if path.is_file() and path.read_bytes() == data:
+            return False
+        write_atomic(path, data)
+        return True
+
+
+def numbers_of(report: Report) -> Numbers:
+    """Numbers of a report by row; InputError where two rows cannot be told apart."""
+    return _by_key(((row.key(), row.numbers()) for row in report.rows), report.name)
+
+
+def words_of(key: Key) -> str:
+    """Key of a row as words, for messages.
+
+    >>> words_of(("exact", "all", "y", 50.0, None, 30.0))
+    'compensator exact, excited_axis all, measured_axis y, frequency_hz 50, amplitude_um 30'
+    """
+    named = [(name, value) for name, value in zip(KEY, key, strict=True) if value not in (None, "")]
+    return ", ".join(f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in named)
+
+
+def _by_key(rows: Any, source: str) -> Numbers:
+    found: dict[Key, Mapping[str, float]] = {}
+    for names, numbers in rows:
+        key = tuple(names.get(name) for name in KEY)
+        if key in found:
+            raise InputError(
+                source, f"two rows are both {words_of(key)}; give every label and every swept value once"
+            )
+        found[key] = numbers
+    return found

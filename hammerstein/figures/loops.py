@@ -1,0 +1,194 @@
+"""Loops and errors of runs in which one input is driven at a time: one panel for each output and input."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hammerstein.figures.style import (
+    MOST_POINTS,
+    WIDTH_IN,
+    Array,
+    legend_above,
+    letter,
+    line_style,
+    new_figure,
+    overlay_style,
+    plain,
+    sparse_markers,
+    styled,
+    thin_path,
+    thin_trace,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class LoopRun:
+    """One input driven alone, for about one cycle.
+
+    label : what the legend calls it; runs of one label are drawn alike
+    driven : number of the input, from 0
+    input_ : (sample,) what drives it [V] or what it should follow [um]
+    outputs_um : (output, sample) what was measured
+    predictions_um : what models say of it (output, sample), by label
+    """
+
+    label: str
+    driven: int
+    input_: Array
+    outputs_um: Array
+    predictions_um: tuple[tuple[str, Array], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorRun:
+    """Errors of one run with one input driven, over its cycles.
+
+    label : what the legend calls it; runs of one label are drawn alike
+    driven : number of the input, from 0
+    cycles : (sample,) time in cycles
+    errors_um : (output, sample)
+    """
+
+    label: str
+    driven: int
+    cycles: Array
+    errors_um: Array
+
+
+def loops_figure(
+    runs: Sequence[LoopRun], input_labels: Sequence[str], output_labels: Sequence[str], title: str = ""
+) -> Figure:
+    """Loops in the paper's arrangement (Figs. 5, 6, 8): a row of panels an output, a column an input.
+
+    Parameters
+    ----------
+    runs : what to draw; each goes into the column of the input that it drives
+    input_labels : labels of the horizontal axes, with units
+    output_labels : labels of the vertical axes, with units
+    title : written above the legend
+
+    Examples
+    --------
+    >>> phase = np.linspace(0.0, 2.0 * np.pi, 200)
+    >>> run = LoopRun("50 Hz", 0, 10.0 * np.sin(phase), 58.0 * np.sin(phase - 0.1)[None])
+    >>> figure = loops_figure([run], ["voltage [V]"], ["displacement [um]"])
+    >>> figure.axes[0].get_ylabel()
+    'displacement [um]'
+    """
+    with styled():
+        figure, panels = _panels(len(output_labels), len(input_labels))
+        numbers = _numbers([run.label for run in runs])
+        models = _numbers([label for run in runs for label, _ in run.predictions_um])
+        curves = len(runs) * len(output_labels)
+        most = MOST_POINTS // (curves * (1 + len(models)))
+        entries: dict[str, Artist] = {}
+        for run in runs:
+            for o, axes in enumerate(panels[:, run.driven]):
+                _draw_loop(axes, run, o, numbers[run.label], models, most, entries)
+        for k, label in enumerate(input_labels):
+            for o in range(len(output_labels)):
+                panels[o, k].set_xlabel(label)
+                panels[o, k].set_ylabel(output_labels[o])
+                panels[o, k].margins(0.04)
+        _finish(figure, panels, _in_order(entries, [*numbers, *models]), title)
+    return figure
+
+
+def errors_figure(
+    runs: Sequence[ErrorRun],
+    input_labels: Sequence[str],
+    output_labels: Sequence[str],
+    title: str = "",
+) -> Figure:
+    """Errors over the cycle, panels as in ``loops_figure``; the legend gives the worst error of all panels.
+
+    Parameters
+    ----------
+    runs : what to draw
+    input_labels : what is driven in each column
+    output_labels : labels of the vertical axes, with units
+    title : written above the legend
+    """
+    with styled():
+        figure, panels = _panels(len(output_labels), len(input_labels), height=0.6)
+        numbers = _numbers([run.label for run in runs])
+        most = MOST_POINTS // (len(runs) * len(output_labels))
+        entries: dict[str, Artist] = {}
+        for run in runs:
+            number = numbers[run.label]
+            for o, axes in enumerate(panels[:, run.driven]):
+                cycles, error = thin_trace(run.cycles, run.errors_um[o], most)
+                style = line_style(number) | {"linewidth": 1.1}
+                (line,) = axes.plot(cycles, error, markevery=sparse_markers(len(error), number), **style)
+                entries.setdefault(run.label, line)
+        for k in range(len(input_labels)):
+            for o in range(len(output_labels)):
+                panels[o, k].set_xlabel("time [cycles]" if o == len(output_labels) - 1 else "")
+                panels[o, k].set_ylabel(output_labels[o])
+                panels[o, k].margins(x=0.0)
+        worst = {label: max(_worst(r) for r in runs if r.label == label) for label in numbers}
+        named = {f"{plain(label)} (worst {worst[label]:.3g} µm)": entries[label] for label in numbers}
+        _finish(figure, panels, named, title, [f"{label} driven" for label in input_labels])
+    return figure
+
+
+def _worst(run: ErrorRun) -> float:
+    return float(np.abs(run.errors_um).max())
+
+
+def _panels(rows: int, columns: int, height: float = 0.75) -> tuple[Figure, np.ndarray]:
+    """Empty panels (output, input) and their figure; a single column is kept from getting too wide."""
+    panel_in = WIDTH_IN / max(columns, 2) * height
+    figure = new_figure(0.6 + rows * panel_in)
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def _numbers(labels: Sequence[str]) -> dict[str, int]:
+    return {label: number for number, label in enumerate(dict.fromkeys(labels))}
+
+
+def _draw_loop(
+    axes: Axes,
+    run: LoopRun,
+    output: int,
+    number: int,
+    models: dict[str, int],
+    most: int,
+    entries: dict[str, Artist],
+) -> None:
+    x, y = thin_path([run.input_, run.outputs_um[output]], most)
+    (line,) = axes.plot(x, y, markevery=sparse_markers(len(x), number), **line_style(number))
+    entries.setdefault(run.label, line)
+    for label, prediction_um in run.predictions_um:
+        x, y = thin_path([run.input_, prediction_um[output]], most)
+        (line,) = axes.plot(x, y, **overlay_style(models[label]))
+        entries.setdefault(label, line)
+
+
+def _in_order(entries: dict[str, Artist], labels: Sequence[str]) -> dict[str, Artist]:
+    return {plain(label): entries[label] for label in labels}
+
+
+def _finish(
+    figure: Figure,
+    panels: np.ndarray,
+    entries: dict[str, Artist],
+    title: str,
+    columns: Sequence[str] = (),
+) -> None:
+    """Letters, remarks and the legend."""
+    rows, inputs = panels.shape
+    for number, axes in enumerate(panels.flat):
+        output, k = divmod(number, inputs)
+        kind = "" if rows != inputs or rows == 1 else "direct" if output == k else "cross-coupling"
+        letter(axes, number, ", ".join(word for word in (kind, columns[k] if columns else "") if word))
+    legend_above(figure, entries, title)

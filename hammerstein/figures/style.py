@@ -1,0 +1,212 @@
+"""How every figure looks: one style, colours and lines that survive grey print, points that fit a page.
+
+Matplotlib keeps its style and its caches in global state; ``styled`` holds both for one thread at a time and puts the
+user's own style back.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+Role = Literal["reading", "reference", "voltage", "error"]
+
+WIDTH_IN = 8.0  # at 100 pixels an inch the width of a page on a screen
+PNG_DPI = 150
+MOST_POINTS = 14_000  # of all curves of a figure together: keeps an SVG below 400 kB
+MINUS_INFINITY = -10  # exponents below this are no scale but rounding
+
+# Okabe and Ito's colours, told apart by people with any colour vision; the order keeps neighbours apart in grey.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#000000")
+# The paper's order: solid, dashed, dashed-o, dashed-x, dash-dotted.
+LINES: tuple[tuple[Any, str], ...] = (
+    ("-", ""),
+    ((0, (5, 1.6)), ""),
+    ((0, (5, 1.6)), "o"),
+    ((0, (5, 1.6)), "x"),
+    ((0, (6, 1.5, 1, 1.5)), ""),
+    ("-", "^"),
+    ((0, (1, 1.2)), ""),
+)
+DARK = "#222222"
+PALE = "#8a8a8a"
+OVERLAYS: tuple[Any, ...] = ((0, (4, 2)), (0, (1, 1.5)), (0, (7, 2, 1, 2)), (0, (2, 1)))
+
+STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans",  # it comes with matplotlib, so that figures are alike on every machine
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.labelsize": 9.0,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.fontsize": 9.0,
+    "legend.title_fontsize": 9.5,
+    "legend.frameon": False,
+    "legend.handlelength": 3.2,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#555555",
+    "axes.linewidth": 0.8,
+    "xtick.color": "#555555",
+    "ytick.color": "#555555",
+    "xtick.labelcolor": DARK,
+    "ytick.labelcolor": DARK,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.7,
+    "lines.linewidth": 1.4,
+    "lines.markersize": 4.0,
+    "lines.solid_capstyle": "round",
+    "figure.constrained_layout.h_pad": 0.06,
+    "figure.constrained_layout.w_pad": 0.06,
+    "svg.hashsalt": "hammerstein",
+    "svg.fonttype": "path",
+}
+
+_LOCK = threading.RLock()
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Draw in this style, whatever the user's own; one thread at a time."""
+    import matplotlib as mpl
+
+    with _LOCK, mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(STYLE)
+        yield
+
+
+def new_figure(height_in: float) -> Figure:
+    """Give an empty figure of page width, without any window behind it."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+
+
+def line_style(number: int) -> dict[str, Any]:
+    """Colour, line and marker of the curve with this number.
+
+    >>> line_style(1)["color"]
+    '#D55E00'
+    """
+    turn, place = divmod(number, len(COLOURS))
+    line, marker = LINES[(place + turn) % len(LINES)]
+    return {"color": COLOURS[place], "linestyle": line, "marker": marker, "markerfacecolor": "white"}
+
+
+def overlay_style(number: int) -> dict[str, Any]:
+    """Line of the model with this number, drawn over what was measured: thin, dark and broken."""
+    return {"color": DARK, "linestyle": OVERLAYS[number % len(OVERLAYS)], "linewidth": 1.0}
+
+
+def sparse_markers(samples: int, number: int, markers: int = 12) -> tuple[int, int]:
+    """Give ``markevery``: about a dozen markers a curve, shifted so that curves do not hide each other's."""
+    every = max(1, samples // markers)
+    return (number * every // 3) % every, every
+
+
+def symbol(axis: str, role: Role) -> str:
+    """Text for a quantity of an axis; a letter as in the paper, a longer name as it is.
+
+    >>> symbol("x", "voltage"), symbol("tip", "error")
+    ('$u_x$', 'error of tip')
+    """
+    letter = len(axis) == 1 and axis.isalpha() and axis.isascii()
+    if letter:
+        return {"reading": "${}$", "reference": "${}_r$", "voltage": "$u_{}$", "error": "$e_{}$"}[
+            role
+        ].format(axis)
+    return {"reading": "{}", "reference": "{}", "voltage": "{}", "error": "error of {}"}[role].format(
+        plain(axis)
+    )
+
+
+def plain(label: str) -> str:
+    """Give a label of the user's as it is: no formula in it, and not hidden for its first underscore.
+
+    >>> plain("_5 $")
+    ' _5 \\\\$'
+    """
+    return (" " if label.startswith("_") else "") + label.replace("$", r"\$")
+
+
+def letter(axes: Axes, number: int, remark: str = "") -> None:
+    """Write the panel's letter above its left corner, and a remark in grey above its right one."""
+    axes.set_title(f"({chr(ord('a') + number)})" if number < 26 else "", loc="left", fontweight="bold")
+    axes.set_title(remark, loc="right", color="#666666")
+
+
+def legend_above(figure: Figure, entries: dict[str, Artist], title: str = "") -> None:
+    """Legend of the whole figure above its panels, in the order given."""
+    longest = max((len(label) for label in entries), default=0)
+    columns = max(1, min(4 if longest < 20 else 3 if longest < 27 else 2, len(entries)))
+    legend = figure.legend(
+        list(entries.values()), list(entries), loc="outside upper center", ncols=columns, title=title or None
+    )
+    legend.get_title().set_fontweight("bold")
+
+
+def plain_numbers(axis: Axis) -> None:
+    """Ticks of a logarithmic axis as 0.1, 1, 10; between them 2 and 5 if there is room."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    decades = math.log10(high / low) if low > 0.0 else math.inf
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.2 else (1.0,)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def time_axis(seconds: float) -> tuple[float, str]:
+    """Factor and label of a time axis of this length.
+
+    >>> time_axis(0.04), time_axis(3.0)
+    ((1000.0, 'time [ms]'), (1.0, 'time [s]'))
+    """
+    return (1e3, "time [ms]") if seconds < 2.0 else (1.0, "time [s]")
+
+
+def thin_path(curves: Sequence[Array], most: int) -> list[Array]:
+    """Every so many samples of curves that belong together, the last one included."""
+    samples = len(curves[0])
+    if samples <= most:
+        return list(curves)
+    kept = np.unique(np.append(np.arange(0, samples, math.ceil(samples / most)), samples - 1))
+    return [curve[kept] for curve in curves]
+
+
+def thin_trace(time: Array, values: Array, most: int) -> tuple[Array, Array]:
+    """Lowest and highest sample of each stretch: fewer points, and every peak is still there.
+
+    >>> time = np.arange(1000.0)
+    >>> peak = np.where(time == 333.0, 5.0, 0.0)
+    >>> few, kept = thin_trace(time, peak, 100)
+    >>> len(few) <= 100, float(kept.max())
+    (True, 5.0)
+    """
+    samples = len(values)
+    if samples <= most:
+        return time, values
+    starts = np.linspace(0, samples, max(1, most // 2) + 1).astype(int)
+    pairs = zip(starts[:-1], starts[1:], strict=True)
+    extremes = [(a + pick(values[a:b])) for a, b in pairs if b > a for pick in _EXTREMES]
+    kept = np.unique(extremes)
+    return time[kept], values[kept]
+
+
+_EXTREMES: tuple[Callable[[Array], np.intp], ...] = (np.argmin, np.argmax)

@@ -1,0 +1,195 @@
+"""Nonlinear least-squares refinement of a state-space model on weighted lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from hammerstein.identification.weighted_lines import Matrices, WeightedLines
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+CONDITION = 1e6
+"""Condition of the eigenvectors above which A is not taken apart: nearly equal poles share their states."""
+
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-10, 1e10
+
+
+class Progress(NamedTuple):
+    """One accepted step."""
+
+    iteration: int
+    cost: float
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """A model whose A is block diagonal: ``parts`` are the slices of its blocks."""
+
+    model: Matrices
+    parts: tuple[slice, ...]
+
+    def pattern(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows and columns of A that are free."""
+        free = np.zeros(self.model.A.shape, dtype=bool)
+        for part in self.parts:
+            free[part, part] = True
+        return np.nonzero(free)
+
+    def moved(self, step: Array) -> Matrices:
+        """Model after a step of the parameters: A, B, then C and D output by output."""
+        (n, m), p = self.model.B.shape, len(self.model.C)
+        free = self.pattern()
+        count = len(free[0])
+        A = self.model.A.copy()
+        A[free] += step[:count]
+        outputs = step[count + n * m :].reshape(p, n + m)
+        return Matrices(
+            A,
+            self.model.B + step[count : count + n * m].reshape(n, m),
+            self.model.C + outputs[:, :n],
+            self.model.D + outputs[:, n:],
+        )
+
+
+def refine(
+    lines: WeightedLines,
+    start: Matrices,
+    max_iterations: int,
+    tolerance: float,
+    progress: Callable[[Progress], None] | None = None,
+) -> tuple[Matrices, float]:
+    """Improve a stable model by Levenberg-Marquardt steps with the analytic Jacobian, and keep it stable.
+
+    A is held block diagonal (one block a pair of poles, complex or real), which leaves n (m + p + 2) + m p
+    parameters instead of n (n + m + p) + m p. The change of state coordinates that remains free
+    costs nothing: the damping picks the smallest step.
+
+    Parameters
+    ----------
+    lines : what to fit
+    start : stable model
+    max_iterations : steps at most
+    tolerance : stop when a step lowers the cost by less than this part of it
+
+    Returns
+    -------
+    model and its cost
+    """
+    blocks = split(start)
+    cost = lines.cost(blocks.model)
+    damping = FIRST_DAMPING
+    for iteration in range(1, max_iterations + 1):
+        hessian, gradient = _normal_equations(lines, blocks)
+        before = cost
+        trial, cost, damping = _step(lines, blocks, hessian, gradient, cost, damping)
+        if trial is None:
+            break
+        blocks = _Blocks(trial, blocks.parts)
+        if progress is not None:
+            progress(Progress(iteration, cost))
+        if before - cost <= tolerance * cost:
+            break
+    return blocks.model, cost
+
+
+def split(model: Matrices) -> _Blocks:
+    """Change the state coordinates so that A falls into one block a pair of poles, where it can be done."""
+    n = len(model.A)
+    poles, vectors = linalg.eig(model.A)
+    upper = np.flatnonzero(poles.imag > 0.0)
+    real = np.flatnonzero(poles.imag == 0.0)
+    real = real[np.argsort(poles.real[real])]  # neighbours share a block, so that they may turn complex
+    columns = [c for i in upper for c in (vectors[:, i].real, vectors[:, i].imag)]
+    columns += [vectors[:, i].real for i in real]
+    basis = np.reshape(columns, (n, n)).T
+    if n == 0 or np.linalg.cond(basis) > CONDITION:
+        return _Blocks(model, (slice(0, n),))
+    parts = tuple(slice(i, min(i + 2, n)) for i in range(0, n, 2))
+    A = np.zeros((n, n))
+    B, C = np.linalg.solve(basis, model.B), model.C @ basis
+    full = np.linalg.solve(basis, model.A @ basis)
+    for part in parts:
+        A[part, part] = full[part, part]
+        balance = np.sqrt(max(np.linalg.norm(C[:, part]), 1e-150) / max(np.linalg.norm(B[part]), 1e-150))
+        B[part] *= balance
+        C[:, part] /= balance
+    return _Blocks(Matrices(A, B, C, model.D), parts)
+
+
+def _step(
+    lines: WeightedLines, blocks: _Blocks, hessian: Array, gradient: Array, cost: float, damping: float
+) -> tuple[Matrices | None, float, float]:
+    """First step, under growing damping, that is stable and lowers the cost; None if there is none."""
+    scale = np.diagonal(hessian)
+    scale = np.maximum(scale, 1e-12 * scale.max())
+    while damping < MOST_DAMPING:
+        try:
+            factor = linalg.cho_factor(hessian + damping * np.diag(scale))
+        except linalg.LinAlgError:
+            damping *= 10.0
+            continue
+        trial = blocks.moved(-linalg.cho_solve(factor, gradient))
+        if _is_stable(trial.A) and (fresh := lines.cost(trial)) < cost:
+            return trial, fresh, max(damping / 5.0, LEAST_DAMPING)
+        damping *= 4.0
+    return None, cost, damping
+
+
+def _is_stable(A: Array) -> bool:
+    return not len(A) or bool(np.abs(linalg.eigvals(A)).max() < 1.0)
+
+
+def _normal_equations(lines: WeightedLines, blocks: _Blocks) -> tuple[Array, Array]:
+    """J^T J and J^T e over all lines.
+
+    With X = (z - A)^-1 B R and Z = C (z - A)^-1 the error of output a changes by
+
+        dA_ij: Z_ai X_j,    dB_ij: Z_ai R_j,    dC_aj: X_j,    dD_aj: R_j
+
+    so C and D of one output meet no other output, and each output is a small problem of its own.
+    """
+    (n, m), p = blocks.model.B.shape, len(blocks.model.C)
+    own = n + m
+    shared = len(blocks.pattern()[0]) + n * m
+    hessian = np.zeros((shared + p * own, shared + p * own))
+    gradient = np.zeros(shared + p * own)
+    for a, jacobian, error in _jacobians(lines, blocks):
+        columns = np.r_[0:shared, shared + a * own : shared + (a + 1) * own]
+        hessian[np.ix_(columns, columns)] += jacobian.T @ jacobian
+        gradient[columns] += jacobian.T @ error
+    return hessian, gradient
+
+
+def _jacobians(lines: WeightedLines, blocks: _Blocks) -> Iterator[tuple[int, Array, Array]]:
+    """Jacobian and error of each output on each chunk of lines, real parts above imaginary parts."""
+    A, B, C, D = blocks.model
+    rows, columns = blocks.pattern()
+    for k in lines.chunks():
+        z, right = lines.z[k], lines.right[k]
+        inputs = np.concatenate([np.empty((len(z), len(A), right.shape[2]), complex), right], axis=1)
+        observed = np.empty((len(z), len(C), len(A)), complex)
+        for part in blocks.parts:
+            resolvent = np.linalg.inv(z[:, None, None] * np.eye(part.stop - part.start) - A[part, part])
+            inputs[:, part] = resolvent @ (B[part] @ right)
+            observed[:, :, part] = C[:, part] @ resolvent
+        error = np.hstack([C, D]) @ inputs - lines.target[k] @ right
+        own = inputs.swapaxes(1, 2)  # line, column of R, state or input
+        for a in range(len(C)):
+            seen = observed[:, a, None, :]
+            by_input = (seen[..., None] * own[:, :, None, len(A) :]).reshape(len(z), right.shape[2], -1)
+            jacobian = np.concatenate([seen[..., rows] * own[..., columns], by_input, own], axis=2)
+            weight = lines.left[k, a, None]
+            yield a, _real(jacobian * weight[..., None]), _real((error[:, a] * weight)[..., None])[:, 0]
+
+
+def _real(values: Complex) -> Array:
+    """Stack (F, m, column) into real rows."""
+    flat = values.reshape(-1, values.shape[2])
+    return np.concatenate([flat.real, flat.imag])

@@ -1,0 +1,135 @@
+"""From a record to regressors: plays, differences of neighbouring plays, and both behind a linear block.
+
+With the slopes c_j = w_1 + ... + w_j of a pair, the response of its operators is
+
+    sum of w_j p_j = sum of c_j s_j,     s_j = p_j - p_{j+1},   s_n = p_n
+
+The differences s_j hardly overlap in what they do, so that they are well-conditioned regressors, and bounds
+on the slopes are bounds on single unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import LinearBlock
+from hammerstein.hysteresis import play
+from hammerstein.identification.records import Record
+
+Array = NDArray[np.float64]
+
+BLOCK = 8192
+"""Samples handled at once: large enough for BLAS, small enough for the cache."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """What is known of the actuator before the first sample.
+
+    Parameters
+    ----------
+    kind : ``rest`` if it was never driven, ``repeated`` if the record is what went before, too
+    first : first sample that counts; earlier ones only fill the memory
+    """
+
+    kind: Literal["rest", "repeated"]
+    first: int = 0
+
+
+def delayed(record: Record, start: Start, samples: int) -> Array:
+    """Voltages (input, sample) late by whole samples; before the record the actuator is as ``start`` says."""
+    if samples == 0:
+        return record.u_v
+    u = np.roll(record.u_v, samples, axis=1)
+    if start.kind == "rest":
+        u[:, :samples] = 0.0
+    return u
+
+
+def regressor_blocks(
+    u_v: Array, start: Start, grids: Sequence[Array], filters: Sequence[LinearBlock] = ()
+) -> Iterator[tuple[int, Array]]:
+    """First sample and regressors (column, sample) of each block of a record, from ``start.first`` on.
+
+    Parameters
+    ----------
+    u_v : (input, sample) voltages [V]
+    start : what went before
+    grids : thresholds of each input [V]; the columns follow them, input by input
+    filters : linear blocks that hear all columns; their outputs, one block below the other, take the
+        place of the columns
+    """
+    plays = [np.zeros(len(grid)) for grid in grids]
+    states = [block.rest() for block in filters]
+    if start.kind == "repeated":
+        for _, columns in _blocks(u_v, grids, plays):
+            _filtered(columns, filters, states)
+    for k, columns in _blocks(u_v, grids, plays):
+        passed = _filtered(columns, filters, states)
+        skip = max(start.first - k, 0)
+        if skip < columns.shape[1]:
+            yield k + skip, passed[:, skip:]
+
+
+def _filtered(columns: Array, filters: Sequence[LinearBlock], states: list[Array]) -> Array:
+    """Columns behind the filters, whose states are carried on."""
+    if not filters:
+        return columns
+    rows = []
+    for i, block in enumerate(filters):
+        passed, states[i] = block.respond(columns, states[i])
+        rows.append(passed)
+    return np.vstack(rows)
+
+
+def _blocks(u_v: Array, grids: Sequence[Array], plays: list[Array]) -> Iterator[tuple[int, Array]]:
+    """Differences of neighbouring plays; ``plays`` holds the memory from block to block."""
+    for k in range(0, u_v.shape[1], BLOCK):
+        rows = []
+        for i, grid in enumerate(grids):
+            outputs = play(u_v[i, k : k + BLOCK], grid, plays[i])
+            plays[i] = outputs[:, -1].copy()
+            outputs[:-1] -= outputs[1:]
+            rows.append(outputs)
+        yield k, np.vstack(rows)
+
+
+def channel(block: LinearBlock, output: int, input_: int) -> LinearBlock | None:
+    """Path of a block from one input to one output, with the states it needs; None if there is none."""
+    edges = block.A != 0.0
+    reached = _closure(edges, block.B[:, input_] != 0.0)
+    seen = _closure(edges.T, block.C[output] != 0.0)
+    states = np.flatnonzero(reached & seen)
+    through = block.D[output, input_]
+    if states.size == 0 and through == 0.0:
+        return None
+    return LinearBlock(
+        block.A[np.ix_(states, states)],
+        block.B[states][:, [input_]],
+        block.C[[output]][:, states],
+        np.array([[through]]),
+        block.sample_time_s,
+    )
+
+
+def _closure(edges: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """States reached from a set of states, where edges[i, j] leads from j to i."""
+    reached = start
+    for _ in range(len(edges)):
+        further = reached | (edges @ reached)
+        if (further == reached).all():
+            break
+        reached = further
+    return reached
+
+
+def side_by_side(path: LinearBlock, copies: int) -> LinearBlock:
+    """Give every column its own copy of a path with one input and one output."""
+    unit = np.eye(copies)
+    a, b, c, d = (np.asarray(np.kron(unit, matrix)) for matrix in (path.A, path.B, path.C, path.D))
+    return LinearBlock(a, b, c, d, path.sample_time_s)

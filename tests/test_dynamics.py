@@ -1,0 +1,143 @@
+import control
+import numpy as np
+import pytest
+import theory_linear as theory
+
+from hammerstein.dynamics import (
+    AxesDynamics,
+    Axis,
+    CreepMode,
+    StateSpaceDynamics,
+    StaticDynamics,
+    cantilever,
+    discretise,
+)
+from hammerstein.errors import InputError
+
+T = 50e-6
+
+
+@pytest.mark.parametrize("damping", [0.02, 0.12, 0.7, 1.5])
+@pytest.mark.parametrize("bandwidth_hz", [40.0, 430.0])
+def test_bandwidth_is_what_was_asked(bandwidth_hz, damping):
+    block = cantilever(bandwidth_hz, damping)
+    assert control.bandwidth(block) / (2 * np.pi) == pytest.approx(bandwidth_hz, rel=1e-6)
+
+
+def test_cantilever_has_one_axis_an_entry():
+    block = cantilever([430.0, 470.0], 0.12)
+    for axis, wanted in enumerate((430.0, 470.0)):
+        assert control.bandwidth(block[axis, axis]) / (2 * np.pi) == pytest.approx(wanted, rel=1e-6)
+    assert np.abs(block(2j * np.pi * 100.0)[0, 1]) == 0.0
+
+
+def test_resonance_and_damping_give_the_textbook_response():
+    f = np.array([1.0, 100.0, 280.0, 2000.0])
+    block = cantilever(resonance_hz=280.0, damping_ratio=0.12)
+    ours = np.array([block(2j * np.pi * x) for x in f]).ravel()
+    np.testing.assert_allclose(ours, theory.second_order(f, 280.0, 0.12), rtol=1e-10)
+
+
+def test_creep_adds_its_slow_modes():
+    modes = (CreepMode(gain=0.02, time_constant_s=3.0), CreepMode(gain=0.03, time_constant_s=100.0))
+    block = AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12, creep=modes),)).system()
+    f = np.array([1e-4, 1e-2, 1.0, 50.0])
+    ours = np.array([block(2j * np.pi * x) for x in f]).ravel()
+    expected = theory.second_order(f, 280.0, 0.12) * theory.creep(f, (0.02, 0.03), (3.0, 100.0))
+    np.testing.assert_allclose(ours, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "either"),
+        ({"bandwidth_hz": 1.0, "resonance_hz": 2.0}, "either"),
+        ({"bandwidth_hz": -1.0}, "positive"),
+        ({"bandwidth_hz": 1.0, "damping_ratio": 0.0}, "positive"),
+        ({"bandwidth_hz": np.nan}, "finite"),
+    ],
+)
+def test_cantilever_refuses(arguments, message):
+    with pytest.raises(InputError, match=message):
+        cantilever(**arguments)
+
+
+def _axes(*creep):
+    return AxesDynamics(
+        axes=(
+            Axis(resonance_hz=280.0, damping_ratio=0.12, creep=creep),
+            Axis(resonance_hz=306.0, damping_ratio=0.2),
+        )
+    )
+
+
+def test_held_step_is_exact_on_the_grid():
+    t = np.arange(400) * T
+    y, _ = discretise(_axes(), T).respond(np.ones((2, 400)))
+    np.testing.assert_allclose(y[0], theory.second_order_step(t, 280.0, 0.12), atol=1e-12)
+
+
+def test_cascade_equals_forced_response_of_python_control():
+    dynamics = _axes(CreepMode(gain=0.05, time_constant_s=0.3))
+    u = np.random.default_rng(0).normal(size=(2, 500))
+    held = control.c2d(dynamics.system(), T, "zoh")
+    expected = control.forced_response(held, np.arange(500) * T, u).outputs
+    y, _ = discretise(dynamics, T).respond(u)
+    assert np.abs(y - expected).max() < 1e-9
+
+
+def test_sensor_is_behind_the_position_and_sees_it_continuously():
+    # A fine grid converges to the product of the continuous responses.
+    f, dynamics = 150.0, _axes()
+    block = discretise(dynamics, 1e-6, sensor_bandwidth_hz=2000.0)
+    response = block.response(f)[0]
+    assert response.shape == (4, 2)
+    position = theory.second_order(f, 280.0, 0.12)
+    assert response[0, 0] == pytest.approx(position, rel=1e-3)
+    assert response[2, 0] == pytest.approx(position * theory.first_order(f, 2000.0), rel=1e-3)
+
+
+@pytest.mark.parametrize("delay_samples", [0, 1, 3])
+def test_steps_equal_the_batch_to_the_last_bit(delay_samples):
+    dynamics = _axes(CreepMode(gain=0.05, time_constant_s=0.3))
+    block = discretise(dynamics.model_copy(update={"input_delay_s": delay_samples * T}), T, 2000.0)
+    u = np.random.default_rng(1).normal(size=(2, 200))
+    y, final = block.respond(u)
+    state = block.rest()
+    for k in range(200):
+        sample, state = block.step(u[:, k], state)
+        assert (sample == y[:, k]).all()
+    assert (state == final).all()
+
+
+def test_delay_shifts_the_response():
+    plain, _ = discretise(_axes(), T).respond(np.eye(2, 50))
+    late, _ = discretise(_axes().model_copy(update={"input_delay_s": 3 * T}), T).respond(np.eye(2, 50))
+    np.testing.assert_allclose(late[:, 3:], plain[:, :-3], atol=1e-15)
+    assert (late[:, :3] == 0.0).all()
+
+
+def test_refuses_another_sample_time_and_a_broken_delay():
+    block = discretise(_axes(), T)
+    with pytest.raises(InputError, match="sample time"):
+        block.respond(np.zeros((2, 5)), sample_time_s=1e-3)
+    with pytest.raises(InputError, match="whole number"):
+        discretise(_axes().model_copy(update={"input_delay_s": 1.5 * T}), T)
+    discrete = StateSpaceDynamics(A=((0.5,),), B=((1.0,),), C=((1.0,),), D=((0.0,),), sample_time_s=1e-3)
+    with pytest.raises(InputError, match="identified at"):
+        discretise(discrete, T)
+
+
+def test_state_space_of_the_users_own_is_kept():
+    system = control.rss(4, 2, 2, strictly_proper=True)
+    dynamics = StateSpaceDynamics.of(system)
+    for name in "ABCD":
+        np.testing.assert_array_equal(np.asarray(getattr(dynamics, name)), getattr(system, name))
+    again = StateSpaceDynamics.model_validate_json(dynamics.model_dump_json())
+    assert again == dynamics
+
+
+def test_no_dynamics_passes_its_input():
+    u = np.random.default_rng(2).normal(size=(2, 20))
+    y, _ = discretise(StaticDynamics(n_outputs=2), T).respond(u)
+    np.testing.assert_array_equal(y, u)

@@ -1,0 +1,200 @@
+import json
+import math
+
+import control
+import numpy as np
+import pytest
+import theory_linear as theory
+
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.experiment import run, simulate
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.instruments import Instruments
+from hammerstein.model import HammersteinModel
+from hammerstein.plant import Plant
+from hammerstein.scenario import Scenario, load_scenario
+
+
+def _scenario(**tables):
+    base = {"question": "?", "actuator": "duo_bimorph"}
+    return Scenario.model_validate(base | tables)
+
+
+def _rows(report, **key):
+    return [row for row in report.rows if all(getattr(row, k) == v for k, v in key.items())]
+
+
+LOOP = {"kind": "sine", "amplitude_v": 10, "frequency_hz": 50}
+PAPER = {"label": "paper", "law": "inverse_multiplicative", "identification": {"frequency_hz": 50}}
+
+
+@pytest.mark.parametrize("actuator", ["duo_bimorph", "duo_bimorph_resonant"])
+def test_measured_loops_are_the_published_ones(actuator):
+    report = run(_scenario(actuator=actuator, drive=LOOP, measure={"measured_cycles": 20}))
+    height = {(r.measured_axis, r.excited_axis): r.height_um / 2 for r in report.rows}
+    width = {(r.measured_axis, r.excited_axis): r.width_percent for r in report.rows}
+    published = {("x", "x"): 58.4, ("y", "y"): 50.6, ("x", "y"): 1.41, ("y", "x"): 2.08}
+    for pair, wanted in published.items():
+        assert height[pair] == pytest.approx(wanted, rel=0.02)
+    assert width["x", "x"] == pytest.approx(16.7, rel=0.02)
+    assert width["y", "y"] == pytest.approx(15.2, rel=0.02)
+
+
+def test_static_actuator_on_an_ideal_bench_has_the_closed_form_loop():
+    table = HammersteinModel.load("duo_bimorph_static")
+    time_s = np.arange(1200) * 50e-6
+    u = np.zeros((2, 1200))
+    u[0] = 10.0 * np.sin(2 * np.pi * 50.0 * time_s)
+    response = Plant(table, Instruments.ideal()).respond(u, [1])
+    pair = table.hysteresis.pairs[0][0]
+    x, voltage = response.position_um[0, 400:], u[0, 400:]
+    amplitude = sum(w * (10.0 - r) for w, r in zip(pair.weights_um_per_v, pair.thresholds_v, strict=True))
+    assert amplitude == pytest.approx(58.39759, abs=1e-9)
+    assert x.max() == pytest.approx(amplitude, abs=1e-9)
+    assert x.min() == pytest.approx(-amplitude, abs=1e-9)
+    rising = np.diff(voltage, prepend=voltage[0]) > 0
+    branch = [
+        np.sum(pair.weights_um_per_v * np.maximum(0.0, v + 10.0 - 2 * pair.thresholds_v)) for v in voltage
+    ]
+    np.testing.assert_allclose(x[rising], np.array(branch)[rising] - amplitude, atol=1e-9)
+
+
+@pytest.mark.parametrize("frequency_hz", [150.0, 250.0, 400.0])
+def test_without_hysteresis_the_rms_error_is_that_of_the_linear_block(frequency_hz, tmp_path):
+    # A unit gain behind the dynamics, on a fine grid, without instruments.
+    model = HammersteinModel(
+        name="linear",
+        hysteresis=PrandtlIshlinskii(((Pair.linear(5.0),),)),
+        dynamics=HammersteinModel.load("duo_bimorph").dynamics.model_copy(
+            update={"axes": HammersteinModel.load("duo_bimorph").dynamics.axes[:1]}
+        ),
+        amplitude_v=10.0,
+        inputs=("u",),
+        outputs=("x",),
+        instruments=Instruments.ideal(5e-8),
+    )
+    model.save(tmp_path / "linear.json")
+    reference = {"kind": "sine", "amplitude_um": 20, "frequency_hz": frequency_hz}
+    unit = {"label": "none", "law": "none", "model": str(tmp_path / "linear.json")}
+    scenario = _scenario(
+        actuator=str(tmp_path / "linear.json"),
+        reference=reference,
+        compensators=[unit],
+        measure={"settle_s": 0.08, "measured_cycles": 1},
+    )
+    (row,) = run(scenario).rows
+    axis = model.dynamics.axes[0]
+    gain = theory.second_order(frequency_hz, axis.resonance_hz, axis.damping_ratio)
+    assert row.rms_true_um == pytest.approx(theory.rms_of_sine_error(gain, 20.0), rel=1e-4)
+
+
+def test_chain_equals_python_controls_interconnect():
+    plant = Plant(HammersteinModel.load("duo_bimorph"), Instruments.ideal())
+    u = 8.0 * np.random.default_rng(0).normal(size=(2, 60))
+    ours = plant.respond(u, [1])
+    hysteresis = plant.model.hysteresis.to_nlsys(50e-6, name="hysteresis")
+    block = control.c2d(plant.model.dynamics.system(), 50e-6, "zoh")
+    linear = control.ss(block, name="linear", inputs=["v[0]", "v[1]"], outputs=["x", "y"])
+    loop = control.interconnect([hysteresis, linear], inputs=["u[0]", "u[1]"], outputs=["x", "y"])
+    theirs = control.input_output_response(loop, np.arange(60) * 50e-6, u)
+    np.testing.assert_allclose(ours.position_um, theirs.outputs, atol=1e-9)
+
+
+def test_rows_depend_neither_on_jobs_nor_on_the_run():
+    scenario = _scenario(
+        reference={"kind": "sine", "amplitude_um": 20, "frequency_hz": 50},
+        sweep={"frequency_hz": [50, 150]},
+        compensators=[PAPER],
+    )
+    texts = {run(scenario, "same", jobs=jobs).to_json() for jobs in (1, 2, 1)}
+    assert len(texts) == 1
+
+
+def test_seed_changes_the_noise_and_not_the_position():
+    a, b = (run(_scenario(drive=LOOP, seed=seed), "x") for seed in (1, 2))
+    assert a.to_json() != b.to_json()
+    first, second = (simulate(_scenario(drive=LOOP, seed=seed)) for seed in (1, 2))
+    np.testing.assert_array_equal(first.position_um, second.position_um)
+    assert (first.reading_um != second.reading_um).any()
+
+
+def test_compensator_takes_the_hysteresis_and_the_coupling_out():
+    reference = {"kind": "sine", "amplitude_um": 50, "frequency_hz": 20}
+    none = {"label": "none", "law": "none", "identification": {}}
+    single = {"label": "decoupled", "law": "decoupled_inverse", "identification": {}}
+    report = run(_scenario(reference=reference, compensators=[none, PAPER, single]))
+
+    def rms(label, measured, excited):
+        (row,) = _rows(report, compensator=label, measured_axis=measured, excited_axis=excited)
+        return row.rms_um
+
+    assert rms("paper", "x", "x") < 0.3 * rms("none", "x", "x")
+    assert rms("paper", "y", "x") < 0.6 * rms("decoupled", "y", "x")
+    assert rms("decoupled", "y", "x") > 1.0
+
+
+def test_model_error_is_small_up_to_its_frequency_and_grows_above():
+    models = [{"label": "50", "identification": {"frequency_hz": 50}}]
+    report = run(_scenario(drive=LOOP, sweep={"frequency_hz": [10, 50, 100, 200]}, models=models))
+    rms = [row.rms_um for row in _rows(report, excited_axis="x", measured_axis="x")]
+    assert rms[1] < 0.5
+    assert rms[0] < 3.0
+    assert rms[1] < rms[2] < rms[3]
+    assert rms[3] > 10 * rms[0]
+
+
+@pytest.mark.parametrize(
+    ("tables", "kind", "message"),
+    [
+        ({"drive": LOOP | {"frequency_hz": 12000}}, InputError, "half the sample rate"),
+        ({"drive": LOOP | {"axis": 3}}, InputError, "does not exist"),
+        ({"drive": LOOP, "actuator": "duo_bimorf"}, InputError, "duo_bimorph"),
+        (
+            {"reference": {"kind": "circle", "radius_um": 80, "frequency_hz": 50}, "compensators": [PAPER]},
+            SimulationError,
+            "asks for 80 um on x; the actuator reaches",
+        ),
+        (
+            {
+                "reference": {"kind": "circle", "radius_um": 20, "frequency_hz": 50},
+                "compensators": [PAPER | {"gain": "identity"}],
+            },
+            SimulationError,
+            "does not converge.*slopes.*spectral radius.*auto",
+        ),
+    ],
+)
+def test_what_cannot_be_run_says_why(tables, kind, message):
+    with pytest.raises(kind, match=message):
+        run(_scenario(**tables))
+
+
+def test_the_paper_as_printed_diverges_when_told_to_run():
+    printed = PAPER | {"gain": "identity", "run_anyway": True}
+    reference = {"kind": "circle", "radius_um": 20, "frequency_hz": 50}
+    ideal = {"drive": {"range_v": math.inf}}
+    with pytest.raises(SimulationError, match="grows beyond"):
+        run(_scenario(reference=reference, compensators=[printed], instruments=ideal))
+
+
+def test_saturation_is_counted_and_told():
+    reference = {"kind": "sine", "amplitude_um": 51.2, "frequency_hz": 20, "axis": 2}
+    report = run(
+        _scenario(reference=reference, compensators=[{"label": "none", "law": "none", "identification": {}}])
+    )
+    assert all(row.saturated_samples > 0 for row in report.rows)
+    assert any("cut" in statement for statement in report.statements)
+
+
+def test_report_is_plain_json_with_the_scenario_inside():
+    content = json.loads(run(_scenario(drive=LOOP), "loops").to_json())
+    assert content["scenario"]["drive"]["amplitude_v"] == 10
+    assert Scenario.model_validate(content["scenario"]).digest() == content["scenario_digest"]
+
+
+def test_shipped_scenarios_are_valid():
+    from pathlib import Path
+
+    files = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
+    assert len(files) >= 10
+    assert len({load_scenario(file).digest() for file in files}) == len(files)

@@ -1,0 +1,136 @@
+import json
+
+import numpy as np
+import pytest
+
+from hammerstein.actuators.build import build
+from hammerstein.dynamics import StaticDynamics
+from hammerstein.errors import InputError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.model import HammersteinModel, packaged_actuators
+
+
+def _ragged():
+    pairs = (
+        (Pair([0.1, 1.0 / 3.0], [2.0, -0.5], [0.01, 0.02]), Pair.linear(0.2), Pair.absent()),
+        (Pair.absent(), Pair([0.7], [1.0]), Pair([0.0, 2.0, 4.0], [1.0, 0.1, 0.2])),
+    )
+    return HammersteinModel(
+        name="ragged",
+        hysteresis=PrandtlIshlinskii(pairs),
+        dynamics=StaticDynamics(n_outputs=2),
+        amplitude_v=5.0,
+        inputs=("a", "b", "c"),
+        outputs=("x", "y"),
+        provenance={"from": "a test"},
+    )
+
+
+def test_file_keeps_every_bit(tmp_path):
+    model = _ragged()
+    model.save(tmp_path / "model.json")
+    again = HammersteinModel.load(tmp_path / "model.json")
+    assert again.to_json() == model.to_json()
+    assert again.digest() == model.digest()
+    for row, same in zip(model.hysteresis.pairs, again.hysteresis.pairs, strict=True):
+        for pair, copy in zip(row, same, strict=True):
+            np.testing.assert_array_equal(pair.thresholds_v, copy.thresholds_v)
+            np.testing.assert_array_equal(pair.weights_um_per_v, copy.weights_um_per_v)
+
+
+def test_digest_follows_the_numbers_and_not_the_words():
+    model = _ragged()
+    content = json.loads(model.to_json())
+    content["name"] = "another"
+    content["pairs"][0][1]["weights_um_per_v"] = [0.3]
+    assert model.digest() != _digest(content)
+    content["pairs"][0][1]["weights_um_per_v"] = [0.2]
+    assert model.digest() == _digest(content)
+
+
+def _digest(content):
+    from hammerstein.model import ModelFile
+
+    return ModelFile.model_validate_json(json.dumps(content)).model().digest()
+
+
+def _written(tmp_path, change):
+    content = json.loads(_ragged().to_json())
+    change(content)
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c.update(nmae="x"), "unknown key; did you mean name"),
+        (lambda c: c.pop("amplitude_v"), "amplitude_v is missing|amplitude_v +is missing"),
+        (lambda c: c.update(inputs=["a"]), "names 1 inputs of 3"),
+        (lambda c: c["pairs"][0][0].update(thresholds_v=[1.0, 0.5]), "not strictly increasing"),
+        (lambda c: c["pairs"][0][0].update(thresholds_v=[-1.0, 0.5]), "negative"),
+        (lambda c: c["pairs"][0][0].update(thresholds_v=[float("nan"), 0.5]), "not finite"),
+        (lambda c: c["pairs"][1][1].update(weights_um_per_v=[1.0, 2.0]), "has shape"),
+        (lambda c: c["pairs"].pop(), "must have 1 inputs and 1 outputs"),
+        (lambda c: c["pairs"][0].pop(), "every output needs one pair"),
+        (lambda c: c.update(format="other/2"), "hammerstein-model/1"),
+        (lambda c: c["dynamics"].update(kind="axis"), "did you mean axes"),
+    ],
+)
+def test_wrong_files_say_what_is_wrong(tmp_path, change, message):
+    path = _written(tmp_path, change)
+    with pytest.raises(InputError, match=message) as caught:
+        HammersteinModel.load(path)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(b"", "is empty"), (b"{", "not JSON"), (b"\xff\xfe\x00", "not UTF-8"), (None, "no such file")],
+)
+def test_unreadable_files(tmp_path, content, message):
+    path = tmp_path / "model.json"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        HammersteinModel.load(path)
+
+
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
+    path = tmp_path / "model.json"
+    with path.open("wb") as file:
+        file.truncate(100_000_000)
+    with pytest.raises(InputError, match="100 MB, too large"):
+        HammersteinModel.load(path)
+
+
+def test_unwritable_place_leaves_nothing(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        _ragged().save(tmp_path / "file" / "model.json")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_packaged_actuators_are_what_their_command_makes(tmp_path):
+    static = HammersteinModel.load("duo_bimorph_static")
+    static.save(tmp_path / "duo_bimorph_static.json")
+    made = build(tmp_path)
+    assert sorted([p.stem for p in made] + ["duo_bimorph_static"]) == packaged_actuators()
+    for path in made:
+        fresh, packaged = HammersteinModel.load(path), HammersteinModel.load(path.stem)
+        assert fresh.dynamics == packaged.dynamics
+        for row, same in zip(fresh.hysteresis.pairs, packaged.hysteresis.pairs, strict=True):
+            for pair, copy in zip(row, same, strict=True):
+                np.testing.assert_allclose(pair.weights_um_per_v, copy.weights_um_per_v, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "bandwidths"), [("duo_bimorph", (430.0, 470.0)), ("duo_bimorph_resonant", (657, 718))]
+)
+def test_bandwidth_of_the_packaged_actuators(name, bandwidths):
+    import control
+
+    system = HammersteinModel.load(name).dynamics.system()
+    for axis, wanted in enumerate(bandwidths):
+        assert control.bandwidth(system[axis, axis]) / (2 * np.pi) == pytest.approx(wanted, rel=2e-3)

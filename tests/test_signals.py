@@ -1,0 +1,101 @@
+import numpy as np
+import pytest
+
+from hammerstein.errors import InputError
+from hammerstein.signals import (
+    Circle,
+    FromFile,
+    Lissajous,
+    Multisine,
+    Sine,
+    Spiral,
+    Triangle,
+    read_signal,
+)
+
+t = np.linspace(0.0, 0.1, 2001)
+
+
+def test_sine_on_one_axis():
+    values = Sine(amplitude=2.0, frequency_hz=30.0, axis=2, phase_deg=90.0).sample(t, 3)
+    np.testing.assert_allclose(values[1], 2 * np.cos(2 * np.pi * 30 * t), atol=1e-12)
+    assert (values[[0, 2]] == 0.0).all()
+
+
+def test_sine_on_all_axes():
+    values = Sine(amplitude=2.0, frequency_hz=30.0, axis="all").sample(t, 2)
+    np.testing.assert_allclose(values, np.tile(2 * np.sin(2 * np.pi * 30 * t), (2, 1)), atol=1e-12)
+
+
+def test_triangle_is_the_arcsine_of_a_sine():
+    values = Triangle(amplitude=3.0, frequency_hz=25.0, axis=1).sample(t, 1)
+    expected = 3.0 * 2 / np.pi * np.arcsin(np.sin(2 * np.pi * 25 * t))
+    np.testing.assert_allclose(values[0], expected, atol=1e-9)
+
+
+def test_circle_keeps_its_radius_and_turns_counterclockwise():
+    x, y = Circle(radius=50.0, frequency_hz=50.0).sample(t, 2)
+    np.testing.assert_allclose(np.hypot(x, y), 50.0)
+    np.testing.assert_allclose(np.unwrap(np.arctan2(y, x)), 2 * np.pi * 50 * t, atol=1e-9)
+
+
+def test_spiral_is_a_circle_until_the_trigger_and_then_decays():
+    radius = np.hypot(*Spiral(radius=50.0, frequency_hz=50.0, trigger_s=0.04, decay_s=0.02).sample(t, 2))
+    np.testing.assert_allclose(radius, 50.0 * np.exp(-np.clip(t - 0.04, 0, None) / 0.02))
+
+
+def test_lissajous_repeats_after_its_period():
+    figure = Lissajous(amplitude=50.0, frequency_x_hz=50.0, frequency_y_hz=100 / 3)
+    assert figure.period_s == pytest.approx(0.06)
+    np.testing.assert_allclose(figure.sample(t, 2), figure.sample(t + 0.06, 2), atol=1e-9)
+
+
+def test_multisine_has_its_lines_and_keeps_its_amplitude():
+    signal = Multisine(amplitude=8.0, lowest_hz=10.0, highest_hz=100.0, seed=3)
+    time_s = np.arange(2000) * 50e-6
+    values = signal.sample(time_s, 2)
+    lines = np.abs(np.fft.rfft(values, axis=1)) > 1.0
+    assert np.nonzero(lines[0])[0].tolist() == list(range(1, 11))
+    assert np.abs(values).max() <= 8.0
+    assert (values[0] != values[1]).any()
+
+
+def test_smooth_start_begins_at_zero_without_a_jump_in_speed():
+    values = Circle(radius=50.0, frequency_hz=50.0, smooth_start_s=0.02).sample(t, 2)
+    plain = Circle(radius=50.0, frequency_hz=50.0).sample(t, 2)
+    assert (values[:, 0] == 0.0).all()
+    assert np.abs(values[:, 1]).max() < 1e-3
+    np.testing.assert_array_equal(values[:, t >= 0.02], plain[:, t >= 0.02])
+
+
+def test_file_is_interpolated_and_held(tmp_path):
+    path = tmp_path / "path.csv"
+    path.write_text("# a comment\ntime_s,x,y\n1.0,0,0\n1.01,2,-4\n1.02,2,0\n")
+    values = FromFile(path=str(path)).sample(np.array([0.0, 0.005, 0.01, 0.5]), 2)
+    np.testing.assert_allclose(values, [[0, 1, 2, 2], [0, -2, -4, 0]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("x,y\n1,2\n3,4\n", "time_s"),
+        ("time_s\n1\n2\n", "one column for each axis"),
+        ("time_s,x\n0,1\n1,two\n2,3\n", "row 3, column x: two"),
+        ("time_s,x\n0,1\n1,nan\n2,3\n", "row 3, column x"),
+        ("# note\ntime_s,x\n0,1\n1,\n2,3\n", "row 4, column x"),
+        ("time_s,x\n0,1\n2,1\n1,3\n", "row 4: time_s does not increase"),
+        ("time_s,x\n0,1\n", "single row"),
+        ("time_s,x\n0,1\n1,2,3,4\n", "not a CSV table"),
+    ],
+)
+def test_file_mistakes_name_the_row(tmp_path, text, message):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_signal(path)
+
+
+def test_circle_needs_two_axes():
+    with pytest.raises(InputError, match="two axes"):
+        Circle(radius=1.0, frequency_hz=1.0).sample(t, 3)
