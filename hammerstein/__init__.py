@@ -1,1 +1,119 @@
-"""Simulate, identify and compensate multi-axis actuators with hysteresis."""
+"""Simulate, identify and compensate multi-axis actuators with hysteresis.
+
+Conventions
+-----------
+* Signals are arrays (axis, sample), time last; operators stand in between: (output, input, operator).
+* Units are V, um, s, Hz; names that cross a boundary carry them, such as ``rms_um`` and ``frequency_hz``.
+* Blocks start at rest. Where a block has memory, it is an explicit state that goes in and comes out;
+  ``respond`` on a whole signal and ``step`` on one sample give identical numbers.
+* A voltage is held over each sample; the linear block is discretised exactly for that.
+
+Examples
+--------
+>>> import hammerstein
+>>> actuator = hammerstein.HammersteinModel.load("duo_bimorph_static")
+>>> actuator.hysteresis.amplitude(10.0).round(2)
+array([[58.4 ,  1.41],
+       [ 2.08, 50.57]])
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hammerstein.dynamics import (
+        AxesDynamics,
+        Axis,
+        CreepMode,
+        LinearBlock,
+        StateSpaceDynamics,
+        StaticDynamics,
+        cantilever,
+        discretise,
+    )
+    from hammerstein.errors import (
+        HammersteinError,
+        IdentificationError,
+        InputError,
+        SimulationError,
+        ToleranceError,
+    )
+    from hammerstein.experiment import run, simulate
+    from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii, play
+    from hammerstein.instruments import Drive, Instruments, Sensor
+    from hammerstein.model import HammersteinModel
+    from hammerstein.plant import Plant, Response
+    from hammerstein.report import Report
+    from hammerstein.scenario import Scenario, load_scenario
+
+# Where each public name lives. Names are imported when they are used: the command line must answer at once.
+_HOMES = {
+    "dynamics": (
+        "AxesDynamics",
+        "Axis",
+        "CreepMode",
+        "LinearBlock",
+        "StateSpaceDynamics",
+        "StaticDynamics",
+        "cantilever",
+        "discretise",
+    ),
+    "errors": (
+        "HammersteinError",
+        "IdentificationError",
+        "InputError",
+        "SimulationError",
+        "ToleranceError",
+    ),
+    "experiment": ("run", "simulate"),
+    "hysteresis": ("Pair", "PlayState", "PrandtlIshlinskii", "play"),
+    "instruments": ("Drive", "Instruments", "Sensor"),
+    "model": ("HammersteinModel",),
+    "plant": ("Plant", "Response"),
+    "report": ("Report",),
+    "scenario": ("Scenario", "load_scenario"),
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "AxesDynamics",
+    "Axis",
+    "CreepMode",
+    "Drive",
+    "HammersteinError",
+    "HammersteinModel",
+    "IdentificationError",
+    "InputError",
+    "Instruments",
+    "LinearBlock",
+    "Pair",
+    "Plant",
+    "PlayState",
+    "PrandtlIshlinskii",
+    "Report",
+    "Response",
+    "Scenario",
+    "Sensor",
+    "SimulationError",
+    "StateSpaceDynamics",
+    "StaticDynamics",
+    "ToleranceError",
+    "cantilever",
+    "discretise",
+    "load_scenario",
+    "play",
+    "run",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'hammerstein' has no attribute {name!r}")
+    return getattr(import_module(f"hammerstein.{_HOME_OF[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

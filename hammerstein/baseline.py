@@ -85,9 +85,10 @@ class Baseline:
         """Text of the baseline file: one row a line, full precision, sorted keys, no clock and no host."""
         rows = [{"key": dict(zip(KEY, k, strict=True)), "numbers": dict(n)} for k, n in self.rows.items()]
         lines = ",\n".join("  " + json.dumps(row, sort_keys=True, allow_nan=False) for row in rows)
-        head = {"format": FORMAT, "model_digest": self.model_digest, "scenario_digest": self.scenario_digest}
-        start = json.dumps(head, indent=1, sort_keys=True).removesuffix("\n}")
-        return f'{start},\n "rows": [\n{lines}\n ]\n}}\n'
+        return (
+            f'{{\n "format": {json.dumps(FORMAT)},\n "model_digest": {json.dumps(self.model_digest)},\n'
+            f' "rows": [\n{lines}\n ],\n "scenario_digest": {json.dumps(self.scenario_digest)}\n}}\n'
+        )
 
     def save(self, path: Path) -> bool:
         """Write the file in one piece, unless it holds the same already; tell whether it was written."""

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from hammerstein.baseline import words_of
 from hammerstein.comparison import Finding, Kind, deviation, limit
 from hammerstein.errors import HammersteinError, ToleranceError
 from hammerstein.report import KEY
@@ -18,7 +17,11 @@ from hammerstein.report import KEY
 DEFAULT_FOLDER = Path("reports/baseline")
 SHOWN = 30  # lines of a table; who has moved more than that wants the worst, not all
 MISSING = "missing"
-_COLUMNS = ("compensator", "frequency_hz", "axis", "metric", "baseline", "now", "change", "allowed")
+_AXES = ("excited_axis", "measured_axis")  # shown as one column
+_COLUMNS = (
+    *(name for name in KEY if name not in _AXES),
+    *("axis", "metric", "baseline", "now", "change", "allowed"),
+)
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -105,9 +108,9 @@ class CheckResult:
         """Give a summary page: one line a scenario, then what differs."""
         lines = ["# Scenarios against their baselines", "", "| scenario | result |", "|---|---|"]
         for check in self.checks:
-            verdict = check.headline.removeprefix(f"{check.name}: ").replace("|", "\\|")
+            verdict = check.headline.removeprefix(f"{check.name}: ")
             mark = "pass" if check.passed else "**FAIL**"
-            lines.append(f"| {check.name.replace('|', '\\|')} | {mark}: {verdict} |")
+            lines.append(f"| {_cell(check.name)} | {mark}: {_cell(verdict)} |")
         for check in self.checks:
             if not check.passed:
                 body = check.lines(self.baseline_folder)
@@ -163,13 +166,7 @@ def _table(findings: Sequence[Finding]) -> list[str]:
     if not inside:
         return []
     rows = [_cells(finding) for finding in inside[:SHOWN]]
-    used = [c for c in dict.fromkeys((*_COLUMNS, *rows[0])) if any(row[c] for row in rows)]
-    extra = [c for c in used if c not in _COLUMNS]  # what else tells rows apart stands beside the frequency
-    columns = [
-        *used[: used.index("axis")],
-        *extra,
-        *[c for c in used[used.index("axis") :] if c not in extra],
-    ]
+    columns = [column for column in _COLUMNS if any(row[column] for row in rows)]
     widths = {c: max(len(c), *(len(row[c]) for row in rows)) for c in columns}
     lines = ["  " + "  ".join(c.ljust(widths[c]) for c in columns).rstrip()]
     lines += ["  " + "  ".join(row[c].ljust(widths[c]) for c in columns).rstrip() for row in rows]
@@ -181,7 +178,7 @@ def _table(findings: Sequence[Finding]) -> list[str]:
 def _cells(finding: Finding) -> dict[str, str]:
     """Cells of one finding by column."""
     key = dict(zip(KEY, finding.key, strict=True))
-    excited, measured = key.pop("excited_axis"), key.pop("measured_axis")
+    excited, measured = (key.pop(name) for name in _AXES)
     cells = {name: "" if value is None else _plain(value) for name, value in key.items()}
     cells["axis"] = str(measured) if excited in ("all", measured) else f"{excited} -> {measured}"
     cells |= {"metric": finding.metric or "(row)", "change": "", "allowed": ""}
@@ -235,6 +232,11 @@ def _as_dict(check: ScenarioCheck) -> dict[str, Any]:
             for finding in check.findings
         ],
     }
+
+
+def _cell(text: str) -> str:
+    """Text in a cell of a Markdown table."""
+    return text.replace("|", "\\|")
 
 
 def _longest_run_of_ticks(lines: Iterable[str]) -> int:

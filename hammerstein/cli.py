@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,6 +23,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -34,19 +36,25 @@ INTERRUPTED = 130
 PROCESSORS = os.cpu_count() or 1
 
 
-def main() -> None:
+class _Interrupted(BaseException):
+    """Ctrl-C. Not KeyboardInterrupt, which Typer would answer itself."""
+
+
+def _interrupt(*_: object) -> None:
+    raise _Interrupted
+
+
+def main(arguments: list[str] | None = None) -> None:
     """Run the command line; a mistake of the user is one message and an exit code, never a traceback."""
+    signal.signal(signal.SIGINT, _interrupt)
     try:
-        app(standalone_mode=True)
+        app(arguments)
     except HammersteinError as error:
         _complain(str(error))
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        _complain("interrupted; what was finished has been written")
+    except _Interrupted:
+        _complain("interrupted; the reports that were finished are written")
         sys.exit(INTERRUPTED)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
 
 
 @app.command()
@@ -91,6 +99,35 @@ def _fail_with(outcomes: list[Outcome]) -> None:
         _complain(str(error))
     if errors:
         raise typer.Exit(max(error.exit_code for error in errors))
+
+
+@app.command()
+def check(
+    paths: Paths,
+    baseline: Annotated[Path, typer.Option(metavar="DIR", help="Where the baselines are.")] = Path(
+        "reports/baseline"
+    ),
+    update_baseline: Annotated[
+        bool, typer.Option("--update-baseline", help="Accept the numbers as the new baseline.")
+    ] = False,
+    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the result for CI.")] = None,
+    markdown: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a summary page.")] = None,
+    jobs: Jobs = PROCESSORS,
+    as_json: AsJson = False,
+) -> None:
+    """Run scenarios again and compare every number with its baseline."""
+    from hammerstein.batch import find_scenarios
+    from hammerstein.files import write_atomic
+    from hammerstein.regression import check_files
+
+    with _Watch(len(find_scenarios(paths))) as watch:
+        result = check_files(paths, baseline, update_baseline, jobs, watch.progress, watch.finished)
+    if junit is not None:
+        write_atomic(junit, result.junit())
+    if markdown is not None:
+        write_atomic(markdown, result.markdown())
+    typer.echo(json.dumps(result.as_dict()) if as_json else result.text())
+    raise typer.Exit(result.exit_code)
 
 
 @app.command()

@@ -13,12 +13,12 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.report import KEY, Report, Row
 from hammerstein.scenario import Tolerance
 
-# Another processor or NumPy differs in the last bits of sines, sums and decompositions. Such differences, tried
-# on the shipped scenarios as noise of up to 1e-9 of every voltage, reference and reading, move each of their
-# numbers by less than 4e-7 of itself: rounding by the converters absorbs them, and a flip of one step needs a
-# value that lies as close to the edge of the step. So 0.1 % is wide, for worst values of rounded readings too;
-# a floor of one 40 nm step there would only hide real changes. The floor of 1e-6 (one picometre) is for zeros
-# of theory, such as the residue of an exact inverse: they hold nothing but last bits.
+# Another processor or NumPy differs in the last bits of sines, sums and decompositions. Tried on the shipped
+# scenarios: noise of 1e-12 of every voltage, reference and reading, a thousand times as much, moves no number
+# by more than 1e-9 of itself, for a converter's step flips only where a value lies as close to its edge. So
+# 0.1 % is wide, also for worst values of rounded readings; a floor of one 40 nm step there would only hide real
+# changes. The floor of 1e-6 (one picometre) is for zeros of theory, such as the residue of an exact inverse:
+# they hold nothing but last bits.
 DEFAULT = Tolerance(relative=1e-3, absolute=1e-6)
 COUNT = Tolerance(relative=0.0, absolute=0.0)
 DEFAULTS: Mapping[str, Tolerance] = {"saturated_samples": COUNT}

@@ -1,21 +1,18 @@
 """Collect scenario files as tests, each checked against its baseline.
 
-Only what is named on the command line is collected: ``pytest scenarios/circles.toml``, or ``pytest scenarios``
-for a folder of scenarios. This module is loaded by every pytest of an environment that holds the package; it
+Only what is named on the command line is collected: ``pytest scenarios/circles.toml``, or, for a folder of
+scenarios, ``pytest scenarios``. Every pytest of an environment that holds the package loads this module; it
 must cost nothing there, so that all else is imported when a scenario runs.
 """
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import pytest
-
-if TYPE_CHECKING:
-    from _pytest._code.code import TerminalRepr
 
 OPTION = "--hammerstein-baseline"
 BASELINE = "reports/baseline"
@@ -52,26 +49,16 @@ class ScenarioItem(pytest.Item):
     """A scenario that is run and compared with its baseline."""
 
     def runtest(self) -> None:
-        """Run and compare; ToleranceError with the table of what differs."""
-        from hammerstein.errors import ToleranceError
+        """Run and compare; fail with the table of what differs, or with what is wrong in the file."""
+        from hammerstein.errors import HammersteinError
         from hammerstein.regression import check_files
 
-        result = check_files([_shortest(self.path, self.config)], _baseline_folder(self.config))
-        for check in result.checks:
-            if check.error is not None:
-                raise check.error
-        if result.findings:
-            raise ToleranceError(result.text())
-
-    def repr_failure(
-        self, excinfo: pytest.ExceptionInfo[BaseException], *args: Any, **kwargs: Any
-    ) -> str | TerminalRepr:
-        """Show what differs, or what is wrong with the file; a traceback only for a fault of the program."""
-        from hammerstein.errors import HammersteinError
-
-        if isinstance(excinfo.value, HammersteinError):
-            return str(excinfo.value)
-        return super().repr_failure(excinfo, *args, **kwargs)
+        try:
+            result = check_files([_shortest(self.path, self.config)], _baseline_folder(self.config))
+        except HammersteinError as error:
+            pytest.fail(str(error), pytrace=False)
+        if result.exit_code:
+            pytest.fail(result.text(), pytrace=False)
 
     def reportinfo(self) -> tuple[Path, int | None, str]:
         """Where the test is and what it is called in reports."""
@@ -80,7 +67,8 @@ class ScenarioItem(pytest.Item):
 
 def _named_paths(config: pytest.Config) -> set[Path]:
     """Files and folders named on the command line."""
-    return {(config.invocation_params.dir / arg.split("::")[0]).resolve() for arg in config.args}
+    start = config.invocation_params.dir
+    return {Path(os.path.abspath(start / arg.split("::")[0])) for arg in config.args}
 
 
 def _holds_scenarios(folder: Path) -> bool:

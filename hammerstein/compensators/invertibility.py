@@ -88,25 +88,53 @@ def invertibility(
     """
     square, smallest = completed(hysteresis, amplitude_v or _usual_amplitude(hysteresis, range_v))
     reached = _within(square, range_v - smallest)
-    slopes = slope_matrices(reached)
+    dominant = _dominant_sign(reached)
+    if dominant:
+        number = math.prod(int(n) for n in reached.bank.n)
+        counts = (number, 0) if dominant > 0 else (0, number)
+        return Invertibility(*counts, 0, (), (), _mean_slopes(reached)[: hysteresis.n_outputs], 2.0 * smallest)
+    return _enumerated(reached, smallest, hysteresis.n_outputs)
+
+
+def _mean_slopes(square: PrandtlIshlinskii) -> Array:
+    """Mean over the slopes that each input can have (row, input) [um/V]."""
+    return np.stack([square.slope_columns(k).mean(axis=0) for k in range(square.n_inputs)], axis=1)
+
+
+def _dominant_sign(square: PrandtlIshlinskii) -> int:
+    """Sign of all determinants where every slope stays close enough to its mean to tell at once, else 0.
+
+    With J_0 the mean, the columns of J_0^-1 J are then dominated by their diagonal, which is positive.
+    """
+    if not square.bank.n.all():
+        return 0
+    mean = _mean_slopes(square)
+    determinant = float(np.linalg.det(mean))
+    if abs(determinant) <= SINGULAR * float(np.prod(np.linalg.norm(mean, axis=0))):
+        return 0
+    for k in range(square.n_inputs):
+        scaled = np.linalg.solve(mean, square.slope_columns(k).T)
+        others = np.abs(scaled).sum(axis=0) - np.abs(scaled[k])
+        if (scaled[k] <= others + SINGULAR).any():
+            return 0
+    return 1 if determinant > 0.0 else -1
+
+
+def _enumerated(square: PrandtlIshlinskii, smallest_v: Array, n_outputs: int) -> Invertibility:
+    """Examine all determinants one by one."""
+    slopes = slope_matrices(square)
     determinants = np.linalg.det(slopes)
     size = np.prod(np.linalg.norm(slopes, axis=1), axis=1)
     sign = np.where(np.abs(determinants) <= SINGULAR * size, 0, np.sign(determinants)).astype(int)
     positive, negative, singular = (int((sign == value).sum()) for value in (1, -1, 0))
-    usual = 1 if positive >= negative else -1
+    first = int(np.argmax(sign != (1 if positive >= negative else -1)))
     engaged: tuple[int, ...] = ()
-    first = int(np.argmax(sign != usual))
-    if sign[first] != usual:
-        counts = tuple(int(n) for n in reached.bank.n)
+    if min(positive, negative) or singular:
+        counts = tuple(int(n) for n in square.bank.n)
         engaged = tuple(int(i) + 1 for i in np.unravel_index(first, counts))
+    thresholds = tuple(float(square.bank.r[k, n - 1] + smallest_v[k]) for k, n in enumerate(engaged))
     return Invertibility(
-        positive,
-        negative,
-        singular,
-        engaged,
-        tuple(float(reached.bank.r[k, n - 1] + smallest[k]) for k, n in enumerate(engaged)),
-        slopes[first, : hysteresis.n_outputs],
-        2.0 * smallest,
+        positive, negative, singular, engaged, thresholds, slopes[first, :n_outputs], 2.0 * smallest_v
     )
 
 

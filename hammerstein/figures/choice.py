@@ -22,7 +22,13 @@ if TYPE_CHECKING:
 
 MOST_LOOPS = 4  # frequencies of a run that are drawn as loops; more make a curve over frequency
 MOST_CURVES = 6  # loops in one panel
-UNITS = {"frequency_hz": "Hz", "amplitude_um": "µm", "amplitude_v": "V", "radius_um": "µm"}
+MOST_PHASES = 2000  # samples of a mean cycle
+SWEPT_WORDS = {
+    "frequency_hz": "{:g} Hz",
+    "amplitude_um": "{:g} µm",
+    "amplitude_v": "{:g} V",
+    "radius_um": "radius {:g} µm",
+}
 
 
 def figures_of(report: Report) -> dict[str, Figure]:
@@ -132,8 +138,8 @@ def identified_at(report: Report) -> dict[str, float]:
 def swept_label(signal: Reference | Excitation, sweep: Sweep) -> str:
     """The values of the sweep in one signal, as in ``50 Hz, 10 V``; empty without a sweep."""
     values = signal.model_dump()
-    swept = [key for key in UNITS if len(getattr(sweep, key) or ()) > 1]
-    return ", ".join(f"{values[key]:g} {UNITS[key]}" for key in swept)
+    swept = {key: word for key, word in SWEPT_WORDS.items() if len(getattr(sweep, key) or ()) > 1}
+    return ", ".join(word.format(values[key]) for key, word in swept.items())
 
 
 def _loops(report: Report) -> dict[str, Figure]:
@@ -212,28 +218,37 @@ def _driven(report: Report, trace: Trace) -> int:
     return names.index(trace.excited_axis)
 
 
-def _last_cycle(trace: Trace) -> slice:
-    """The last cycle of a trace and the sample that closes it."""
-    length = round(trace.signal.period_s / trace.response.sample_time_s) + 1
-    return slice(-length, None)
-
-
 def _loop(trace: Trace, label: str, column: int, driven: int) -> LoopRun:
-    response, last = trace.response, _last_cycle(trace)
+    response = trace.response
     wire = response.drive_v if response.reference_um is None else response.reference_um
-    predictions = tuple((p.label, p.reading_um[:, last]) for p in trace.predictions)
-    return LoopRun(label, column, wire[driven, last], response.reading_um[:, last], predictions)
+    outputs = [response.reading_um, *(p.reading_um for p in trace.predictions)]
+    cycle = _closed_cycle(trace, np.vstack([wire[driven], *outputs]))
+    outputs_um = np.split(cycle[1:], len(outputs))
+    predictions = tuple((p.label, y) for p, y in zip(trace.predictions, outputs_um[1:], strict=True))
+    return LoopRun(label, column, cycle[0], outputs_um[0], predictions)
+
+
+def _closed_cycle(trace: Trace, signals: Array) -> Array:
+    """Mean of the measured cycles (signal, sample), its first sample repeated at the end."""
+    sample_time_s, frequency_hz = trace.response.sample_time_s, 1.0 / trace.signal.period_s
+    phases = min(MOST_PHASES, round(trace.signal.period_s / sample_time_s))
+    if signals.shape[1] * sample_time_s * frequency_hz < 1.0 + 1e-9:
+        return signals[:, : round(trace.signal.period_s / sample_time_s) + 1]
+    cycle = settled_cycle(signals, frequency_hz, sample_time_s, phases)
+    return np.hstack([cycle, cycle[:, :1]])
 
 
 def _errors(trace: Trace, label: str, column: int) -> Iterator[ErrorRun]:
-    response, last = trace.response, _last_cycle(trace)
-    cycles = (trace.time_s[last] - trace.time_s[last][0]) / trace.signal.period_s
+    response = trace.response
+    first = slice(0, round(trace.signal.period_s / response.sample_time_s) + 1)
+    cycles = response.time_s[first] / trace.signal.period_s
     targets: list[tuple[str, Array]] = [(p.label, p.reading_um) for p in trace.predictions]
     if response.reference_um is not None:
         targets = [("", response.reference_um)]
     for name, target_um in targets:
-        words = ", ".join(word for word in (name, label if label != "reading" else "") if word)
-        yield ErrorRun(words, column, cycles, (response.reading_um - target_um)[:, last])
+        error_um = response.reading_um - target_um
+        words = ", ".join(word for word in (name, label) if word)
+        yield ErrorRun(words, column, cycles, error_um[:, first], float(np.abs(error_um).max()))
 
 
 def _paths(report: Report) -> dict[str, Figure]:

@@ -10,14 +10,17 @@ import numpy as np
 
 from hammerstein.figures.style import (
     MOST_POINTS,
+    PALE,
     WIDTH_IN,
     Array,
+    few_ticks,
     legend_above,
     letter,
     line_style,
     new_figure,
     overlay_style,
     plain,
+    significant,
     sparse_markers,
     styled,
     thin_path,
@@ -56,16 +59,22 @@ class ErrorRun:
     driven : number of the input, from 0
     cycles : (sample,) time in cycles
     errors_um : (output, sample)
+    worst_um : largest error of the whole run, of which a part is drawn
     """
 
     label: str
     driven: int
     cycles: Array
     errors_um: Array
+    worst_um: float
 
 
 def loops_figure(
-    runs: Sequence[LoopRun], input_labels: Sequence[str], output_labels: Sequence[str], title: str = ""
+    runs: Sequence[LoopRun],
+    input_labels: Sequence[str],
+    output_labels: Sequence[str],
+    title: str = "",
+    ideal: bool = False,
 ) -> Figure:
     """Loops in the paper's arrangement (Figs. 5, 6, 8): a row of panels an output, a column an input.
 
@@ -75,6 +84,7 @@ def loops_figure(
     input_labels : labels of the horizontal axes, with units
     output_labels : labels of the vertical axes, with units
     title : written above the legend
+    ideal : draw where a perfect compensator would be: output equal to reference, the other outputs at rest
 
     Examples
     --------
@@ -91,6 +101,8 @@ def loops_figure(
         curves = len(runs) * len(output_labels)
         most = MOST_POINTS // (curves * (1 + len(models)))
         entries: dict[str, Artist] = {}
+        if ideal:
+            entries["ideal"] = _draw_ideal(panels, runs)
         for run in runs:
             for o, axes in enumerate(panels[:, run.driven]):
                 _draw_loop(axes, run, o, numbers[run.label], models, most, entries)
@@ -99,7 +111,8 @@ def loops_figure(
                 panels[o, k].set_xlabel(label)
                 panels[o, k].set_ylabel(output_labels[o])
                 panels[o, k].margins(0.04)
-        _finish(figure, panels, _in_order(entries, [*numbers, *models]), title)
+        order = [*numbers, *models, *(["ideal"] if ideal else [])]
+        _finish(figure, panels, {plain(label): entries[label] for label in order}, title)
     return figure
 
 
@@ -135,14 +148,10 @@ def errors_figure(
                 panels[o, k].set_xlabel("time [cycles]" if o == len(output_labels) - 1 else "")
                 panels[o, k].set_ylabel(output_labels[o])
                 panels[o, k].margins(x=0.0)
-        worst = {label: max(_worst(r) for r in runs if r.label == label) for label in numbers}
-        named = {f"{plain(label)} (worst {worst[label]:.3g} µm)": entries[label] for label in numbers}
+        worst = {label: max(run.worst_um for run in runs if run.label == label) for label in numbers}
+        named = {f"{plain(label)} (worst {significant(worst[label])} µm)": entries[label] for label in numbers}
         _finish(figure, panels, named, title, [f"{label} driven" for label in input_labels])
     return figure
-
-
-def _worst(run: ErrorRun) -> float:
-    return float(np.abs(run.errors_um).max())
 
 
 def _panels(rows: int, columns: int, height: float = 0.75) -> tuple[Figure, np.ndarray]:
@@ -174,8 +183,14 @@ def _draw_loop(
         entries.setdefault(label, line)
 
 
-def _in_order(entries: dict[str, Artist], labels: Sequence[str]) -> dict[str, Artist]:
-    return {plain(label): entries[label] for label in labels}
+def _draw_ideal(panels: np.ndarray, runs: Sequence[LoopRun]) -> Artist:
+    """Where a perfect compensator would be: on the diagonal, or at rest."""
+    for k in range(panels.shape[1]):
+        reach = max(float(np.abs(run.input_).max()) for run in runs if run.driven == k)
+        for o, axes in enumerate(panels[:, k]):
+            (line,) = axes.plot([-reach, reach], [-reach, reach] if o == k else [0, 0], color=PALE, linewidth=3)
+            line.set_alpha(0.5)
+    return line  # type: ignore[no-any-return]
 
 
 def _finish(
@@ -190,5 +205,6 @@ def _finish(
     for number, axes in enumerate(panels.flat):
         output, k = divmod(number, inputs)
         kind = "" if rows != inputs or rows == 1 else "direct" if output == k else "cross-coupling"
+        few_ticks(axes)
         letter(axes, number, ", ".join(word for word in (kind, columns[k] if columns else "") if word))
     legend_above(figure, entries, title)

@@ -9,15 +9,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hammerstein.figures.style import (
+    COLOURS,
     DARK,
     MOST_POINTS,
     WIDTH_IN,
     Array,
+    few_ticks,
     legend_above,
     letter,
-    line_style,
     new_figure,
     plain,
+    plain_numbers,
+    significant,
     styled,
     symbol,
     thin_path,
@@ -30,6 +33,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+# Short dashes are the target's alone.
+LINES: tuple[Any, ...] = ("-", (0, (8, 1.5, 1.5, 1.5)), (0, (1, 1)), (0, (12, 2)), (0, (8, 1.5, 1.5, 1.5, 1.5, 1.5)))
+TARGET: dict[str, Any] = {"color": DARK, "linestyle": (0, (3, 2.5)), "linewidth": 0.9}
+LOGARITHMIC_FROM = 8.0  # ratio of the worst distances from which their axis is logarithmic
+
 
 @dataclass(frozen=True, eq=False)
 class PathRun:
@@ -40,7 +48,9 @@ class PathRun:
     time_s : (sample,) [s]
     target_um : (axis, sample) where the path should go; None: nothing to compare with
     output_um : (axis, sample) where it goes
-    shown_s : length of time that is drawn [s]; figures are taken over the whole run
+    true_um : (axis, sample) where it truly goes, if ``output_um`` is a sensor's reading
+    shown_s : length of time that is drawn [s]; the errors in the legend are those of the whole run
+    period_s : length of time after which the path closes [s]; of one that does not, its whole length
     """
 
     label: str
@@ -48,19 +58,35 @@ class PathRun:
     time_s: Array
     target_um: Array | None
     output_um: Array
+    true_um: Array | None
     shown_s: float
+    period_s: float
 
-    @property
-    def error_um(self) -> Array | None:
-        """Output less target (axis, sample)."""
-        return None if self.target_um is None else self.output_um - self.target_um
+    def first(self, seconds: float) -> slice:
+        """Samples of the first stretch of the run."""
+        return slice(0, int(np.searchsorted(self.time_s, self.time_s[0] + seconds * (1.0 + 1e-9), "right")))
+
+    def errors(self) -> list[tuple[str, Array]]:
+        """Error of each axis, then its length over all axes, then that of the true position."""
+        assert self.target_um is not None
+        error = self.output_um - self.target_um
+        rows = [("", axis) for axis in error]
+        if len(error) > 1:
+            rows.append((DISTANCE, np.linalg.norm(error, axis=0)))
+        if self.true_um is not None:
+            rows.append((TRULY, np.linalg.norm(self.true_um - self.target_um, axis=0)))
+        return rows
+
+
+DISTANCE = "distance"
+TRULY = "true distance"
 
 
 def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str, title: str = "") -> Figure:
     """Path in the plane (a), axes over time (b) and errors over time (c), as in the paper's Figs. 10 to 13.
 
     All groups share the plane; (b) and (c) show the group with the largest target. The plane is left out
-    unless there are two axes.
+    unless there are two axes, the errors unless there is a target. The legend gives the worst distance.
 
     Parameters
     ----------
@@ -70,62 +96,71 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
     title : written above the legend
     """
     with styled():
-        largest = [run for run in runs if run.group == _largest_group(runs)]
-        compared = [run for run in largest if run.target_um is not None]
-        n_errors = 0 if not compared else len(axes_names) + (len(axes_names) > 1)
+        group = _largest_group(runs)
+        largest = [run for run in runs if run.group == group]
+        n_errors = 0 if largest[0].target_um is None else len(largest[0].errors())
         figure, plane, traces, errors = _layout(len(axes_names), n_errors)
-        numbers = {label: i for i, label in enumerate(dict.fromkeys(run.label for run in runs))}
+        pens = _pens(runs)
         most = MOST_POINTS // (len(runs) + len(largest) * (len(axes_names) + n_errors) + len(axes_names))
         if plane is not None:
-            _draw_plane(plane, runs, numbers, axes_names, most)
+            _draw_plane(plane, runs, pens, axes_names, most)
             letter(plane, 0)
-        entries = _draw_traces(traces, largest, numbers, axes_names, target, most)
-        letter(traces[0], 1 if plane else 0, largest[0].group)
+        entries = _draw_traces(traces, largest, pens, axes_names, target, most)
+        letter(traces[0], 1 if plane else 0, group)
         if errors:
-            _draw_errors(errors, compared, numbers, axes_names, most)
-            letter(errors[0], 2 if plane else 1, largest[0].group)
+            _draw_errors(errors, largest, pens, axes_names, most)
+            letter(errors[0], 2 if plane else 1, group)
         legend_above(figure, entries, title)
     return figure
 
 
 def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title: str = "") -> Figure:
-    """Errors over time, a column for each group: what ``path_figure`` shows of the largest one alone."""
+    """Errors over time, a column for each group; every run has a target."""
     groups = list(dict.fromkeys(run.group for run in runs))
-    numbers = {label: i for i, label in enumerate(dict.fromkeys(run.label for run in runs))}
-    rows = len(axes_names) + (len(axes_names) > 1)
+    rows = len(runs[0].errors())
     with styled():
-        figure = new_figure(0.8 + 1.5 * rows)
+        figure = new_figure(0.8 + 1.4 * rows)
         panels = figure.subplots(rows, len(groups), squeeze=False, sharey="row", sharex="col")
         entries: dict[str, Artist] = {}
+        most = MOST_POINTS // (len(runs) * rows)
         for column, group in enumerate(groups):
             inside = [run for run in runs if run.group == group]
-            most = MOST_POINTS // (len(runs) * rows)
-            lines = _draw_errors(list(panels[:, column]), inside, numbers, axes_names, most)
-            entries |= lines
+            entries |= _draw_errors(list(panels[:, column]), inside, _pens(runs), axes_names, most)
             letter(panels[0, column], column, group)
-            if column:
-                for axes in panels[:, column]:
-                    axes.set_ylabel("")
+            for axes in panels[:, column] if column else []:
+                axes.set_ylabel("")
+        for name, axes in zip([name for name, _ in runs[0].errors()], panels[:, 0], strict=True):
+            _scale_distance(axes, name, runs)
         legend_above(figure, entries, title)
     return figure
 
 
+def _pens(runs: Sequence[PathRun]) -> dict[str, dict[str, Any]]:
+    """Colour and line of each label."""
+    labels = dict.fromkeys(run.label for run in runs)
+    return {
+        label: {"color": COLOURS[i % len(COLOURS)], "linestyle": LINES[i % len(LINES)], "linewidth": 1.2}
+        for i, label in enumerate(labels)
+    }
+
+
 def _largest_group(runs: Sequence[PathRun]) -> str:
-    return max(
-        runs, key=lambda run: float(np.abs(run.output_um if run.target_um is None else run.target_um).max())
-    ).group
+    def size(run: PathRun) -> float:
+        return float(np.abs(run.output_um if run.target_um is None else run.target_um).max())
+
+    return max(runs, key=size).group
 
 
 def _layout(n_axes: int, n_errors: int) -> tuple[Figure, Axes | None, list[Axes], list[Axes]]:
     """Empty panels: plane (of two axes only), traces, errors."""
-    top_in = 0.46 * WIDTH_IN if n_axes == 2 else 1.5 * n_axes
-    figure = new_figure(0.7 + top_in + 1.25 * n_errors)
-    heights = [top_in, 1.25 * n_errors] if n_errors else [top_in]
+    has_plane = n_axes == 2
+    top_in = 0.46 * WIDTH_IN if has_plane else 1.4 * n_axes
+    figure = new_figure(0.7 + top_in + 1.15 * n_errors)
+    heights = [top_in, 1.15 * n_errors] if n_errors else [top_in]
     grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
-    columns = 2 if n_axes == 2 else 1
-    top = grid[0].subgridspec(n_axes, columns)
-    plane = figure.add_subplot(top[:, 0]) if columns == 2 else None
-    traces = _stack(figure, [top[row, columns - 1] for row in range(n_axes)])
+    top = grid[0].subgridspec(n_axes, 1 + has_plane)
+    plane = figure.add_subplot(top[:, 0]) if has_plane else None
+    traces = _stack(figure, [top[row, int(has_plane)] for row in range(n_axes)])
     if not n_errors:
         return figure, plane, traces, []
     below = grid[1].subgridspec(n_errors, 1)
@@ -133,7 +168,7 @@ def _layout(n_axes: int, n_errors: int) -> tuple[Figure, Axes | None, list[Axes]
 
 
 def _stack(figure: Figure, places: Sequence[Any]) -> list[Axes]:
-    """Panels above each other that share the time axis."""
+    """Panels above each other with one time axis below the last."""
     stack: list[Axes] = []
     for place in places:
         stack.append(figure.add_subplot(place, sharex=stack[0] if stack else None))
@@ -142,24 +177,18 @@ def _stack(figure: Figure, places: Sequence[Any]) -> list[Axes]:
     return stack
 
 
-def _shown(run: PathRun) -> Array:
-    return np.asarray(run.time_s <= run.time_s[0] + run.shown_s * (1 + 1e-9))
-
-
 def _draw_plane(
-    axes: Axes, runs: Sequence[PathRun], numbers: dict[str, int], names: Sequence[str], most: int
+    axes: Axes, runs: Sequence[PathRun], pens: dict[str, Any], names: Sequence[str], most: int
 ) -> None:
     for run in runs:
-        shown = _shown(run)
-        x, y = thin_path(list(run.output_um[:, shown]), most)
-        axes.plot(x, y, color=line_style(numbers[run.label])["color"], linewidth=1.2)
-    drawn = set()
-    for run in runs:
-        if run.target_um is not None and run.group not in drawn:
-            x, y = thin_path(list(run.target_um[:, _shown(run)]), most)
-            axes.plot(x, y, color=DARK, linestyle=(0, (4, 3)), linewidth=1.0)
-            drawn.add(run.group)
+        x, y = thin_path(list(run.output_um[:, run.first(run.shown_s)]), most)
+        axes.plot(x, y, **pens[run.label])
+    for run in {run.group: run for run in runs if run.target_um is not None}.values():
+        assert run.target_um is not None
+        x, y = thin_path(list(run.target_um[:, run.first(run.period_s)]), most)
+        axes.plot(x, y, **TARGET)
     axes.set_aspect("equal")
+    few_ticks(axes)
     axes.set_xlabel(f"{symbol(names[0], 'reading')} [µm]")
     axes.set_ylabel(f"{symbol(names[1], 'reading')} [µm]")
 
@@ -167,25 +196,24 @@ def _draw_plane(
 def _draw_traces(
     traces: Sequence[Axes],
     runs: Sequence[PathRun],
-    numbers: dict[str, int],
+    pens: dict[str, Any],
     names: Sequence[str],
     target: str,
     most: int,
 ) -> dict[str, Artist]:
-    """Axes over time; gives the entries of the legend, with the worst error of each curve."""
+    """Axes over time; gives the entries of the legend, with the worst distance of each curve."""
     entries: dict[str, Artist] = {}
-    factor, time_label = time_axis(float(np.ptp(runs[0].time_s[_shown(runs[0])])))
+    shown = runs[0].first(runs[0].shown_s)
+    factor, time_label = time_axis(runs[0].shown_s)
     for axis, axes in enumerate(traces):
         for run in runs:
-            shown = _shown(run)
             time, values = thin_trace(run.time_s[shown] * factor, run.output_um[axis, shown], most)
-            (line,) = axes.plot(time, values, color=line_style(numbers[run.label])["color"], linewidth=1.2)
+            (line,) = axes.plot(time, values, **pens[run.label])
             entries.setdefault(_entry(run), line)
         if runs[0].target_um is not None:
-            shown = _shown(runs[0])
             time, values = thin_trace(runs[0].time_s[shown] * factor, runs[0].target_um[axis, shown], most)
-            (line,) = axes.plot(time, values, color=DARK, linestyle=(0, (4, 3)), linewidth=1.0)
-            entries[target] = line
+            (entries[target],) = axes.plot(time, values, **TARGET)
+        few_ticks(axes)
         axes.set_ylabel(f"{symbol(names[axis], 'reading')} [µm]")
         axes.margins(x=0.0)
     traces[-1].set_xlabel(time_label)
@@ -193,37 +221,54 @@ def _draw_traces(
 
 
 def _entry(run: PathRun) -> str:
-    if run.error_um is None:
+    if run.target_um is None:
         return plain(run.label)
-    return f"{plain(run.label)} (worst {float(np.linalg.norm(run.error_um, axis=0).max()):.3g} µm)"
+    errors = run.errors()
+    worst = [f"{significant(_worst([run], name))} µm{word}" for name, word in WORDS if name in dict(errors)]
+    return f"{plain(run.label)}: {' / '.join(worst) or significant(float(np.abs(errors[0][1]).max())) + ' µm'}"
+
+
+WORDS = ((DISTANCE, ""), (TRULY, ""))
+
+
+def _worst(runs: Sequence[PathRun], name: str) -> float:
+    return max(float(dict(run.errors())[name].max()) for run in runs)
 
 
 def _draw_errors(
     panels: Sequence[Axes],
     runs: Sequence[PathRun],
-    numbers: dict[str, int],
+    pens: dict[str, Any],
     names: Sequence[str],
     most: int,
 ) -> dict[str, Artist]:
+    """Errors over time, a panel each; gives the entries of the legend."""
     entries: dict[str, Artist] = {}
-    factor, time_label = time_axis(float(np.ptp(runs[0].time_s[_shown(runs[0])])))
+    factor, time_label = time_axis(runs[0].shown_s)
     for run in runs:
-        assert run.error_um is not None
-        error, shown = run.error_um, _shown(run)
-        rows = list(error) + ([np.linalg.norm(error, axis=0)] if len(error) > 1 else [])
-        for axes, row in zip(panels, rows, strict=True):
-            time, values = thin_trace(run.time_s[shown] * factor, row[shown], most)
-            style = line_style(numbers[run.label])
-            (line,) = axes.plot(
-                time, values, color=style["color"], linestyle=style["linestyle"], linewidth=1.1
-            )
+        shown = run.first(run.shown_s)
+        for axes, (_, error) in zip(panels, run.errors(), strict=True):
+            time, values = thin_trace(run.time_s[shown] * factor, error[shown], most)
+            (line,) = axes.plot(time, values, **pens[run.label])
             entries.setdefault(plain(run.label), line)
-    for axes, name in zip(panels, names, strict=False):
-        axes.set_ylabel(f"{symbol(name, 'error')} [µm]")
-    if len(names) > 1:
-        panels[-1].set_ylabel("distance [µm]")
-        panels[-1].set_ylim(bottom=0.0)
-    for axes in panels:
-        axes.margins(x=0.0)
+    for i, (name, _) in enumerate(runs[0].errors()):
+        panels[i].margins(x=0.0)
+        few_ticks(panels[i])
+        panels[i].set_ylabel(f"{name.replace(' ', chr(10)) or symbol(names[i], 'error')} [µm]")
+        _scale_distance(panels[i], name, runs)
     panels[-1].set_xlabel(time_label)
     return entries
+
+
+def _scale_distance(axes: Axes, name: str, runs: Sequence[PathRun]) -> None:
+    """Distances start at zero, or are logarithmic where one curve would hide another."""
+    if not name:
+        return
+    worst = [_worst([run], name) for run in runs]
+    if min(worst) > 0.0 and max(worst) >= LOGARITHMIC_FROM * min(worst):
+        typical = min(float(np.median(dict(run.errors())[name])) for run in runs)
+        axes.set_yscale("log")
+        axes.set_ylim(0.3 * max(typical, 1e-9), 1.4 * max(worst))
+        plain_numbers(axes.yaxis)
+    else:
+        axes.set_ylim(0.0, 1.08 * max(worst) or 1.0)

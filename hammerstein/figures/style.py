@@ -1,11 +1,12 @@
 """How every figure looks: one style, colours and lines that survive grey print, points that fit a page.
 
-Matplotlib keeps its style and its caches in global state; ``styled`` holds both for one thread at a time and puts the
-user's own style back.
+Matplotlib keeps its style and its caches in global state; ``styled`` holds both for one thread at a time
+and puts the user's own style back.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -27,9 +28,8 @@ Role = Literal["reading", "reference", "voltage", "error"]
 WIDTH_IN = 8.0  # at 100 pixels an inch the width of a page on a screen
 PNG_DPI = 150
 MOST_POINTS = 14_000  # of all curves of a figure together: keeps an SVG below 400 kB
-MINUS_INFINITY = -10  # exponents below this are no scale but rounding
 
-# Okabe and Ito's colours, told apart by people with any colour vision; the order keeps neighbours apart in grey.
+# Okabe and Ito's colours, told apart with any colour vision; the order keeps neighbours apart in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#000000")
 # The paper's order: solid, dashed, dashed-o, dashed-x, dash-dotted.
 LINES: tuple[tuple[Any, str], ...] = (
@@ -42,7 +42,7 @@ LINES: tuple[tuple[Any, str], ...] = (
     ((0, (1, 1.2)), ""),
 )
 DARK = "#222222"
-PALE = "#8a8a8a"
+PALE = "#9a9a9a"
 OVERLAYS: tuple[Any, ...] = ((0, (4, 2)), (0, (1, 1.5)), (0, (7, 2, 1, 2)), (0, (2, 1)))
 
 STYLE: dict[str, Any] = {
@@ -137,10 +137,10 @@ def symbol(axis: str, role: Role) -> str:
 
 
 def plain(label: str) -> str:
-    """Give a label of the user's as it is: no formula in it, and not hidden for its first underscore.
+    r"""Give a label of the user's as it is: no formula in it, and not hidden for its first underscore.
 
     >>> plain("_5 $")
-    ' _5 \\\\$'
+    ' _5 \\$'
     """
     return (" " if label.startswith("_") else "") + label.replace("$", r"\$")
 
@@ -154,20 +154,37 @@ def letter(axes: Axes, number: int, remark: str = "") -> None:
 def legend_above(figure: Figure, entries: dict[str, Artist], title: str = "") -> None:
     """Legend of the whole figure above its panels, in the order given."""
     longest = max((len(label) for label in entries), default=0)
-    columns = max(1, min(4 if longest < 20 else 3 if longest < 27 else 2, len(entries)))
+    most = 4 if longest < 20 else 3 if longest < 27 else 2 if longest < 50 else 1
+    columns = math.ceil(len(entries) / math.ceil(len(entries) / most))
     legend = figure.legend(
         list(entries.values()), list(entries), loc="outside upper center", ncols=columns, title=title or None
     )
     legend.get_title().set_fontweight("bold")
 
 
+def few_ticks(axes: Axes) -> None:
+    """Few ticks at round numbers on both linear axes."""
+    axes.locator_params(nbins=6, steps=[1, 2, 5, 10])
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """Write a number with this many digits that count, trailing zeros included.
+
+    >>> significant(8.0), significant(0.04567), significant(123.4)
+    ('8.00', '0.0457', '123')
+    """
+    if value == 0.0:
+        return "0"
+    return f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
+
+
 def plain_numbers(axis: Axis) -> None:
-    """Ticks of a logarithmic axis as 0.1, 1, 10; between them 2 and 5 if there is room."""
+    """Ticks of a logarithmic axis as 0.1, 1, 10; between them 2 and 4 if there is room."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()
     decades = math.log10(high / low) if low > 0.0 else math.inf
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.2 else (1.0,)))
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 4.0) if decades < 2.2 else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
@@ -203,8 +220,8 @@ def thin_trace(time: Array, values: Array, most: int) -> tuple[Array, Array]:
     if samples <= most:
         return time, values
     starts = np.linspace(0, samples, max(1, most // 2) + 1).astype(int)
-    pairs = zip(starts[:-1], starts[1:], strict=True)
-    extremes = [(a + pick(values[a:b])) for a, b in pairs if b > a for pick in _EXTREMES]
+    stretches = itertools.pairwise(starts)
+    extremes = [a + pick(values[a:b]) for a, b in stretches if b > a for pick in _EXTREMES]
     kept = np.unique(extremes)
     return time[kept], values[kept]
 

@@ -82,7 +82,7 @@ def sweep_figure(
             letter(axes, number, panel_titles[o][k])
             axes.set_xlabel("frequency [Hz]" if o == rows - 1 else "")
             axes.set_ylabel(quantity if k == 0 else "")
-        if any(curve.identified_hz is not None for curve in curves):
+        if any(_is_marked(curve) for curve in curves):
             entries["identified here"] = _tick_for_legend()
         legend_above(figure, entries, title)
     return figure
@@ -92,13 +92,19 @@ def _draw(axes: Axes, curve: SweepCurve, values: Array, number: int) -> Artist:
     style = line_style(number)
     markers = sparse_markers(len(values), number, markers=9)
     (line,) = axes.plot(curve.frequency_hz, values, markevery=markers, **style)
-    here = curve.identified_hz
-    if here is not None and curve.frequency_hz[0] <= here <= curve.frequency_hz[-1]:
+    if _is_marked(curve):
+        here = curve.identified_hz
         height = np.exp(
             np.interp(np.log(here), np.log(curve.frequency_hz), np.log(np.maximum(values, 1e-12)))
         )
         axes.plot([here], [height], "|", color=style["color"], markersize=15, markeredgewidth=2.2, zorder=3)
     return line
+
+
+def _is_marked(curve: SweepCurve) -> bool:
+    """Whether the curve passes the frequency of its identification."""
+    here = curve.identified_hz
+    return here is not None and bool(curve.frequency_hz[0] <= here <= curve.frequency_hz[-1])
 
 
 def _tick_for_legend() -> Artist:
@@ -121,4 +127,4 @@ def _scale(panels: np.ndarray, curves: Sequence[SweepCurve]) -> None:
             plain_numbers(axes.yaxis)
         else:
             axes.set_ylim(bottom=0.0)
-        axes.margins(x=0.02)
+        axes.margins(x=0.02, y=0.08)

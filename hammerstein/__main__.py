@@ -1,0 +1,5 @@
+"""Run the command line as ``python -m hammerstein``."""
+
+from hammerstein.cli import main
+
+main()

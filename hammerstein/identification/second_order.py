@@ -1,0 +1,315 @@
+"""Resonance, damping, creep and delay of each axis, found together with the static block.
+
+Once the linear block is fixed, the slopes c of the static block enter linearly,
+
+    y = offset + G(x) S c,     x = (ln f, ln z, g_1, ln T_1, ...)
+
+with S the differences of plays and G the axis with its sensor. Each step solves the linearised problem for
+new slopes and a change of x together,
+
+    y ~ offset + G(x) S c' + sum over i of dx_i (dG/dx_i) S c
+
+which is the Gauss-Newton step of the separable problem (Golub and Pereyra, Inverse Problems 19 (2003) R1).
+The sums over the samples are gathered in one pass, so that the memory does not grow with the record.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, LinearBlock, StaticDynamics, discretise
+from hammerstein.identification.normal_equations import Moments, Solution, moments_of, pooled, solve
+from hammerstein.identification.partition import thresholds_uniform_in_voltage
+from hammerstein.identification.records import Record
+from hammerstein.identification.regressors import Start, channel, delayed, regressor_blocks, side_by_side
+from hammerstein.identification.static_block import half_swing
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+DELAY_GAIN = 0.01
+"""Part by which a longer delay must lower the error, or the shorter one is kept."""
+STEP = 1e-5
+LARGEST_CHANGE = 0.5
+MOST_STEPS = 40
+ENOUGH = 1e-9
+"""Relative gain of a step under which the search has arrived."""
+SEARCH_SAMPLES = 30_000
+SEARCH_OPERATORS = 5
+SEARCH_DAMPING = (0.05, 0.4)
+SEARCH_RATIO = 1.3
+"""Ratio of neighbouring frequencies tried: within reach of the Gauss-Newton steps."""
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """One axis with what the records say about it.
+
+    Parameters
+    ----------
+    axis : resonance, damping, creep
+    resonance_error_percent, damping_error_percent : standard errors, in percent of the value
+    creep_gain_errors : standard errors of the creep gains
+    rms_um : rms of what is left [um]
+    static_rms_um : the same without dynamics [um]
+    """
+
+    axis: Axis
+    resonance_error_percent: float
+    damping_error_percent: float
+    creep_gain_errors: tuple[float, ...]
+    rms_um: float
+    static_rms_um: float
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What stays fixed while one axis is fitted."""
+
+    records: tuple[Record, ...]
+    starts: tuple[Start, ...]
+    grids: tuple[Array, ...]
+    output: int
+    creep_modes: int
+    delay_samples: int
+    sensor_bandwidth_hz: float | None
+
+    @property
+    def sample_time_s(self) -> float:
+        """Time between samples [s]."""
+        return self.records[0].sample_time_s
+
+    @property
+    def columns(self) -> int:
+        """Slope columns of all inputs."""
+        return sum(map(len, self.grids))
+
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Smallest and largest parameters that records of this length and rate can tell anything of."""
+        step = self.sample_time_s
+        span = step * max(record.samples for record in self.records)
+        lower = [math.log(0.2 / span), math.log(1e-4), *self.creep_modes * (-1.0, math.log(10.0 * step))]
+        upper = [math.log(0.45 / step), math.log(10.0), *self.creep_modes * (10.0, math.log(10.0 * span))]
+        return np.array(lower), np.array(upper)
+
+    def path(self, x: Array) -> LinearBlock:
+        """Discrete path from the static block to the reading."""
+        block = discretise(AxesDynamics(axes=(axis_of(x),)), self.sample_time_s, self.sensor_bandwidth_hz)
+        path = channel(block, block.n_outputs - 1, 0)
+        assert path is not None  # an axis always answers
+        return path
+
+    @property
+    def sensor(self) -> LinearBlock:
+        """Discrete path of an axis without dynamics: the sensor alone."""
+        block = discretise(StaticDynamics(n_outputs=1), self.sample_time_s, self.sensor_bandwidth_hz)
+        path = channel(block, block.n_outputs - 1, 0)
+        assert path is not None
+        return path
+
+    def derivative(self, x: Array, i: int, slopes: Array) -> LinearBlock:
+        """Derivative by x_i of the path, hearing all columns through their slopes."""
+        ahead, behind = (self.path(x + s * STEP * np.eye(len(x))[i]) for s in (1.0, -1.0))
+        zero = np.zeros_like(ahead.A)
+        return LinearBlock(
+            np.block([[ahead.A, zero], [zero, behind.A]]),
+            np.vstack([ahead.B, behind.B]) * slopes,
+            np.hstack([ahead.C, -behind.C]) / (2.0 * STEP),
+            (ahead.D - behind.D) / (2.0 * STEP) * slopes,
+            self.sample_time_s,
+        )
+
+    def moments(self, filters: Sequence[LinearBlock], columns: int) -> Moments:
+        """Moments of the filtered columns with the output, over all records."""
+        parts = []
+        for record, start in zip(self.records, self.starts, strict=True):
+            y = record.y_um[[self.output]]
+            blocks = regressor_blocks(delayed(record, start, self.delay_samples), start, self.grids, filters)
+            parts.append(moments_of(((c, y[:, k : k + c.shape[1]]) for k, c in blocks), columns, 1))
+        return pooled(parts)
+
+
+def axis_of(x: Array) -> Axis:
+    """Axis with the parameters (ln resonance, ln damping, gain and ln time constant of each creep mode)."""
+    slow = tuple(CreepMode(gain=float(g), time_constant_s=math.exp(t)) for g, t in x[2:].reshape(-1, 2))
+    return Axis(resonance_hz=math.exp(x[0]), damping_ratio=math.exp(x[1]), creep=slow)
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """The search at one place: parameters, best slopes there, and the next step."""
+
+    x: Array
+    slopes: Array
+    rms: float
+    step: Array
+    errors: Array
+
+
+def refine(task: Task, x: Array) -> Point:
+    """Gauss-Newton steps from x until nothing is gained."""
+    lower, upper = task.limits
+    here = _point(task, np.clip(x, lower, upper), _alone(task, task.path(x)).coefficients)
+    for _ in range(MOST_STEPS):
+        step = here.step * min(1.0, LARGEST_CHANGE / max(float(np.abs(here.step).max()), 1e-300))
+        there = _point(task, np.clip(here.x + step, lower, upper), here.slopes)
+        while there.rms > here.rms and np.abs(step).max() > 1e-7:
+            step = 0.25 * step
+            there = _point(task, np.clip(here.x + step, lower, upper), here.slopes)
+        if there.rms >= here.rms * (1.0 - ENOUGH):
+            return there if there.rms < here.rms else here
+        here = there
+    return here
+
+
+def _alone(task: Task, path: LinearBlock) -> Solution:
+    """Slopes behind a fixed path."""
+    moments = task.moments([side_by_side(path, task.columns)], task.columns)
+    return solve(moments.gram, moments.cross[:, 0], float(moments.power[0]), moments.freedom)
+
+
+def _point(task: Task, x: Array, slopes: Array) -> Point:
+    """Best slopes at x, and the Gauss-Newton step from slopes that were best near by."""
+    n, q = task.columns, len(x)
+    filters = [side_by_side(task.path(x), n), *(task.derivative(x, i, slopes) for i in range(q))]
+    moments = task.moments(filters, n + q)
+    cross, power = moments.cross[:, 0], float(moments.power[0])
+    alone = solve(moments.gram[:n, :n], cross[:n], power, moments.freedom)
+    joint = solve(moments.gram, cross, power, moments.freedom)
+    errors = np.sqrt(np.diag(joint.covariance)[n:])
+    return Point(x, alone.coefficients, alone.residual_rms, joint.coefficients[n:], errors)
+
+
+def search(task: Task) -> Array:
+    """Resonance and damping near the best ones, on a coarse grid over all that the records can show."""
+    lower, upper = task.limits
+    best, least = lower, math.inf
+    for f in np.arange(math.log(10.0) + lower[0], upper[0], math.log(SEARCH_RATIO)):
+        for damping in SEARCH_DAMPING:
+            x = np.array([f, math.log(damping)])
+            rms = _alone(task, task.path(x)).residual_rms
+            if rms < least:
+                best, least = x, rms
+    return best
+
+
+def shortened(records: Sequence[Record], starts: Sequence[Start]) -> tuple[Record, ...]:
+    """Beginnings of the records, short enough to search quickly."""
+    most = max(SEARCH_SAMPLES // len(records), 500)
+    return tuple(
+        record.part(0, min(record.samples, start.first + most))
+        for record, start in zip(records, starts, strict=True)
+    )
+
+
+def fit_axis(task: Task, begin: Array) -> AxisFit:
+    """Fit one axis from parameters near the best ones."""
+    point = refine(task, np.concatenate([begin[:2], _first_creep(task)]))
+    percent = 100.0 * point.errors
+    return AxisFit(
+        axis=axis_of(point.x),
+        resonance_error_percent=float(percent[0]),
+        damping_error_percent=float(percent[1]),
+        creep_gain_errors=tuple(point.errors[2::2].tolist()),
+        rms_um=point.rms,
+        static_rms_um=_alone(task, task.sensor).residual_rms,
+    )
+
+
+def _first_creep(task: Task) -> Array:
+    """Gains and time constants to begin with: spread over what the longest record shows of slow modes."""
+    span = task.sample_time_s * max(record.samples for record in task.records)
+    times = span * np.geomspace(0.02, 0.5, task.creep_modes + 2)[1:-1]
+    return np.column_stack([np.full(len(times), 0.02), np.log(times)]).ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class AxesFit:
+    """Second-order dynamics of all axes and the delay of the inputs.
+
+    Parameters
+    ----------
+    axes : one for each output
+    delay_samples : whole samples by which the outputs come late
+    delay_rms_um : (delay, output) rms of what is left in the search, for every delay tried
+    """
+
+    axes: tuple[AxisFit, ...]
+    delay_samples: int
+    delay_rms_um: Array
+
+    def dynamics(self, sample_time_s: float) -> AxesDynamics:
+        """Give the linear block of the model."""
+        axes = tuple(fit.axis for fit in self.axes)
+        return AxesDynamics(axes=axes, input_delay_s=self.delay_samples * sample_time_s)
+
+
+def fit_axes(
+    records: Sequence[Record],
+    grids: Sequence[Array],
+    *,
+    starts: Sequence[Start] = (),
+    creep_modes: int = 0,
+    delay_samples: int | None = 0,
+    most_delay: int = 5,
+    sensor_bandwidth_hz: float | None = None,
+    progress: Progress | None = None,
+) -> AxesFit:
+    """Resonance, damping and creep of every axis, each with its own static block in front.
+
+    Parameters
+    ----------
+    records : all with the same axes and sample time
+    grids : thresholds of each input [V]
+    starts : what went before each record; rest if not given
+    creep_modes : slow modes of each axis
+    delay_samples : whole samples by which the outputs come late; None: found, up to ``most_delay``
+    sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; none if not given
+    progress : told what is being done
+    """
+    begun = tuple(starts) or (Start("rest"),) * len(records)
+    tell = progress or (lambda _: None)
+    outputs = range(len(records[0].y_um))
+    coarse = tuple(
+        thresholds_uniform_in_voltage(reach, SEARCH_OPERATORS) if len(grid) > 1 else grid
+        for reach, grid in zip(half_swing(records), grids, strict=True)
+    )
+    quick = shortened(records, begun)
+    tasks = [Task(quick, begun, coarse, o, 0, delay_samples or 0, sensor_bandwidth_hz) for o in outputs]
+    begins = []
+    for o, task in enumerate(tasks):
+        tell(f"searching the resonance of {records[0].outputs[o]}")
+        begins.append(refine(task, search(task)).x)
+    delay, delay_rms = delay_samples, np.empty((0, len(tasks)))
+    if delay is None:
+        tell("searching the delay")
+        delay_rms = _delay_curve(tasks, begins, most_delay)
+        delay = shortest_delay(delay_rms)
+    fits = []
+    for o, begin in enumerate(begins):
+        tell(f"fitting the axis {records[0].outputs[o]}")
+        task = Task(tuple(records), begun, tuple(grids), o, creep_modes, delay, sensor_bandwidth_hz)
+        fits.append(fit_axis(task, begin))
+    return AxesFit(tuple(fits), delay, delay_rms)
+
+
+def _delay_curve(tasks: Sequence[Task], begins: Sequence[Array], most_delay: int) -> Array:
+    """What is left (delay, output) when the axes are fitted anew for every delay [um]."""
+    return np.array(
+        [
+            [refine(replace(task, delay_samples=d), x).rms for task, x in zip(tasks, begins, strict=True)]
+            for d in range(most_delay + 1)
+        ]
+    )
+
+
+def shortest_delay(rms_um: Array) -> int:
+    """Shortest delay whose error is within one percent of the least: rms (delay, output)."""
+    relative = np.sqrt(np.mean((rms_um / rms_um[0]) ** 2, axis=1))
+    return int(np.flatnonzero(relative <= (1.0 + DELAY_GAIN) * relative.min())[0])
