@@ -13,7 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.files import read_limited, write_atomic
-from hammerstein.report import KEY, Report
+from hammerstein.report import Report
+from hammerstein.rows import KEY
 from hammerstein.validation import mistakes_of
 
 FORMAT = "hammerstein-baseline/1"

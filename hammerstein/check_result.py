@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from collections.abc import Iterable, Sequence
@@ -12,10 +13,10 @@ from xml.etree import ElementTree
 
 from hammerstein.comparison import Finding, Kind, deviation, limit
 from hammerstein.errors import HammersteinError, ToleranceError
-from hammerstein.report import KEY
+from hammerstein.rows import KEY
 
 DEFAULT_FOLDER = Path("reports/baseline")
-SHOWN = 30  # lines of a table; who has moved more than that wants the worst, not all
+SHOWN = 20  # lines of a table; who has moved more than that wants the worst, not all
 MISSING = "missing"
 _AXES = ("excited_axis", "measured_axis")  # shown as one column
 _COLUMNS = (
@@ -226,12 +227,17 @@ def _as_dict(check: ScenarioCheck) -> dict[str, Any]:
                 "kind": finding.kind.name.lower(),
                 "row": dict(zip(KEY, finding.key, strict=True)) if finding.key else None,
                 "metric": finding.metric or None,
-                "baseline": finding.baseline,
-                "now": finding.now,
+                "baseline": _json(finding.baseline),
+                "now": _json(finding.now),
             }
             for finding in check.findings
         ],
     }
+
+
+def _json(value: float | str | None) -> float | str | None:
+    """Value that JSON can hold: NaN and infinity as words."""
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _cell(text: str) -> str:

@@ -10,15 +10,16 @@ from enum import StrEnum
 
 from hammerstein.baseline import Baseline, Key, Numbers, numbers_of
 from hammerstein.errors import InputError, Mistake
-from hammerstein.report import KEY, Report, Row
+from hammerstein.report import Report
+from hammerstein.rows import KEY, Row
 from hammerstein.scenario import Tolerance
 
 # Another processor or NumPy differs in the last bits of sines, sums and decompositions. Tried on the shipped
 # scenarios: noise of 1e-12 of every voltage, reference and reading, a thousand times as much, moves no number
 # by more than 1e-9 of itself, for a converter's step flips only where a value lies as close to its edge. So
-# 0.1 % is wide, also for worst values of rounded readings; a floor of one 40 nm step there would only hide real
-# changes. The floor of 1e-6 (one picometre) is for zeros of theory, such as the residue of an exact inverse:
-# they hold nothing but last bits.
+# 0.1 % is wide, also for worst values of rounded readings; a floor of one 40 nm step there would only hide
+# real changes. The floor of 1e-6 (one picometre) is for zeros of theory, such as the residue of an exact
+# inverse: they hold nothing but last bits.
 DEFAULT = Tolerance(relative=1e-3, absolute=1e-6)
 COUNT = Tolerance(relative=0.0, absolute=0.0)
 DEFAULTS: Mapping[str, Tolerance] = {"saturated_samples": COUNT}
@@ -103,7 +104,7 @@ def compare(
     _refuse_unknown(allowed, report.name)
     return (
         *_changes(report, baseline),
-        *(f for f in _rows(numbers_of(report), baseline.rows, allowed)),
+        *_rows(numbers_of(report), baseline.rows, allowed),
     )
 
 

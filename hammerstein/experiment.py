@@ -5,10 +5,12 @@ reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one
 
 from __future__ import annotations
 
+from hammerstein.claims import verdicts
 from hammerstein.errors import InputError
 from hammerstein.measure import rows_of, statements_of
 from hammerstein.plant import Response
 from hammerstein.report import Report
+from hammerstein.rows import Row
 from hammerstein.scenario import Scenario
 from hammerstein.setup import Progress, prepare, scenario_axes
 
@@ -84,6 +86,7 @@ def run(
         if progress:
             progress("simulating", i + 1, len(cases))
     rows = tuple(row for result in results for row in result.rows)
+    answers = {setup.plant.model.name: rows} | _other_answers(scenario, name, jobs, progress)
     traces = tuple(result.trace for result in results)
     return Report(
         name=name,
@@ -95,5 +98,18 @@ def run(
         axes=setup.plant.model.outputs,
         rows=rows,
         statements=statements_of(setup, results),
+        verdicts=verdicts(scenario.claims, answers),
         traces=traces,
     )
+
+
+def _other_answers(
+    scenario: Scenario, name: str, jobs: int, progress: Progress | None
+) -> dict[str, tuple[Row, ...]]:
+    """Rows of the same experiment on the other actuators that the claims are put to."""
+    answers = {}
+    for actuator in scenario.claims_also_on if scenario.claims else ():
+        alone = {"actuator": actuator, "claims": (), "claims_also_on": ()}
+        other = run(scenario.model_copy(update=alone), name, jobs, progress)
+        answers[other.actuator] = other.rows
+    return answers

@@ -13,7 +13,8 @@ from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativ
 from hammerstein.dynamics import StaticDynamics, discretise
 from hammerstein.model import HammersteinModel
 from hammerstein.plant import Response
-from hammerstein.report import Prediction, Row, Trace
+from hammerstein.report import Prediction, Trace
+from hammerstein.rows import Row
 from hammerstein.setup import Case, SetUp, Window, scenario_axes
 from hammerstein.signals import OneFrequency
 

@@ -9,7 +9,7 @@ from hammerstein.baseline import Baseline, numbers_of
 from hammerstein.batch import Outcome, find_scenarios, load_all, run_all
 from hammerstein.check_result import DEFAULT_FOLDER, CheckResult, ScenarioCheck
 from hammerstein.comparison import Finding, Kind, compare
-from hammerstein.errors import HammersteinError
+from hammerstein.errors import HammersteinError, InputError, Mistake
 from hammerstein.report import Report
 from hammerstein.setup import Progress
 
@@ -62,12 +62,20 @@ def _check(outcome: Outcome, path: Path, baseline: Path) -> ScenarioCheck:
         return ScenarioCheck(outcome.name, path, error=outcome.error)
     try:
         if baseline.is_file():
-            findings = compare(report, Baseline.load(baseline), report.scenario.tolerances)
+            findings = compare(report, _load(baseline), report.scenario.tolerances)
         else:
             findings = (Finding(Kind.NO_BASELINE),)
     except HammersteinError as error:
         return ScenarioCheck(outcome.name, path, error=error)
     return ScenarioCheck(outcome.name, path, _count(report), findings)
+
+
+def _load(path: Path) -> Baseline:
+    try:
+        return Baseline.load(path)
+    except InputError as error:
+        advice = Mistake("", "restore the file, or write it anew with --update-baseline")
+        raise InputError(str(path), [*error.mistakes, advice]) from None
 
 
 def _update(outcome: Outcome, path: Path, baseline: Path) -> ScenarioCheck:

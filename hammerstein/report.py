@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.claims import Verdict
 from hammerstein.plant import Response
+from hammerstein.rows import Row
 from hammerstein.scenario import Scenario
 from hammerstein.signals import Excitation, Reference
 
@@ -18,50 +20,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 FORMAT = "hammerstein-report/1"
-
-
-@dataclass(frozen=True)
-class Row:
-    """Figures of one case on one measured axis; None where a figure has no meaning.
-
-    Errors are those of the sensor's reading, as in the paper; names with ``true`` are of the true position.
-    """
-
-    compensator: str
-    excited_axis: str
-    measured_axis: str
-    frequency_hz: float
-    amplitude_v: float | None = None
-    amplitude_um: float | None = None
-    rms_um: float | None = None
-    max_um: float | None = None
-    rms_true_um: float | None = None
-    max_true_um: float | None = None
-    euclidean_rms_um: float | None = None
-    euclidean_max_um: float | None = None
-    euclidean_rms_true_um: float | None = None
-    euclidean_max_true_um: float | None = None
-    radial_max_um: float | None = None
-    radial_max_true_um: float | None = None
-    epsilon_max_um: float | None = None
-    height_um: float | None = None
-    width_um: float | None = None
-    width_percent: float | None = None
-    gain: float | None = None
-    phase_deg: float | None = None
-    saturated_samples: int = 0
-
-    def key(self) -> dict[str, Any]:
-        """Give what tells this row from the others."""
-        return {name: getattr(self, name) for name in KEY}
-
-    def numbers(self) -> dict[str, float]:
-        """Figures that have a meaning in this row, by name."""
-        named = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in KEY}
-        return {name: value for name, value in named.items() if value is not None}
-
-
-KEY = ("compensator", "excited_axis", "measured_axis", "frequency_hz", "amplitude_v", "amplitude_um")
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +54,7 @@ class Report:
 
     rows : figures, one row for each case and measured axis
     statements : what a reader must know of convergence, saturation and settling
+    verdicts : the scenario's claims and what was found
     traces : measured windows; they are not written into the report file
     """
 
@@ -108,6 +67,7 @@ class Report:
     axes: tuple[str, ...]
     rows: tuple[Row, ...]
     statements: tuple[str, ...]
+    verdicts: tuple[Verdict, ...] = ()
     traces: tuple[Trace, ...] = ()
 
     def without_traces(self) -> Report:
@@ -130,6 +90,7 @@ class Report:
             "scenario_digest": self.digest,
             "model_digest": self.model_digest,
             "statements": list(self.statements),
+            "claims": [verdict.as_dict() for verdict in self.verdicts],
             "rows": [row.key() | row.numbers() for row in self.rows],
         }
         return json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n"

@@ -20,6 +20,7 @@ from pydantic import (
     model_validator,
 )
 
+from hammerstein.claims import Claim
 from hammerstein.compensators.specs import Compensator
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited
@@ -87,6 +88,10 @@ class Scenario(BaseModel):
     compensators: tuple[Compensator, ...] = ()
     models: tuple[ModelSource, ...] = ()
     tolerances: dict[str, Tolerance] = {}
+    claims: tuple[Claim, ...] = ()
+    claims_also_on: tuple[str, ...] = Field(
+        default=(), description="other actuators that answer the claims, for comparison"
+    )
 
     @model_validator(mode="after")
     def _is_one_experiment(self) -> Self:
@@ -137,7 +142,7 @@ class Scenario(BaseModel):
 
     def digest(self) -> str:
         """Short hash of everything in the scenario that changes its numbers."""
-        words = {"question", "paper_figure", "tolerances"}
+        words = {"question", "paper_figure", "tolerances", "claims", "claims_also_on"}
         content = {key: value for key, value in self.portable().items() if key not in words}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -177,7 +182,10 @@ def _split(mistakes: list[Mistake]) -> list[Mistake]:
 
 def _relative_to(scenario: Scenario, folder: Path) -> Scenario:
     """Make the paths of files relative to the scenario's folder."""
-    changes: dict[str, Any] = {"actuator": _resolved(scenario.actuator, folder)}
+    changes: dict[str, Any] = {
+        "actuator": _resolved(scenario.actuator, folder),
+        "claims_also_on": tuple(_resolved(name, folder) for name in scenario.claims_also_on),
+    }
     for name in ("compensators", "models"):
         sources = getattr(scenario, name)
         changes[name] = tuple(

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from hammerstein.model import HammersteinModel
-from hammerstein.report import Report, Row
+from hammerstein.report import Report
+from hammerstein.rows import Row
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -113,7 +113,7 @@ def test_sensor_noise_and_quantisation_move_nothing(excitation, amplitude, seed)
 
 
 def test_a_loop_little_higher_than_the_noise():
-    """As large as the published cross-coupling, 3.5 um, where peak to peak of the raw samples is 7 % too much."""
+    """3.5 um, as a cross-coupling: peak to peak of the raw samples would be 7 percent too much."""
     u = sine(21)
     clean = 0.03 * respond(u)
     loops = loop_table(record(u, measured(clean)))
@@ -180,6 +180,13 @@ def test_start_from_rest_is_no_settled_cycle():
     back = W @ np.maximum(10.0 - 2.0 * R, 0.0)  # falls by as much as the settled branch rises
     assert loops[0].closure_um == pytest.approx(virgin - back, rel=1e-9)
     assert loops[1].area_v_um == pytest.approx(area(5.0), rel=1e-3)
+
+
+def test_sharp_tips_are_not_rounded_off():
+    u = triangle(6)
+    for loop in loop_table(record(u, measured(5.0 * u))):
+        assert loop.height_um == pytest.approx(100.0, rel=0.003)
+        assert loop.width_um == pytest.approx(0.0, abs=0.1)
 
 
 def test_one_cycle_from_rest_is_not_settled():
@@ -277,6 +284,8 @@ def test_modulated_amplitude_gives_open_cycles():
     assert not any(loop.settled for loop in loops)
     swings = [loop.amplitude_v for loop in loops]
     assert swings == sorted(swings, reverse=True)
+    for loop in loops:  # branches are compared at one voltage, though each has another middle
+        assert loop.width_um == pytest.approx(opening(loop.amplitude_v), rel=0.1, abs=0.3)
 
 
 def test_every_driven_pair_is_listed_in_order():

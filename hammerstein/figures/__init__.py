@@ -5,6 +5,7 @@ report is answered with; ``write`` puts it into files.
 """
 
 from hammerstein.figures.choice import figures_of
-from hammerstein.figures.write import write_figures
+from hammerstein.figures.loops import LoopRun, loops_figure
+from hammerstein.figures.write import save_figures, write_figures
 
-__all__ = ["figures_of", "write_figures"]
+__all__ = ["LoopRun", "figures_of", "loops_figure", "save_figures", "write_figures"]

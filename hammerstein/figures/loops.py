@@ -95,24 +95,20 @@ def loops_figure(
     'displacement [um]'
     """
     with styled():
-        figure, panels = _panels(len(output_labels), len(input_labels))
+        figure, panels = _panels(runs, len(output_labels), height=0.75)
         numbers = _numbers([run.label for run in runs])
         models = _numbers([label for run in runs for label, _ in run.predictions_um])
-        curves = len(runs) * len(output_labels)
-        most = MOST_POINTS // (curves * (1 + len(models)))
-        entries: dict[str, Artist] = {}
-        if ideal:
-            entries["ideal"] = _draw_ideal(panels, runs)
+        most = MOST_POINTS // (len(runs) * len(output_labels) * (1 + len(models)))
+        entries = {"ideal": _draw_ideal(panels, runs)} if ideal else {}
         for run in runs:
-            for o, axes in enumerate(panels[:, run.driven]):
-                _draw_loop(axes, run, o, numbers[run.label], models, most, entries)
-        for k, label in enumerate(input_labels):
             for o in range(len(output_labels)):
-                panels[o, k].set_xlabel(label)
-                panels[o, k].set_ylabel(output_labels[o])
-                panels[o, k].margins(0.04)
+                entries |= _draw_loop(panels[o, run.driven], run, o, numbers[run.label], models, most)
+        for (o, k), axes in panels.items():
+            axes.set(xlabel=input_labels[k], ylabel=output_labels[o])
+            axes.margins(0.04)
+        _letters(panels, len(output_labels) == len(input_labels))
         order = [*numbers, *models, *(["ideal"] if ideal else [])]
-        _finish(figure, panels, {plain(label): entries[label] for label in order}, title)
+        legend_above(figure, {plain(label): entries[label] for label in order}, title)
     return figure
 
 
@@ -132,33 +128,42 @@ def errors_figure(
     title : written above the legend
     """
     with styled():
-        figure, panels = _panels(len(output_labels), len(input_labels), height=0.6)
+        figure, panels = _panels(runs, len(output_labels), height=0.6)
         numbers = _numbers([run.label for run in runs])
         most = MOST_POINTS // (len(runs) * len(output_labels))
         entries: dict[str, Artist] = {}
         for run in runs:
             number = numbers[run.label]
-            for o, axes in enumerate(panels[:, run.driven]):
+            for o in range(len(output_labels)):
                 cycles, error = thin_trace(run.cycles, run.errors_um[o], most)
                 style = line_style(number) | {"linewidth": 1.1}
-                (line,) = axes.plot(cycles, error, markevery=sparse_markers(len(error), number), **style)
-                entries.setdefault(run.label, line)
-        for k in range(len(input_labels)):
-            for o in range(len(output_labels)):
-                panels[o, k].set_xlabel("time [cycles]" if o == len(output_labels) - 1 else "")
-                panels[o, k].set_ylabel(output_labels[o])
-                panels[o, k].margins(x=0.0)
+                markers = sparse_markers(len(error), number)
+                (entries[run.label],) = panels[o, run.driven].plot(cycles, error, markevery=markers, **style)
+        for (o, _), axes in panels.items():
+            axes.set(xlabel="time [cycles]", ylabel=output_labels[o])
+            axes.margins(x=0.0)
+            axes.label_outer()
+            axes.yaxis.label.set_visible(True)
+            axes.tick_params(labelleft=True)
+        remarks = [f"{label} driven" for label in input_labels]
+        _letters(panels, len(output_labels) == len(input_labels), remarks)
         worst = {label: max(run.worst_um for run in runs if run.label == label) for label in numbers}
-        named = {f"{plain(label)} (worst {significant(worst[label])} µm)": entries[label] for label in numbers}
-        _finish(figure, panels, named, title, [f"{label} driven" for label in input_labels])
+        named = {
+            f"{plain(label)} (worst {significant(worst[label])} µm)": entries[label] for label in numbers
+        }
+        legend_above(figure, named, title)
     return figure
 
 
-def _panels(rows: int, columns: int, height: float = 0.75) -> tuple[Figure, np.ndarray]:
-    """Empty panels (output, input) and their figure; a single column is kept from getting too wide."""
-    panel_in = WIDTH_IN / max(columns, 2) * height
-    figure = new_figure(0.6 + rows * panel_in)
-    return figure, figure.subplots(rows, columns, squeeze=False)
+Panels = dict[tuple[int, int], "Axes"]
+
+
+def _panels(runs: Sequence[LoopRun] | Sequence[ErrorRun], rows: int, height: float) -> tuple[Figure, Panels]:
+    """Empty panels by output and input; an input that no run drives has no column."""
+    driven = sorted({run.driven for run in runs})
+    figure = new_figure(0.6 + rows * WIDTH_IN / max(len(driven), 2) * height)
+    grid = figure.subplots(rows, len(driven), squeeze=False)
+    return figure, {(o, k): grid[o, column] for o in range(rows) for column, k in enumerate(driven)}
 
 
 def _numbers(labels: Sequence[str]) -> dict[str, int]:
@@ -166,45 +171,30 @@ def _numbers(labels: Sequence[str]) -> dict[str, int]:
 
 
 def _draw_loop(
-    axes: Axes,
-    run: LoopRun,
-    output: int,
-    number: int,
-    models: dict[str, int],
-    most: int,
-    entries: dict[str, Artist],
-) -> None:
+    axes: Axes, run: LoopRun, output: int, number: int, models: dict[str, int], most: int
+) -> dict[str, Artist]:
+    """One loop and the models' loops over it; gives the entries of the legend."""
     x, y = thin_path([run.input_, run.outputs_um[output]], most)
     (line,) = axes.plot(x, y, markevery=sparse_markers(len(x), number), **line_style(number))
-    entries.setdefault(run.label, line)
+    entries: dict[str, Artist] = {run.label: line}
     for label, prediction_um in run.predictions_um:
         x, y = thin_path([run.input_, prediction_um[output]], most)
-        (line,) = axes.plot(x, y, **overlay_style(models[label]))
-        entries.setdefault(label, line)
+        (entries[label],) = axes.plot(x, y, **overlay_style(models[label]))
+    return entries
 
 
-def _draw_ideal(panels: np.ndarray, runs: Sequence[LoopRun]) -> Artist:
+def _draw_ideal(panels: Panels, runs: Sequence[LoopRun]) -> Artist:
     """Where a perfect compensator would be: on the diagonal, or at rest."""
-    for k in range(panels.shape[1]):
+    for (o, k), axes in panels.items():
         reach = max(float(np.abs(run.input_).max()) for run in runs if run.driven == k)
-        for o, axes in enumerate(panels[:, k]):
-            (line,) = axes.plot([-reach, reach], [-reach, reach] if o == k else [0, 0], color=PALE, linewidth=3)
-            line.set_alpha(0.5)
-    return line  # type: ignore[no-any-return]
+        ends = np.array([-reach, reach])
+        (line,) = axes.plot(ends, ends if o == k else 0.0 * ends, color=PALE, linewidth=3.0, alpha=0.5)
+    return line
 
 
-def _finish(
-    figure: Figure,
-    panels: np.ndarray,
-    entries: dict[str, Artist],
-    title: str,
-    columns: Sequence[str] = (),
-) -> None:
-    """Letters, remarks and the legend."""
-    rows, inputs = panels.shape
-    for number, axes in enumerate(panels.flat):
-        output, k = divmod(number, inputs)
-        kind = "" if rows != inputs or rows == 1 else "direct" if output == k else "cross-coupling"
+def _letters(panels: Panels, square: bool, remarks: Sequence[str] = ()) -> None:
+    """Letters, and what kind of transfer each panel shows."""
+    for number, ((o, k), axes) in enumerate(panels.items()):
+        kind = ("direct" if o == k else "cross-coupling") if square and len(panels) > 1 else ""
         few_ticks(axes)
-        letter(axes, number, ", ".join(word for word in (kind, columns[k] if columns else "") if word))
-    legend_above(figure, entries, title)
+        letter(axes, number, ", ".join(word for word in (kind, remarks[k] if remarks else "") if word))

@@ -34,7 +34,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Short dashes are the target's alone.
-LINES: tuple[Any, ...] = ("-", (0, (8, 1.5, 1.5, 1.5)), (0, (1, 1)), (0, (12, 2)), (0, (8, 1.5, 1.5, 1.5, 1.5, 1.5)))
+LINES: tuple[Any, ...] = (
+    "-",
+    (0, (8, 1.5, 1.5, 1.5)),
+    (0, (1, 1)),
+    (0, (12, 2)),
+    (0, (8, 1.5, 1.5, 1.5, 1.5, 1.5)),
+)
 TARGET: dict[str, Any] = {"color": DARK, "linestyle": (0, (3, 2.5)), "linewidth": 0.9}
 LOGARITHMIC_FROM = 8.0  # ratio of the worst distances from which their axis is logarithmic
 
@@ -221,14 +227,13 @@ def _draw_traces(
 
 
 def _entry(run: PathRun) -> str:
+    """Label with the worst distance of the whole run, of one axis the worst error."""
     if run.target_um is None:
         return plain(run.label)
-    errors = run.errors()
-    worst = [f"{significant(_worst([run], name))} µm{word}" for name, word in WORDS if name in dict(errors)]
-    return f"{plain(run.label)}: {' / '.join(worst) or significant(float(np.abs(errors[0][1]).max())) + ' µm'}"
-
-
-WORDS = ((DISTANCE, ""), (TRULY, ""))
+    errors = dict(run.errors())
+    worst = significant(float(np.abs(errors.get(DISTANCE, errors[""])).max()))
+    truly = f", true {significant(_worst([run], TRULY))} µm" if TRULY in errors else ""
+    return f"{plain(run.label)} (worst {worst} µm{truly})"
 
 
 def _worst(runs: Sequence[PathRun], name: str) -> float:

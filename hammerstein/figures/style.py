@@ -11,7 +11,7 @@ import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,7 +87,7 @@ def styled() -> Iterator[None]:
 
     with _LOCK, mpl.rc_context():
         mpl.rcdefaults()
-        mpl.rcParams.update(STYLE)
+        mpl.rcParams.update(cast("Any", STYLE))
         yield
 
 
@@ -180,13 +180,13 @@ def significant(value: float, digits: int = 3) -> str:
 
 def plain_numbers(axis: Axis) -> None:
     """Ticks of a logarithmic axis as 0.1, 1, 10; between them 2 and 4 if there is room."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     low, high = axis.get_view_interval()
     decades = math.log10(high / low) if low > 0.0 else math.inf
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 4.0) if decades < 2.2 else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    axis.set_minor_locator(NullLocator())
 
 
 def time_axis(seconds: float) -> tuple[float, str]:

@@ -82,7 +82,7 @@ def sweep_figure(
             letter(axes, number, panel_titles[o][k])
             axes.set_xlabel("frequency [Hz]" if o == rows - 1 else "")
             axes.set_ylabel(quantity if k == 0 else "")
-        if any(_is_marked(curve) for curve in curves):
+        if any(_marked_hz(curve) is not None for curve in curves):
             entries["identified here"] = _tick_for_legend()
         legend_above(figure, entries, title)
     return figure
@@ -92,19 +92,18 @@ def _draw(axes: Axes, curve: SweepCurve, values: Array, number: int) -> Artist:
     style = line_style(number)
     markers = sparse_markers(len(values), number, markers=9)
     (line,) = axes.plot(curve.frequency_hz, values, markevery=markers, **style)
-    if _is_marked(curve):
-        here = curve.identified_hz
-        height = np.exp(
-            np.interp(np.log(here), np.log(curve.frequency_hz), np.log(np.maximum(values, 1e-12)))
-        )
-        axes.plot([here], [height], "|", color=style["color"], markersize=15, markeredgewidth=2.2, zorder=3)
+    here = _marked_hz(curve)
+    if here is not None:
+        logarithms = np.log(np.maximum(values, 1e-12))
+        height = np.exp(np.interp(np.log(here), np.log(curve.frequency_hz), logarithms))
+        axes.plot([here], [height], "|", color=style["color"], markersize=14, markeredgewidth=2.2, zorder=3)
     return line
 
 
-def _is_marked(curve: SweepCurve) -> bool:
-    """Whether the curve passes the frequency of its identification."""
+def _marked_hz(curve: SweepCurve) -> float | None:
+    """Frequency of the identification, if the curve passes it."""
     here = curve.identified_hz
-    return here is not None and bool(curve.frequency_hz[0] <= here <= curve.frequency_hz[-1])
+    return None if here is None or not curve.frequency_hz[0] <= here <= curve.frequency_hz[-1] else here
 
 
 def _tick_for_legend() -> Artist:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,8 +28,18 @@ def write_figures(report: Report, folder: Path) -> list[Path]:
     ------
     InputError : the folder cannot be written
     """
+    return save_figures(figures_of(report), folder)
+
+
+def save_figures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
+    """Write figures, by name, as SVG and PNG.
+
+    Raises
+    ------
+    InputError : the folder cannot be written
+    """
     written = []
-    for name, figure in figures_of(report).items():
+    for name, figure in figures.items():
         for kind, content in images(figure).items():
             path = folder / f"{name}.{kind}"
             write_atomic(path, content)
@@ -38,13 +49,18 @@ def write_figures(report: Report, folder: Path) -> list[Path]:
 
 def images(figure: Figure) -> dict[str, bytes]:
     """Give the bytes of a figure as ``svg`` and ``png``, without date or version."""
-    formats = {"svg": {"Date": None, "Creator": "hammerstein"}, "png": {"Software": None}}
+    metadata: dict[str, dict[str, str | None]] = {
+        "svg": {"Date": None, "Creator": "hammerstein"},
+        "png": {"Software": None},
+    }
     content = {}
     with styled():
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # the layout is found; both files keep it
-        for kind, metadata in formats.items():
+        layout = figure.get_layout_engine()
+        if layout is not None:
+            layout.execute(figure)
+            figure.set_layout_engine(None)  # found once, it holds for both files
+        for kind, about in metadata.items():
             buffer = io.BytesIO()
-            figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata=metadata)
+            figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata=about)
             content[kind] = buffer.getvalue()
     return content

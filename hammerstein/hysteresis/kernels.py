@@ -11,16 +11,21 @@ with outputs
 
 and the segments form a stack: the top one begins at operator 0, the bottom one ends at the last operator.
 Moving the input by a monotone stretch engages a prefix of the grid; the prefix becomes the new top segment
-and wipes out what it covers (the wiping-out property of Prandtl-Ishlinskii models). The next operator k of
-the segment below, at (x', d'), engages when
+and wipes out what it covers (the wiping-out property of Prandtl-Ishlinskii models). What is left below it
+ends in a segment (x', d') whose operator k engages when
 
-    d (u - x') > (1 - d d') r[k]
+    direction (u - x') > (1 - direction d') r[k]
 
-Between two such events the output is a line in u, with slope W[k] = w[0] + ... + w[k-1]:
+With the first k operators engaged, the output is a line in u that starts at the tip of that segment, the
+point (x', y') where it was last on top:
 
-    y = W[k] u - d Rw[k] + below,   Rw[k] = w[0] r[0] + ... + w[k-1] r[k-1]
+    y = y' + W[k] (u - x') - (direction - d') R[k]
 
-where ``below`` is what the deeper segments add. No reversal touches all operators.
+    W[k] = w[0] + ... + w[k-1],   R[k] = w[0] r[0] + ... + w[k-1] r[k-1]
+
+So a sample costs one line, an engagement one search in the grid and one new line, a reversal one push and a
+few pops; no reversal touches all operators. The tips follow from the stack alone, from the bottom upwards:
+that is why a signal cut in pieces gives the same numbers to the last bit.
 
 Source: Brokate and Sprekels, Hysteresis and Phase Transitions (1996), chapter 2 (play operator, memory).
 """
@@ -29,6 +34,13 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+
+# Two habits that these loops owe half of their speed to. An index of unsigned type is not tested for Python's
+# counting from the end; no index is negative here. And helpers use every array on each way through them, and
+# take arrays one by one, not in tuples: then Numba proves that it need not count references to them.
+at = np.uint64
+
+BLOCK = 2048  # samples of all inputs and outputs that stay in the processor's cache together
 
 
 @njit(cache=True, nogil=True)
@@ -61,7 +73,7 @@ def respond_textbook(u, r, n, w, plays, y):  # type: ignore[no-untyped-def]
                     y[o, t] += w[k, i, o] * play
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def engaged(gap, factor, r, k, end):  # type: ignore[no-untyped-def]
     """First operator in k..end that a gap does not engage: factor r[i] >= gap (galloping search)."""
     if k == end or factor * r[k] >= gap:
@@ -82,23 +94,56 @@ def engaged(gap, factor, r, k, end):  # type: ignore[no-untyped-def]
     return low
 
 
-@njit(cache=True, nogil=True, inline="always")
+def search_guide(r, n):  # type: ignore[no-untyped-def]
+    """Where ``first_at_least`` begins its search: guide (m, levels) and scale (m,).
+
+    Two steps of level a threshold on average. Guides are a hair early, so that rounding makes none late.
+    """
+    steps = 2 * r.shape[1]
+    guide, scale = np.zeros((r.shape[0], steps + 2), np.int64), np.zeros(r.shape[0])
+    for k, grid in enumerate(r[k, : n[k]] for k in range(r.shape[0])):
+        if len(grid) > 1 and grid[-1] > 1e-290:
+            scale[k] = steps / grid[-1]
+            levels = np.arange(steps + 2) / scale[k] * (1.0 - 1e-14)
+            guide[k] = np.minimum(np.searchsorted(grid, levels), len(grid) - 1)
+    return guide, scale
+
+
+@njit(cache=True, nogil=True)
+def first_at_least(level, r, guide, scale):  # type: ignore[no-untyped-def]
+    """First operator with r[i] >= level, for a level from 0 to the largest threshold.
+
+    guide : operator where the search begins, for levels from 0 on in steps of 1 / scale
+    """
+    i = guide[at(np.int64(level * scale))]
+    i += np.int64(r[at(i)] < level)  # without a branch: nobody can predict it in a noisy signal
+    last = r.shape[0] - 1
+    while r[at(i)] < level:  # rare: thresholds closer together than the steps of the guide
+        middle = (i + 1 + last) // 2
+        if r[at(middle)] < level:
+            i = middle
+        else:
+            i, last = i + 1, middle
+    return i
+
+
+@njit(cache=True, nogil=True)
 def direction_of(u, r, x, d, top):  # type: ignore[no-untyped-def]
     """+1 or -1 if moving to u engages operator 0 rising or falling, 0 inside its dead zone."""
-    gap = u - x[top]
-    if gap > (1.0 - d[top]) * r[0]:
-        return 1.0
-    if -gap > (1.0 + d[top]) * r[0]:
-        return -1.0
-    return 0.0
+    gap = u - x[at(top)]
+    direction = 1.0 if gap > 0.0 else -1.0
+    return direction if direction * gap > (1.0 - direction * d[at(top)]) * r[0] else 0.0
 
 
 @njit(cache=True, nogil=True)
 def advance(u, r, w, rw, count, end, x, d, below):  # type: ignore[no-untyped-def]
     """Move one input to u; updates the stack in place and returns its new height.
 
+    The form for laws that decide the next sample from this one. ``below`` is what the segments under each
+    one add, so that the output is  y = W[k] x - d R[k] + below  with x, d, below and k = end of the top one.
+
     r : (n,) thresholds; w, rw : (n+1, p) partial sums of weights and of weights times thresholds
-    end, x, d : (n+1,) the stack; below : (n+1, p) what the segments under each one add
+    end, x, d : (n+1,) the stack; below : (n+1, p)
     """
     top = count - 1
     direction = direction_of(u, r, x, d, top)
@@ -125,7 +170,7 @@ def advance(u, r, w, rw, count, end, x, d, below):  # type: ignore[no-untyped-de
     return new + 1
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def next_engagement(r, count, end, x, d):  # type: ignore[no-untyped-def]
     """Input at which the active top segment engages its next operator (infinite if none is left)."""
     direction = d[count - 1]
@@ -136,51 +181,162 @@ def next_engagement(r, count, end, x, d):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def respond_turning_points(u, r, n, w, rw, count, end, x, d, below, y):  # type: ignore[no-untyped-def]
+def respond_turning_points(  # type: ignore[no-untyped-def]
+    u, r, guide, scale, n, w, rw, count, end, x, d, below, y, outputs
+):
     """Turning-point form: the same outputs as the textbook loop; the stack is updated in place.
 
-    u : (m, N); r : (m, n_max); n : (m,); w, rw : (m, n_max+1, p) partial sums
-    count : (m,); end, x, d : (m, n_max+1); below : (m, n_max+1, p); y : (p, N), overwritten
+    u : (m, N); r : (m, n_max); guide : (m, levels), scale : (m,), see ``first_at_least``; n : (m,)
+    w, rw : (m, n_max+1, p) partial sums; count : (m,); end, x, d : (m, n_max+1); below : (m, n_max+1, p)
+    y : (p, N) zeros, to which the outputs are added
+    outputs : p zeros in a tuple: a number of outputs that the compiler knows, for it unrolls their loops
+
+    Returns N, or the first sample of the block in which it met an input that is not finite.
     """
-    y[:] = 0.0
-    for k in range(u.shape[0]):
-        if n[k] > 0:
-            count[k] = _respond_one(u[k], r[k], w[k], rw[k], count[k], end[k], x[k], d[k], below[k], y)
+    m, height, p = u.shape[0], r.shape[1] + 2, w.shape[2]
+    ends, xs, ds = np.empty((m, height), np.int64), np.empty((m, height)), np.empty((m, height))
+    tips = np.empty((m, height, p))
+    for k in range(m):
+        _load(n[k], w[k], rw[k], count[k], end[k], x[k], d[k], ends[k], xs[k], ds[k], tips[k])
+    for start in range(0, u.shape[1], BLOCK):
+        stop = min(start + BLOCK, u.shape[1])
+        for k in range(m):
+            if not _finite(u[k], start, stop):
+                return start
+            if n[k] > 0:
+                count[k] = _respond_block(
+                    u[k], start, stop, r[k], guide[k], scale[k], w[k], rw[k],
+                    count[k], ends[k], xs[k], ds[k], tips[k], y, outputs,
+                )  # fmt: skip
+    for k in range(m):
+        _save(w[k], rw[k], count[k], ends[k], xs[k], ds[k], end[k], x[k], d[k], below[k])
+    return u.shape[1]
 
 
 @njit(cache=True, nogil=True)
-def _respond_one(u, r, w, rw, count, end, x, d, below, y):  # type: ignore[no-untyped-def]
-    """Add to y what one input contributes; returns the new height of its stack."""
-    samples = u.shape[0]
-    t = 0
-    while t < samples:
-        count = advance(u[t], r, w, rw, count, end, x, d, below)
-        top = count - 1
-        k = end[top]
-        stop = t + 1
-        if d[top] != 0.0 and x[top] == u[t]:
-            stop = _run(u, t, d[top], next_engagement(r, count, end, x, d))
-            x[top] = u[stop - 1]
-            for o in range(y.shape[0]):
-                slope = w[k, o]
-                offset = below[top, o] - d[top] * rw[k, o]
-                for i in range(t, stop):
-                    y[o, i] += slope * u[i] + offset
-        else:
-            for o in range(y.shape[0]):
-                y[o, t] += w[k, o] * x[top] + (below[top, o] - d[top] * rw[k, o])
-        t = stop
-    return count
+def _load(n, w, rw, count, end, x, d, ends, xs, ds, tips):  # type: ignore[no-untyped-def]
+    """Copy a stack onto a floor of n operators at rest, and follow its tips from the floor upwards."""
+    ends[0], xs[0], ds[0] = n, 0.0, 0.0
+    tips[0] = 0.0
+    for s in range(count):
+        ends[s + 1], xs[s + 1], ds[s + 1] = end[s], x[s], d[s]
+        for o in range(w.shape[1]):
+            tips[s + 1, o] = _line(xs[s + 1] - xs[s], ds[s + 1] - ds[s], ends[s + 1], o, s, w, rw, tips)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _run(u, t, direction, limit):  # type: ignore[no-untyped-def]
-    """End of the stretch from t that keeps its direction and stays short of the next engagement."""
-    stop = t + 1
-    if direction > 0.0:
-        while stop < u.shape[0] and u[stop] >= u[stop - 1] and u[stop] <= limit:
-            stop += 1
-    else:
-        while stop < u.shape[0] and u[stop] <= u[stop - 1] and u[stop] >= limit:
-            stop += 1
-    return stop
+@njit(cache=True, nogil=True)
+def _save(w, rw, count, ends, xs, ds, end, x, d, below):  # type: ignore[no-untyped-def]
+    """Copy the stack back without its floor, and add up what lies below each segment."""
+    for s in range(count):
+        end[s], x[s], d[s] = ends[s + 1], xs[s + 1], ds[s + 1]
+        for o in range(w.shape[1]):
+            below[s, o] = 0.0
+            if s > 0:
+                rest = x[s - 1] * (w[end[s - 1], o] - w[end[s], o])
+                rest -= d[s - 1] * (rw[end[s - 1], o] - rw[end[s], o])
+                below[s, o] = below[s - 1, o] + rest
+
+
+@njit(cache=True, nogil=True)
+def _finite(u, start, stop):  # type: ignore[no-untyped-def]
+    """Whether all samples from start to stop are finite."""
+    bad = 0
+    for t in range(start, stop):
+        bad += not np.isfinite(u[at(t)])
+    return bad == 0
+
+
+@njit(cache=True, nogil=True)
+def _respond_block(  # type: ignore[no-untyped-def]
+    u, start, stop, r, guide, scale, w, rw, top, end, x, d, tip, y, outputs
+):
+    """Add to y what one input contributes from start to stop; returns the new top of its stack.
+
+    Each turn of the outer loop is one branch, each turn of the inner one a line of it or one sample that
+    engages operators. ``level`` is the threshold that a sample reaches on its branch.
+    """
+    t = start
+    while t < stop:
+        gap = u[at(t)] - x[at(top)]
+        direction = 1.0 if gap > 0.0 else -1.0
+        if direction * gap <= (1.0 - direction * d[at(top)]) * r[0]:  # operator 0 rests
+            for o in range(len(outputs)):
+                y[at(o), at(t)] += tip[at(top), at(o)]
+            t += 1
+            continue
+        base, k = _base(u[at(t)], direction, r, top, end, x, d)
+        x0, turn, unit, reach = _branch(direction, base, r, end, x, d)
+        top = base + 1
+        last = unit * (u[at(t)] - x0)
+        limit = reach
+        if base > 0:
+            k = max(k, first_at_least(max(last, 0.0), r, guide, scale))
+            limit = min(r[at(k)], reach)
+        for o in range(len(outputs)):
+            value = _line(u[at(t)] - x0, turn, k, o, base, w, rw, tip)
+            tip[at(top), at(o)] = value
+            y[at(o), at(t)] += value
+        turned = t
+        t += 1
+        while t < stop:
+            level = unit * (u[at(t)] - x0)
+            if level > limit:
+                if level > reach:
+                    break
+                k = first_at_least(level, r, guide, scale)
+                limit = r[at(k)]
+                for o in range(len(outputs)):
+                    y[at(o), at(t)] += _line(u[at(t)] - x0, turn, k, o, base, w, rw, tip)
+                last = level
+                t += 1
+            elif level < last:
+                break
+            else:
+                first = t
+                last = level
+                t += 1
+                while t < stop:
+                    level = unit * (u[at(t)] - x0)
+                    if level < last or level > limit:
+                        break
+                    last = level
+                    t += 1
+                for o in range(len(outputs)):
+                    for i in range(first, t):
+                        y[at(o), at(i)] += _line(u[at(i)] - x0, turn, k, o, base, w, rw, tip)
+        x[at(top)], d[at(top)], end[at(top)] = u[at(t - 1)], direction, k
+        if t > turned + 1:
+            for o in range(len(outputs)):
+                tip[at(top), at(o)] = _line(x[at(top)] - x0, turn, k, o, base, w, rw, tip)
+    return top
+
+
+@njit(cache=True, nogil=True)
+def _base(u, direction, r, top, end, x, d):  # type: ignore[no-untyped-def]
+    """Uppermost segment that moving to u does not wipe out, and how many operators move above it."""
+    same = d[at(top)] == direction
+    s = top - 1 if same else top
+    k = end[at(top)] if same else 0
+    while s > 0 and direction * (u - x[at(s)]) > (1.0 - direction * d[at(s)]) * r[at(end[at(s)] - 1)]:
+        k = end[at(s)]
+        s -= 1
+    return s, k
+
+
+@njit(cache=True, nogil=True)
+def _branch(direction, base, r, end, x, d):  # type: ignore[no-untyped-def]
+    """What is constant on a branch: where it begins, its turn, threshold per volt, level that ends it."""
+    turn = direction - d[at(base)]
+    unit = 0.5 * direction if turn == 2.0 * direction else direction
+    reach = r[at(end[at(base)] - 1)]
+    if turn == 0.0:
+        reach = 0.0
+    if base == 0:
+        reach = np.inf
+    return x[at(base)], turn, unit, reach
+
+
+@njit(cache=True, nogil=True)
+def _line(way, turn, k, o, base, w, rw, tip):  # type: ignore[no-untyped-def]
+    """Output o a way u - x' from the tip of the base, with the first k operators engaged."""
+    return tip[at(base), at(o)] + (w[at(k), at(o)] * way - turn * rw[at(k), at(o)])

@@ -180,6 +180,7 @@ class Bank:
     r : (m, n_max) thresholds [V], filled up with infinity
     w : (m, n_max, p) weights [um/V], zero where an output lacks the operator
     slope, moment : (m, n_max+1, p) partial sums of w and of w r
+    guide, scale : (m, levels), (m,) where the search for a threshold begins, see ``kernels``
     """
 
     n: Counts
@@ -187,10 +188,14 @@ class Bank:
     w: Array
     slope: Array
     moment: Array
+    guide: Counts
+    scale: Array
 
     @classmethod
     def of(cls, pairs: Sequence[Sequence[Pair]]) -> Bank:
         """Merge the pairs (output, input) onto one grid an input."""
+        from hammerstein.hysteresis.kernels import search_guide
+
         p, m = len(pairs), len(pairs[0])
         grids = [np.unique(np.concatenate([pairs[o][k].thresholds_v for o in range(p)])) for k in range(m)]
         n = np.array([len(grid) for grid in grids], dtype=np.int64)
@@ -204,9 +209,10 @@ class Bank:
         slope, moment = np.zeros((2, m, r.shape[1] + 1, p))
         np.cumsum(w, axis=1, out=slope[:, 1:])
         np.cumsum(w * np.where(np.isfinite(r), r, 0.0)[:, :, None], axis=1, out=moment[:, 1:])
-        for array in (n, r, w, slope, moment):
+        guide, scale = search_guide(r, n)
+        for array in (n, r, w, slope, moment, guide, scale):
             array.flags.writeable = False
-        return cls(n, r, w, slope, moment)
+        return cls(n, r, w, slope, moment, guide, scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,11 +340,18 @@ class PrandtlIshlinskii:
         from hammerstein.hysteresis.kernels import respond_turning_points
 
         u = np.ascontiguousarray(np.atleast_2d(np.asarray(u_v, dtype=np.float64)))
-        self._check(u)
+        if u.ndim != 2 or u.shape[0] != self.n_inputs:
+            message = f"has shape {u.shape}; the model wants ({self.n_inputs}, samples)"
+            raise InputError("voltage", message)
         state = self.rest() if start is None else start.copy()
-        y = np.empty((self.n_outputs, u.shape[1]))
+        y = np.zeros((self.n_outputs, u.shape[1]))
         b, s = self.bank, state
-        respond_turning_points(u, b.r, b.n, b.slope, b.moment, s.count, s.end, s.x, s.d, s.below, y)
+        bank = (b.r, b.guide, b.scale, b.n, b.slope, b.moment)
+        stack = (s.count, s.end, s.x, s.d, s.below)
+        done = respond_turning_points(u, *bank, *stack, y, (0,) * self.n_outputs)
+        if done < u.shape[1]:
+            axis, sample = (int(i[0]) for i in np.nonzero(~np.isfinite(u)))
+            raise SimulationError(f"voltage of input {axis + 1} is not finite at sample {sample}")
         return y, state
 
     def step(self, u_v: ArrayLike, state: PlayState) -> tuple[Array, PlayState]:
@@ -348,14 +361,6 @@ class PrandtlIshlinskii:
         """
         y, after = self.respond(np.reshape(np.asarray(u_v, dtype=np.float64), (-1, 1)), state)
         return y[:, 0], after
-
-    def _check(self, u: Array) -> None:
-        if u.ndim != 2 or u.shape[0] != self.n_inputs:
-            message = f"has shape {u.shape}; the model wants ({self.n_inputs}, samples)"
-            raise InputError("voltage", message)
-        if not np.isfinite(u).all():
-            axis, sample = (int(i[0]) for i in np.nonzero(~np.isfinite(u)))
-            raise SimulationError(f"voltage of input {axis + 1} is not finite at sample {sample}")
 
     def amplitude(self, amplitude_v: float) -> Array:
         """Half heights of the settled loops (output, input) [um] for a voltage amplitude [V]."""
@@ -370,7 +375,7 @@ class PrandtlIshlinskii:
         return np.array([[pair.loop_area(amplitude_v) for pair in row] for row in self.pairs])
 
     def slope_columns(self, k: int) -> Array:
-        """Slopes (operator, output) [um/V] of all outputs while the first 1, 2, ... operators of input k move."""
+        """Slopes (operator, output) [um/V] while the first 1, 2, ... operators of input k move."""
         return self.bank.slope[k, 1 : self.bank.n[k] + 1]
 
     def to_nlsys(self, sample_time_s: float, name: str = "hysteresis") -> control.NonlinearIOSystem:
@@ -398,6 +403,9 @@ def _checked_plays(plays: Array, r: Array, k: int) -> Array:
     slack = 1e-12 * (1.0 + np.abs(plays).max(initial=0.0) + r.max(initial=0.0))
     if (np.abs(np.diff(plays)) > np.diff(r) + slack).any():
         i = int(np.argmax(np.abs(np.diff(plays)) - np.diff(r)))
-        message = f"plays {i + 1} and {i + 2} of input {k + 1} differ by more than their thresholds; no voltage leads there"
+        message = (
+            f"plays {i + 1} and {i + 2} of input {k + 1} differ by more than their thresholds; "
+            "no voltage leads there"
+        )
         raise InputError("start", message)
     return plays

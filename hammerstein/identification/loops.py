@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -141,7 +142,8 @@ def pair_loops(record: Record, input_index: int, output_index: int) -> list[Loop
     """Loops of one input and one output, both counted from 0."""
     u, y = record.u_v[input_index], record.y_um[output_index]
     cycles = find_cycles(u)
-    noise = max(noise_rms(y), 0.3 * quantum(y))
+    noise = max(noise_rms(y), 0.3 * quantum(y))  # rms error of rounding: 0.29 steps
+    noise = noise if noise > CLEAN * float(np.ptp(y)) else 0.0
     minor = [excursion for excursion in cycles.excursions if excursion.minor]
     paths = [_path(u, y, excursion, minor, noise) for excursion in cycles.excursions]
     names = record.inputs[input_index], record.outputs[output_index]
@@ -203,7 +205,7 @@ def _path(u: Array, y: Array, excursion: Excursion, minor: Sequence[Excursion], 
     samples = np.flatnonzero(kept) + start
     turn = int(np.searchsorted(samples, excursion.turn))
     # a few samples around both ends alike: less noise, and what the corner adds is the same at both
-    noisy = noise > CLEAN * float(np.ptp(y)) and not excursion.minor
+    noisy = noise > 0.0 and not excursion.minor
     reach = min(len(samples) // 200, AROUND_TIP, start, len(u) - 1 - stop) if noisy else 0
     around = [slice(tip - reach, tip + reach + 1) for tip in (start, stop)]
     u_start, y_start, u_stop, y_stop = (float(signal[near].mean()) for near in around for signal in (u, y))
@@ -219,7 +221,7 @@ def _measured(path: _Path, input_name: str, output_name: str) -> Loop:
     falling_first = u[path.turn] < u[0]
     first, second = slice(0, path.turn + 1), slice(path.turn, None)
     rising, falling = (second, first) if falling_first else (first, second)
-    width = _at_mid(u[falling], y[falling], path.noise) - _at_mid(u[rising], y[rising], path.noise)
+    width = _at(u[falling], y[falling], mid, path.noise) - _at(u[rising], y[rising], mid, path.noise)
     u_start, y_start, u_stop, y_stop = path.tips
     closure = y_stop - y_start + _end_slope(u, smooth, path.turn) * (u_start - u_stop)
     excursion = path.excursion
@@ -249,22 +251,29 @@ def _area(u: Array, y: Array) -> float:
 
 def _smooth(y: Array, noise: float) -> Array:
     """One branch without noise: local parabolas, one-sided at the tips, for the branch has corners there."""
-    from scipy.signal import savgol_filter
-
-    window = 2 * min(len(y) // 40, SMOOTHED) + 1
-    if window < 5 or noise <= CLEAN * float(np.ptp(y)):
+    half = min(len(y) // 40, SMOOTHED)
+    if half < 2 or noise <= CLEAN * float(np.ptp(y)):
         return y
-    return np.asarray(savgol_filter(y, window, 2, mode="interp"))
+    fit = _local_parabola(half)
+    begin, end = fit[:half] @ y[: len(fit)], fit[half + 1 :] @ y[-len(fit) :]
+    return np.concatenate([begin, np.convolve(y, fit[half][::-1], mode="valid"), end])
 
 
-def _at_mid(u: Array, y: Array, noise: float) -> float:
-    """Output of a branch at mid voltage: between two samples, or from a parabola through many noisy ones."""
-    mid, swing = 0.5 * float(u[0] + u[-1]), abs(float(u[-1] - u[0]))
-    near = np.abs(u - mid) <= 0.075 * swing
+@cache
+def _local_parabola(half: int) -> Array:
+    """Matrix that turns 2 half + 1 samples into their least-squares parabola (Savitzky and Golay, 1964)."""
+    powers = np.vander(np.linspace(-1.0, 1.0, 2 * half + 1), 3)
+    return powers @ np.linalg.pinv(powers)
+
+
+def _at(u: Array, y: Array, level_v: float, noise: float) -> float:
+    """Output of a branch at a voltage: between two samples, or from a parabola through many noisy ones."""
+    swing = abs(float(u[-1] - u[0]))
+    near = np.abs(u - level_v) <= 0.075 * swing
     if noise > CLEAN * float(np.ptp(y)) and np.count_nonzero(near) >= 8:
-        centred = (u[near] - mid) / swing
+        centred = (u[near] - level_v) / swing
         return float(np.linalg.lstsq(np.vander(centred, 3), y[near], rcond=None)[0][-1])
-    return float(np.interp(mid, *_increasing(u, y)))
+    return float(np.interp(level_v, *_increasing(u, y)))
 
 
 def _increasing(u: Array, y: Array) -> tuple[Array, Array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -182,14 +182,16 @@ def _jacobians(lines: WeightedLines, blocks: _Blocks) -> Iterator[tuple[int, Arr
         error = np.hstack([C, D]) @ inputs - lines.target[k] @ right
         own = inputs.swapaxes(1, 2)  # line, column of R, state or input
         for a in range(len(C)):
-            seen = observed[:, a, None, :]
-            by_input = (seen[..., None] * own[:, :, None, len(A) :]).reshape(len(z), right.shape[2], -1)
-            jacobian = np.concatenate([seen[..., rows] * own[..., columns], by_input, own], axis=2)
-            weight = lines.left[k, a, None]
-            yield a, _real(jacobian * weight[..., None]), _real((error[:, a] * weight)[..., None])[:, 0]
+            weight = lines.left[k, a, None, None]
+            seen = weight * observed[:, a, None, :]
+            by_input = (seen[..., None] * own[:, :, None, len(A) :]).reshape(*own.shape[:2], -1)
+            jacobian = [seen[..., rows] * own[..., columns], by_input, weight * own]
+            yield a, _real(jacobian), _real([weight * error[:, a, :, None]])[:, 0]
 
 
-def _real(values: Complex) -> Array:
-    """Stack (F, m, column) into real rows."""
-    flat = values.reshape(-1, values.shape[2])
-    return np.concatenate([flat.real, flat.imag])
+def _real(parts: Sequence[Complex]) -> Array:
+    """Stack parts (F, m, column) side by side, real rows above imaginary ones."""
+    stack = np.empty((2, *parts[0].shape[:2], sum(part.shape[2] for part in parts)))
+    np.concatenate([part.real for part in parts], axis=2, out=stack[0])
+    np.concatenate([part.imag for part in parts], axis=2, out=stack[1])
+    return stack.reshape(-1, stack.shape[3])

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,16 @@ Array = NDArray[np.float64]
 
 BLOCK = 8192
 """Samples handled at once: large enough for BLAS, small enough for the cache."""
+
+
+class Filter(Protocol):
+    """A linear block that columns pass, with its memory outside."""
+
+    def rest(self) -> Array:
+        """State of a block that was never driven."""
+
+    def respond(self, columns: Array, start: Array, /) -> tuple[Array, Array]:
+        """Outputs (row, sample) and the state after them."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +62,7 @@ def delayed(record: Record, start: Start, samples: int) -> Array:
 
 
 def regressor_blocks(
-    u_v: Array, start: Start, grids: Sequence[Array], filters: Sequence[LinearBlock] = ()
+    u_v: Array, start: Start, grids: Sequence[Array], filters: Sequence[Filter] = ()
 ) -> Iterator[tuple[int, Array]]:
     """First sample and regressors (column, sample) of each block of a record, from ``start.first`` on.
 
@@ -76,7 +86,7 @@ def regressor_blocks(
             yield k + skip, passed[:, skip:]
 
 
-def _filtered(columns: Array, filters: Sequence[LinearBlock], states: list[Array]) -> Array:
+def _filtered(columns: Array, filters: Sequence[Filter], states: list[Array]) -> Array:
     """Columns behind the filters, whose states are carried on."""
     if not filters:
         return columns
@@ -128,8 +138,21 @@ def _closure(edges: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.b
     return reached
 
 
-def side_by_side(path: LinearBlock, copies: int) -> LinearBlock:
-    """Give every column its own copy of a path with one input and one output."""
-    unit = np.eye(copies)
-    a, b, c, d = (np.asarray(np.kron(unit, matrix)) for matrix in (path.A, path.B, path.C, path.D))
-    return LinearBlock(a, b, c, d, path.sample_time_s)
+@dataclass(frozen=True, eq=False)
+class SideBySide:
+    """Copies of a path with one input and one output, one for each column."""
+
+    path: LinearBlock
+    copies: int
+
+    def rest(self) -> Array:
+        """State (copy, state) of paths that were never driven."""
+        return np.zeros((self.copies, len(self.path.A)))
+
+    def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
+        """Outputs (copy, sample) and the state after them."""
+        from hammerstein.identification.path_kernel import respond_copies
+
+        path, state, passed = self.path, start.copy(), np.empty_like(columns)
+        respond_copies(path.A, path.B[:, 0], path.C[0], path.D[0, 0], state, columns, passed)
+        return passed, state

@@ -26,7 +26,14 @@ from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, LinearBlock, Sta
 from hammerstein.identification.normal_equations import Moments, Solution, moments_of, pooled, solve
 from hammerstein.identification.partition import thresholds_uniform_in_voltage
 from hammerstein.identification.records import Record
-from hammerstein.identification.regressors import Start, channel, delayed, regressor_blocks, side_by_side
+from hammerstein.identification.regressors import (
+    Filter,
+    SideBySide,
+    Start,
+    channel,
+    delayed,
+    regressor_blocks,
+)
 from hammerstein.identification.static_block import half_swing
 
 Array = NDArray[np.float64]
@@ -125,7 +132,7 @@ class Task:
             self.sample_time_s,
         )
 
-    def moments(self, filters: Sequence[LinearBlock], columns: int) -> Moments:
+    def moments(self, filters: Sequence[Filter], columns: int) -> Moments:
         """Moments of the filtered columns with the output, over all records."""
         parts = []
         for record, start in zip(self.records, self.starts, strict=True):
@@ -170,14 +177,14 @@ def refine(task: Task, x: Array) -> Point:
 
 def _alone(task: Task, path: LinearBlock) -> Solution:
     """Slopes behind a fixed path."""
-    moments = task.moments([side_by_side(path, task.columns)], task.columns)
+    moments = task.moments([SideBySide(path, task.columns)], task.columns)
     return solve(moments.gram, moments.cross[:, 0], float(moments.power[0]), moments.freedom)
 
 
 def _point(task: Task, x: Array, slopes: Array) -> Point:
     """Best slopes at x, and the Gauss-Newton step from slopes that were best near by."""
     n, q = task.columns, len(x)
-    filters = [side_by_side(task.path(x), n), *(task.derivative(x, i, slopes) for i in range(q))]
+    filters: list[Filter] = [SideBySide(task.path(x), n), *(task.derivative(x, i, slopes) for i in range(q))]
     moments = task.moments(filters, n + q)
     cross, power = moments.cross[:, 0], float(moments.power[0])
     alone = solve(moments.gram[:n, :n], cross[:n], power, moments.freedom)

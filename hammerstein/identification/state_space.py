@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import LinearBlock
-from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.frequency_response import FrequencyResponse
-from hammerstein.identification.refinement import Progress, refine
-from hammerstein.identification.subspace import subspace
-from hammerstein.identification.weighted_lines import Matrices, WeightedLines, Weighting, weigh
+from hammerstein.identification.weighted_lines import Weighting, weigh
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,14 @@ from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.normal_equations import Bounds, Moments, Solution, moments_of, pooled, solve
 from hammerstein.identification.records import Record
-from hammerstein.identification.regressors import Start, channel, delayed, regressor_blocks, side_by_side
+from hammerstein.identification.regressors import (
+    Filter,
+    SideBySide,
+    Start,
+    channel,
+    delayed,
+    regressor_blocks,
+)
 
 Array = NDArray[np.float64]
 Thresholds = Sequence[Sequence[Array]]
@@ -145,7 +152,7 @@ def static_moments(
     moments = []
     for o in range(p):
         path = channel(through, through.n_outputs - p + o, o)
-        filters = () if path is None else (side_by_side(path, sum(map(len, grids))),)
+        filters = () if path is None else (SideBySide(path, sum(map(len, grids))),)
         parts = [
             _record_moments(*pair, grids, delay_samples, filters, [o])
             for pair in zip(records, starts, strict=True)
@@ -159,7 +166,7 @@ def _record_moments(
     start: Start,
     grids: Sequence[Array],
     delay_samples: int,
-    filters: Sequence[LinearBlock],
+    filters: Sequence[Filter],
     outputs: Sequence[int],
 ) -> Moments:
     u, y = delayed(record, start, delay_samples), record.y_um[list(outputs)]

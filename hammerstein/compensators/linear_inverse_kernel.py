@@ -1,0 +1,45 @@
+"""Compiled loops of the inverse of the linear block. Every sum has a fixed order, however long the signal."""
+
+from __future__ import annotations
+
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def filtered(taps, y, out):  # type: ignore[no-untyped-def]
+    """out[i, k] = sum over j of taps[j] y[i, k+j]: y (p, N + taps - 1), out (p, N) overwritten."""
+    out[:] = 0.0
+    for i in range(out.shape[0]):
+        for j in range(taps.shape[0]):
+            for k in range(out.shape[1]):
+                out[i, k] += taps[j] * y[i, k + j]
+
+
+@njit(cache=True, nogil=True)
+def run_inverse(a, b, c, taps, ahead, x, y, v):  # type: ignore[no-untyped-def]
+    """x[k+1] = a x[k] + b y+[k], v[k] = c x[k] + sum of taps[j] y+[k+j], with y+_i[k] = y[i, k + ahead_i].
+
+    a (n, n), b (n, p), c (p, n); taps (j, p, p); ahead (p,); x (n,) updated
+    y (p, N + longest ahead + taps - 1); v (p, N) overwritten
+    """
+    n, p = b.shape
+    v[:] = 0.0
+    for o in range(p):
+        for i in range(p):
+            for j in range(taps.shape[0]):
+                for k in range(v.shape[1]):
+                    v[o, k] += taps[j, o, i] * y[i, k + j + ahead[i]]
+    new = x.copy()
+    for k in range(v.shape[1]):
+        for o in range(p):
+            for s in range(n):
+                v[o, k] += c[o, s] * x[s]
+        for s in range(n):
+            total = 0.0
+            for q in range(n):
+                total += a[s, q] * x[q]
+            for i in range(p):
+                total += b[s, i] * y[i, k + ahead[i]]
+            new[s] = total
+        for s in range(n):
+            x[s] = new[s]

@@ -1,0 +1,32 @@
+"""Compiled time loop of many copies of one linear path."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def respond_copies(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
+    """x[k+1] = a x[k] + b v[k], y[k] = c x[k] + d v[k], each row of v through its own copy.
+
+    a : (n, n); b, c : (n,); d : number; x : (copy, n) states, updated in place
+    v : (copy, N) inputs; y : (copy, N) outputs, overwritten
+    """
+    n = b.shape[0]
+    now, new = np.empty(n), np.empty(n)
+    for row in range(v.shape[0]):
+        now[:] = x[row]
+        for t in range(v.shape[1]):
+            u = v[row, t]
+            out = d * u
+            for i in range(n):
+                out += c[i] * now[i]
+                total = b[i] * u
+                for j in range(n):
+                    total += a[i, j] * now[j]
+                new[i] = total
+            y[row, t] = out
+            for i in range(n):
+                now[i] = new[i]
+        x[row] = now
