@@ -112,6 +112,13 @@ class Claim(BaseModel):
             raise ValueError("agreement.within needs the paper's figure")
         return self
 
+    def of_true_position(self) -> Claim | None:
+        """The same claim on the true position, where its metric has such a twin."""
+        twin = self.quantity.metric.replace("_um", "_true_um")
+        if twin not in Row.__dataclass_fields__ or "true" in self.quantity.metric:
+            return None
+        return self.model_copy(update={"quantity": self.quantity.model_copy(update={"metric": twin})})
+
     def value(self, rows: Sequence[Row]) -> float:
         """The simulated figure."""
         divisor = 1.0 if self.over is None else self.over.value(rows)
@@ -164,12 +171,14 @@ class Verdict:
 
 
 def verdicts(
-    claims: Sequence[Claim], rows_by_actuator: Mapping[str, Sequence[Row]], static: str = "duo_bimorph_static"
+    claims: Sequence[Claim],
+    rows_by_actuator: Mapping[str, Sequence[Row]],
+    static: str = "duo_bimorph_static",
 ) -> tuple[Verdict, ...]:
     """Answer every claim with the rows of every actuator; the first actuator is the scenario's own.
 
-    ``static`` names the actuator without dynamics: where the claim fails with dynamics, what it answers
-    tells whether they are the cause.
+    ``static`` names the actuator without dynamics: where a claim is not met, what it answers tells whether
+    the dynamics are the cause, and the true positions tell what the sensor adds.
 
     Raises InputError where a claim selects no row.
     """
@@ -181,7 +190,8 @@ def verdicts(
             answers.append(Answer(actuator, value, claim.agreement.holds(value, claim.paper)))
         if math.isnan(answers[0].value):
             raise InputError(f"claim {claim.id}", "selects no row that has this metric; look into rms.csv")
-        reason = _reason(answers, static)
+        own = next(iter(rows_by_actuator))
+        reason = "" if answers[0].agrees else _reason(claim, own, static, rows_by_actuator)
         wanted = claim.agreement.words()
         found.append(
             Verdict(claim.id, claim.statement, claim.paper, claim.unit, wanted, tuple(answers), reason)
@@ -189,12 +199,22 @@ def verdicts(
     return tuple(found)
 
 
-def _reason(answers: Sequence[Answer], static: str) -> str:
-    """Where a claim fails, what the actuator without dynamics says of the cause."""
-    own = answers[0]
-    without = next((answer for answer in answers if answer.actuator == static), None)
-    if own.agrees or without is None or without.actuator == own.actuator or math.isnan(without.value):
-        return ""
-    if without.agrees:
-        return f"the dynamics: without them it is {without.value:.3g}"
-    return f"not the dynamics alone: without them it is {without.value:.3g}"
+def _reason(claim: Claim, own: str, static: str, rows: Mapping[str, Sequence[Row]]) -> str:
+    """Say what was measured of the cause: without the sensor, without the dynamics, without both."""
+    true = claim.of_true_position()
+    measured = []
+    if true is not None:
+        measured.append(("at the true position", true.value(rows[own])))
+    if static in rows and static != own:
+        measured.append(("without dynamics", claim.value(rows[static])))
+        if true is not None:
+            measured.append(("without both", true.value(rows[static])))
+    known = [(words, value) for words, value in measured if not math.isnan(value)]
+    if not known:
+        return "no other actuator was asked for the cause"
+    cause = next((w for w, v in known if claim.agreement.holds(v, claim.paper)), None)
+    causes = {"at the true position": "the sensor's lag and noise", "without dynamics": "the dynamics"}
+    verdict = causes.get(
+        cause or "", "dynamics and sensor together" if cause else "in the law or the loop itself"
+    )
+    return f"{verdict}: " + ", ".join(f"{words} {value:.3g}" for words, value in known)

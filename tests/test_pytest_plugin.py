@@ -42,9 +42,10 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def project(template: Path, pytester: pytest.Pytester) -> pytest.Pytester:
-    """A copy of the project, where pytest runs."""
+def project(template: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> pytest.Pytester:
+    """A copy of the project, where pytest runs, without plugins that are slow to load."""
     shutil.copytree(template, pytester.path, dirs_exist_ok=True)
+    monkeypatch.setenv("PYTEST_ADDOPTS", "-p no:hypothesispytest -p no:benchmark")
     return pytester
 
 
@@ -94,7 +95,7 @@ def test_a_failure_shows_the_table_without_a_traceback(project: pytest.Pytester)
             "large: 4 of * numbers left their tolerance",
             "  frequency_hz  amplitude_v  axis    metric  baseline  now  *",
             "If this is intended: hammerstein check scenarios/large.toml --update-baseline",
-            "FAILED scenarios/large.toml::large - large: 4 of *",
+            "FAILED scenarios/large.toml::large - *large: 4 of *",
         ]
     )
     result.stdout.no_fnmatch_line("*Traceback*")

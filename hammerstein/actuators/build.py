@@ -23,9 +23,9 @@ Array = NDArray[np.float64]
 
 FREQUENCY_HZ = 50.0
 CYCLES = 12  # the resonances ring for four cycles; the last one is used
-# Slow modes typical of soft PZT (a few per cent a decade); the paper gives no numbers, only that creep is
+# Slow modes as soft PZT has them (some per cent a decade); the paper gives no numbers, only that creep is
 # felt below 0.05 Hz.
-CREEP = tuple(CreepMode(gain=g, time_constant_s=t) for g, t in ((0.02, 3.0), (0.02, 30.0), (0.02, 300.0)))
+CREEP = tuple(CreepMode(gain=g, time_constant_s=t) for g, t in ((0.03, 3.0), (0.05, 30.0), (0.05, 300.0)))
 
 
 def bandwidth_axes() -> AxesDynamics:

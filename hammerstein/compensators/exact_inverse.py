@@ -47,6 +47,14 @@ class Tables(NamedTuple):
     about: Array
 
 
+class Recovery(NamedTuple):
+    """How a linear block comes back to its path after the range kept it off: x+ = a x + b (v - gain x)."""
+
+    a: Array
+    b: Array
+    gain: Array
+
+
 class ExactInverse(Law[ExactState]):
     """Solves ``Gamma(U) = Y_r`` in every sample by walking the affine pieces of the model.
 
@@ -134,16 +142,25 @@ class ExactInverse(Law[ExactState]):
         """State from what ``as_dict`` gave."""
         return ExactState.from_dict(data)
 
-    def scratch(self) -> tuple[Array, Array, Array]:
+    def _scratch(self) -> tuple[Array, Array, Array]:
         """Tables that a walk writes into: now, passed, matrix."""
         m, width = self.n_inputs, self.tables.grid.shape[1] + 1
         return np.zeros((m, 15 + m)), np.zeros((m, width, 3)), np.zeros((3, m, 2 * m))
 
     def _respond(self, reference_um: Array, start: ExactState) -> tuple[Array, ExactState]:
+        state = start.copy()
+        return self.solve(reference_um, state, np.zeros(0)), state
+
+    def solve(self, v_um: Array, state: ExactState, away: Array, recovery: Recovery | None = None) -> Array:
+        """Drive (m, N) for outputs (p, N) of the static block; ``state`` is moved on in place.
+
+        away : (n,) distance of a linear block behind it from where its inverse believes it to be, updated
+        recovery : how that distance is taken away; needed if there is such a block
+        """
         from hammerstein.compensators.exact_kernel import respond_exact
 
-        state = start.copy()
-        drive = np.empty((self.n_inputs, reference_um.shape[1]))
-        virtual = self.n_inputs - self.n_outputs
-        respond_exact(reference_um, virtual, *self.tables, state.stack, state.hand, *self.scratch(), drive)
-        return drive, state
+        p, drive = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1]))
+        back = recovery or Recovery(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((p, 0)))
+        tables = (*self.tables, state.stack, state.hand, *self._scratch())
+        respond_exact(v_um, self.n_inputs - p, *back, away, *tables, drive)
+        return drive

@@ -38,6 +38,7 @@ import numpy as np
 from numba import njit
 
 SINGULAR = 1e-14
+GONE = 1e-12
 
 R, SLOPE = 0, 1
 PLAY, BOUND, SOFT, STILL, GAIN = 0, 1, 2, 3, 4
@@ -52,16 +53,49 @@ CONSTANT = 15
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def respond_exact(reference, virtual, grid, about, stack, hand, now, passed, matrix, drive):  # type: ignore[no-untyped-def]
-    """Drive (m, N), overwritten, whose model output is the reference (p, N); the memory is updated."""
+def respond_exact(  # type: ignore[no-untyped-def]
+    reference, virtual, a, b, gain, x, grid, about, stack, hand, now, passed, matrix, drive
+):
+    """Drive (m, N), overwritten, whose model output is the reference (p, N); the memory is updated.
+
+    Behind a linear block (a (n, n), b (n, p)), x (n,) is how far its state is from the one that belongs to
+    the reference, as it is after the range was reached; ``reference - gain x`` is asked for until it is not.
+    """
+    p = reference.shape[0]
+    new = x.copy()
+    away = np.abs(x).sum() > 0.0
     ready = prepare(grid, about, stack, hand, now, matrix)
     for t in range(reference.shape[1]):
-        for o in range(reference.shape[0]):
+        for o in range(p):
             now[o, Y] = reference[o, t]
+            if away:
+                for s in range(x.shape[0]):
+                    now[o, Y] -= gain[o, s] * x[s]
         if not (ready and stay(about, stack, hand, now, matrix)):
             ready = walk(ready, virtual, grid, about, stack, hand, now, passed, matrix)
+            for o in range(p):
+                away = away or (now[o, MISSED] != 0.0 and x.shape[0] > 0)
         for k in range(drive.shape[0]):
             drive[k, t] = now[k, U]
+        if away:
+            away = _drift(reference, t, a, b, x, new, now)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _drift(reference, t, a, b, x, new, now):  # type: ignore[no-untyped-def]
+    """Move the distance x of the linear block by one sample; False once it is gone."""
+    for s in range(x.shape[0]):
+        new[s] = 0.0
+        for q in range(x.shape[0]):
+            new[s] += a[s, q] * x[q]
+        for o in range(reference.shape[0]):
+            new[s] += b[s, o] * (now[o, Y] + now[o, MISSED] - reference[o, t])
+    largest = 0.0
+    for s in range(x.shape[0]):
+        largest = max(largest, abs(new[s]))
+    for s in range(x.shape[0]):
+        x[s] = new[s] if largest > GONE else 0.0
+    return largest > GONE
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -56,8 +56,8 @@ def _loops(report: Report) -> dict[str, Figure]:
     role, unit = _driven_quantity(report)
     names = report.inputs if volts else report.axes
     driven = [symbol(name, role) for name in names]
-    inputs = [f"{name} [{unit}]" for name in driven]
-    readings = [f"{symbol(name, 'reading')} [µm]" for name in report.axes]
+    inputs = [f"{role} {name} [{unit}]" for name in driven]
+    readings = [f"reading {symbol(name, 'reading')} [µm]" for name in report.axes]
     errors_of = [f"{symbol(name, 'error')} [µm]" for name in report.axes]
     cycles = report.scenario.measure.measured_cycles
     mean = f", mean of {cycles} cycles" if cycles > 1 else ""
@@ -150,13 +150,12 @@ def _paths(report: Report) -> dict[str, Figure]:
     runs = [run for trace in report.traces for run in _path_runs(report, trace)]
     volts = report.scenario.drive is not None
     kind = report.scenario.signal.kind.capitalize()
-    title = f"{kind}: sensor's reading" + ("" if runs[0].target_um is None else " and reference")
-    if volts and runs[0].target_um is not None:
-        title = f"{kind}: predictions and the sensor's reading"
-    target = "measured" if volts else "reference"
-    figures = {"path": path_figure(runs, report.axes, target, title)}
-    if len({run.group for run in runs}) > 1 and runs[0].target_um is not None:
-        figures["errors"] = path_errors_figure(runs, report.axes, title.replace(": ", ", errors: ", 1))
+    compared = runs[0].target_um is not None
+    what = "predictions of the models" if volts and compared else "sensor's reading"
+    target = "sensor's reading" if volts else "reference"
+    figures = {"path": path_figure(runs, report.axes, target, f"{kind}: {what}")}
+    if len({run.group for run in runs}) > 1 and compared:
+        figures["errors"] = path_errors_figure(runs, report.axes, f"{kind}: {what} less {target}")
     return figures
 
 

@@ -131,7 +131,8 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
         most = MOST_POINTS // (len(runs) * rows)
         for column, group in enumerate(groups):
             inside = [run for run in runs if run.group == group]
-            entries |= _draw_errors(list(panels[:, column]), inside, _pens(runs), axes_names, most)
+            lines = _draw_errors(list(panels[:, column]), inside, _pens(runs), axes_names, most)
+            entries |= {_entry(label, runs): line for label, line in lines.items()}
             letter(panels[0, column], column, group)
             for axes in panels[:, column] if column else []:
                 axes.set_ylabel("")
@@ -215,7 +216,7 @@ def _draw_traces(
         for run in runs:
             time, values = thin_trace(run.time_s[shown] * factor, run.output_um[axis, shown], most)
             (line,) = axes.plot(time, values, **pens[run.label])
-            entries.setdefault(_entry(run), line)
+            entries[_entry(run.label, runs)] = line
         if runs[0].target_um is not None:
             time, values = thin_trace(runs[0].time_s[shown] * factor, runs[0].target_um[axis, shown], most)
             (entries[target],) = axes.plot(time, values, **TARGET)
@@ -226,18 +227,19 @@ def _draw_traces(
     return entries
 
 
-def _entry(run: PathRun) -> str:
-    """Label with the worst distance of the whole run, of one axis the worst error."""
-    if run.target_um is None:
-        return plain(run.label)
-    errors = dict(run.errors())
-    worst = significant(float(np.abs(errors.get(DISTANCE, errors[""])).max()))
-    truly = f", true {significant(_worst([run], TRULY))} µm" if TRULY in errors else ""
-    return f"{plain(run.label)} (worst {worst} µm{truly})"
+def _entry(label: str, runs: Sequence[PathRun]) -> str:
+    """Label with the worst distance of its runs as a whole; of one axis, the worst error."""
+    same = [run for run in runs if run.label == label]
+    if same[0].target_um is None:
+        return plain(label)
+    names = dict(same[0].errors())
+    truly = f", true {significant(_worst(same, TRULY))} µm" if TRULY in names else ""
+    worst = significant(_worst(same, DISTANCE if DISTANCE in names else ""))
+    return f"{plain(label)} (worst {worst} µm{truly})"
 
 
 def _worst(runs: Sequence[PathRun], name: str) -> float:
-    return max(float(dict(run.errors())[name].max()) for run in runs)
+    return max(float(np.abs(dict(run.errors())[name]).max()) for run in runs)
 
 
 def _draw_errors(
@@ -247,7 +249,7 @@ def _draw_errors(
     names: Sequence[str],
     most: int,
 ) -> dict[str, Artist]:
-    """Errors over time, a panel each; gives the entries of the legend."""
+    """Errors over time, a panel each; gives the line of each label."""
     entries: dict[str, Artist] = {}
     factor, time_label = time_axis(runs[0].shown_s)
     for run in runs:
@@ -255,7 +257,7 @@ def _draw_errors(
         for axes, (_, error) in zip(panels, run.errors(), strict=True):
             time, values = thin_trace(run.time_s[shown] * factor, error[shown], most)
             (line,) = axes.plot(time, values, **pens[run.label])
-            entries.setdefault(plain(run.label), line)
+            entries[run.label] = line
     for i, (name, _) in enumerate(runs[0].errors()):
         panels[i].margins(x=0.0)
         few_ticks(panels[i])

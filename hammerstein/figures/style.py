@@ -154,7 +154,7 @@ def letter(axes: Axes, number: int, remark: str = "") -> None:
 def legend_above(figure: Figure, entries: dict[str, Artist], title: str = "") -> None:
     """Legend of the whole figure above its panels, in the order given."""
     longest = max((len(label) for label in entries), default=0)
-    most = 4 if longest < 20 else 3 if longest < 27 else 2 if longest < 50 else 1
+    most = 4 if longest < 20 else 3 if longest < 27 else 2 if longest < 54 else 1
     columns = math.ceil(len(entries) / math.ceil(len(entries) / most))
     legend = figure.legend(
         list(entries.values()), list(entries), loc="outside upper center", ncols=columns, title=title or None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +17,10 @@ Complex = NDArray[np.complex128]
 CONDITION = 1e6
 """Condition of the eigenvectors above which A is not taken apart: nearly equal poles share their states."""
 
+ROUNDING = 1e-30
+"""Part of the whole sum of squares below which nothing but rounding is left."""
+
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-10, 1e10
-
-
-class Progress(NamedTuple):
-    """One accepted step."""
-
-    iteration: int
-    cost: float
 
 
 @dataclass(frozen=True)
@@ -63,8 +58,8 @@ def refine(
     start: Matrices,
     max_iterations: int,
     tolerance: float,
-    progress: Callable[[Progress], None] | None = None,
-) -> tuple[Matrices, float]:
+    progress: Callable[[int, float], None],
+) -> Matrices:
     """Improve a stable model by Levenberg-Marquardt steps with the analytic Jacobian, and keep it stable.
 
     A is held block diagonal (one block a pair of poles, complex or real), which leaves n (m + p + 2) + m p
@@ -77,26 +72,28 @@ def refine(
     start : stable model
     max_iterations : steps at most
     tolerance : stop when a step lowers the cost by less than this part of it
+    progress : called with the number and the cost of every accepted step
 
     Returns
     -------
-    model and its cost
+    Matrices, stable, in block diagonal form where that is well conditioned
     """
     blocks = split(start)
     cost = lines.cost(blocks.model)
     damping = FIRST_DAMPING
     for iteration in range(1, max_iterations + 1):
+        if cost <= ROUNDING * lines.total:
+            break
         hessian, gradient = _normal_equations(lines, blocks)
         before = cost
         trial, cost, damping = _step(lines, blocks, hessian, gradient, cost, damping)
         if trial is None:
             break
         blocks = _Blocks(trial, blocks.parts)
-        if progress is not None:
-            progress(Progress(iteration, cost))
+        progress(iteration, cost)
         if before - cost <= tolerance * cost:
             break
-    return blocks.model, cost
+    return blocks.model
 
 
 def split(model: Matrices) -> _Blocks:

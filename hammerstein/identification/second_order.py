@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +44,8 @@ DELAY_GAIN = 0.01
 """Part by which a longer delay must lower the error, or the shorter one is kept."""
 STEP = 1e-5
 LARGEST_CHANGE = 0.5
-MOST_STEPS = 40
-ENOUGH = 1e-9
+MOST_STEPS = 25
+ENOUGH = 1e-7
 """Relative gain of a step under which the search has arrived."""
 SEARCH_SAMPLES = 30_000
 SEARCH_OPERATORS = 5
@@ -87,11 +88,6 @@ class Task:
     sensor_bandwidth_hz: float | None
 
     @property
-    def sample_time_s(self) -> float:
-        """Time between samples [s]."""
-        return self.records[0].sample_time_s
-
-    @property
     def columns(self) -> int:
         """Slope columns of all inputs."""
         return sum(map(len, self.grids))
@@ -99,47 +95,54 @@ class Task:
     @property
     def limits(self) -> tuple[Array, Array]:
         """Smallest and largest parameters that records of this length and rate can tell anything of."""
-        step = self.sample_time_s
-        span = step * max(record.samples for record in self.records)
+        step = min(record.sample_time_s for record in self.records)
+        span = duration_s(self.records)
         lower = [math.log(0.2 / span), math.log(1e-4), *self.creep_modes * (-1.0, math.log(10.0 * step))]
         upper = [math.log(0.45 / step), math.log(10.0), *self.creep_modes * (10.0, math.log(10.0 * span))]
         return np.array(lower), np.array(upper)
 
-    def path(self, x: Array) -> LinearBlock:
+    def path(self, x: Array, sample_time_s: float) -> LinearBlock:
         """Discrete path from the static block to the reading."""
-        block = discretise(AxesDynamics(axes=(axis_of(x),)), self.sample_time_s, self.sensor_bandwidth_hz)
+        return self._observed(AxesDynamics(axes=(axis_of(x),)), sample_time_s)
+
+    def sensor(self, sample_time_s: float) -> LinearBlock:
+        """Discrete path of an axis without dynamics: the sensor alone."""
+        return self._observed(StaticDynamics(n_outputs=1), sample_time_s)
+
+    def _observed(self, dynamics: AxesDynamics | StaticDynamics, sample_time_s: float) -> LinearBlock:
+        block = discretise(dynamics, sample_time_s, self.sensor_bandwidth_hz)
         path = channel(block, block.n_outputs - 1, 0)
         assert path is not None  # an axis always answers
         return path
 
-    @property
-    def sensor(self) -> LinearBlock:
-        """Discrete path of an axis without dynamics: the sensor alone."""
-        block = discretise(StaticDynamics(n_outputs=1), self.sample_time_s, self.sensor_bandwidth_hz)
-        path = channel(block, block.n_outputs - 1, 0)
-        assert path is not None
-        return path
-
-    def derivative(self, x: Array, i: int, slopes: Array) -> LinearBlock:
+    def derivative(self, x: Array, i: int, slopes: Array, sample_time_s: float) -> LinearBlock:
         """Derivative by x_i of the path, hearing all columns through their slopes."""
-        ahead, behind = (self.path(x + s * STEP * np.eye(len(x))[i]) for s in (1.0, -1.0))
+        change = STEP * np.eye(len(x))[i]
+        ahead, behind = self.path(x + change, sample_time_s), self.path(x - change, sample_time_s)
         zero = np.zeros_like(ahead.A)
         return LinearBlock(
             np.block([[ahead.A, zero], [zero, behind.A]]),
             np.vstack([ahead.B, behind.B]) * slopes,
             np.hstack([ahead.C, -behind.C]) / (2.0 * STEP),
             (ahead.D - behind.D) / (2.0 * STEP) * slopes,
-            self.sample_time_s,
+            sample_time_s,
         )
 
-    def moments(self, filters: Sequence[Filter], columns: int) -> Moments:
-        """Moments of the filtered columns with the output, over all records."""
+    def moments(self, filters: Callable[[float], Sequence[Filter]], columns: int) -> Moments:
+        """Moments of the columns with the output over all records; the filters depend on the sample time."""
+        times = {record.sample_time_s for record in self.records}
+        built = {time: filters(time) for time in times}
         parts = []
         for record, start in zip(self.records, self.starts, strict=True):
-            y = record.y_um[[self.output]]
-            blocks = regressor_blocks(delayed(record, start, self.delay_samples), start, self.grids, filters)
+            y, passed = record.y_um[[self.output]], built[record.sample_time_s]
+            blocks = regressor_blocks(delayed(record, start, self.delay_samples), start, self.grids, passed)
             parts.append(moments_of(((c, y[:, k : k + c.shape[1]]) for k, c in blocks), columns, 1))
         return pooled(parts)
+
+
+def duration_s(records: Sequence[Record]) -> float:
+    """Time of the longest record [s]."""
+    return max(record.sample_time_s * record.samples for record in records)
 
 
 def axis_of(x: Array) -> Axis:
@@ -162,7 +165,8 @@ class Point:
 def refine(task: Task, x: Array) -> Point:
     """Gauss-Newton steps from x until nothing is gained."""
     lower, upper = task.limits
-    here = _point(task, np.clip(x, lower, upper), _alone(task, task.path(x)).coefficients)
+    begin = np.clip(x, lower, upper)
+    here = _point(task, begin, _alone(task, partial(task.path, begin)).coefficients)
     for _ in range(MOST_STEPS):
         step = here.step * min(1.0, LARGEST_CHANGE / max(float(np.abs(here.step).max()), 1e-300))
         there = _point(task, np.clip(here.x + step, lower, upper), here.slopes)
@@ -175,16 +179,20 @@ def refine(task: Task, x: Array) -> Point:
     return here
 
 
-def _alone(task: Task, path: LinearBlock) -> Solution:
+def _alone(task: Task, path: Callable[[float], LinearBlock]) -> Solution:
     """Slopes behind a fixed path."""
-    moments = task.moments([SideBySide(path, task.columns)], task.columns)
+    moments = task.moments(lambda time: [SideBySide(path(time), task.columns)], task.columns)
     return solve(moments.gram, moments.cross[:, 0], float(moments.power[0]), moments.freedom)
 
 
 def _point(task: Task, x: Array, slopes: Array) -> Point:
     """Best slopes at x, and the Gauss-Newton step from slopes that were best near by."""
     n, q = task.columns, len(x)
-    filters: list[Filter] = [SideBySide(task.path(x), n), *(task.derivative(x, i, slopes) for i in range(q))]
+
+    def filters(time: float) -> list[Filter]:
+        derivatives = [task.derivative(x, i, slopes, time) for i in range(q)]
+        return [SideBySide(task.path(x, time), n), *derivatives]
+
     moments = task.moments(filters, n + q)
     cross, power = moments.cross[:, 0], float(moments.power[0])
     alone = solve(moments.gram[:n, :n], cross[:n], power, moments.freedom)
@@ -200,7 +208,7 @@ def search(task: Task) -> Array:
     for f in np.arange(math.log(10.0) + lower[0], upper[0], math.log(SEARCH_RATIO)):
         for damping in SEARCH_DAMPING:
             x = np.array([f, math.log(damping)])
-            rms = _alone(task, task.path(x)).residual_rms
+            rms = _alone(task, partial(task.path, x)).residual_rms
             if rms < least:
                 best, least = x, rms
     return best
@@ -231,7 +239,7 @@ def fit_axis(task: Task, begin: Array) -> AxisFit:
 
 def _first_creep(task: Task) -> Array:
     """Gains and time constants to begin with: spread over what the longest record shows of slow modes."""
-    span = task.sample_time_s * max(record.samples for record in task.records)
+    span = duration_s(task.records)
     times = span * np.geomspace(0.02, 0.5, task.creep_modes + 2)[1:-1]
     return np.column_stack([np.full(len(times), 0.02), np.log(times)]).ravel()
 
@@ -272,7 +280,7 @@ def fit_axes(
 
     Parameters
     ----------
-    records : all with the same axes and sample time
+    records : all with the same axes; sample times may differ where no delay is looked for
     grids : thresholds of each input [V]
     starts : what went before each record; rest if not given
     creep_modes : slow modes of each axis

@@ -92,7 +92,7 @@ def fit_static(
     method: Weighting = "invertible",
     starts: Sequence[Start] = (),
     delay_samples: int = 0,
-    through: LinearBlock | None = None,
+    through: LinearBlock | Sequence[LinearBlock] | None = None,
     ridge: float = 0.0,
 ) -> StaticFit:
     """Weights between all inputs and outputs from several records together.
@@ -111,7 +111,8 @@ def fit_static(
         the pair's mean slope, weights may be negative
     starts : what went before each record; rest if not given
     delay_samples : samples by which the outputs come late
-    through : linear block behind the static one with p inputs; its last p outputs are what was recorded
+    through : linear block behind the static one with p inputs, one for all records or one each; its last p
+        outputs are what was recorded
     ridge : penalty of the weights but the first, relative to the power of the plays
 
     Raises
@@ -139,26 +140,34 @@ def static_moments(
     grids: Sequence[Array],
     starts: Sequence[Start],
     delay_samples: int = 0,
-    through: LinearBlock | None = None,
+    through: LinearBlock | Sequence[LinearBlock] | None = None,
 ) -> list[Moments]:
     """Moments of each output with the slope columns of all inputs, over all records."""
-    p = len(records[0].y_um)
+    p, columns = len(records[0].y_um), sum(map(len, grids))
+    each = list(zip(records, starts, strict=True))
     if through is None:
-        parts = [
-            _record_moments(*pair, grids, delay_samples, (), range(p))
-            for pair in zip(records, starts, strict=True)
-        ]
+        parts = [_record_moments(*one, grids, delay_samples, (), range(p)) for one in each]
         return [pooled(parts).of_output(o) for o in range(p)]
+    blocks = [through] * len(records) if isinstance(through, LinearBlock) else through
     moments = []
     for o in range(p):
-        path = channel(through, through.n_outputs - p + o, o)
-        filters = () if path is None else (SideBySide(path, sum(map(len, grids))),)
+        filters = [_filters(block, p, o, columns) for block in blocks]
         parts = [
-            _record_moments(*pair, grids, delay_samples, filters, [o])
-            for pair in zip(records, starts, strict=True)
+            _record_moments(*one, grids, delay_samples, passed, [o])
+            for one, passed in zip(each, filters, strict=True)
         ]
         moments.append(pooled(parts))
     return moments
+
+
+def _filters(block: LinearBlock, p: int, o: int, columns: int) -> list[Filter]:
+    """Path of one output alone; the block must not couple the outputs."""
+    first = block.n_outputs - p
+    paths = [channel(block, first + o, k) for k in range(p)]
+    own = paths.pop(o)
+    if own is None or any(path is not None for path in paths):
+        raise IdentificationError("the linear block couples the outputs; give one that acts on each alone")
+    return [SideBySide(own, columns)]
 
 
 def _record_moments(
