@@ -5,6 +5,7 @@ reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one
 
 from __future__ import annotations
 
+from hammerstein.bands import bands_of
 from hammerstein.claims import verdicts
 from hammerstein.errors import InputError
 from hammerstein.measure import rows_of, statements_of
@@ -99,6 +100,7 @@ def run(
         rows=rows,
         statements=statements_of(setup, results),
         verdicts=verdicts(scenario.claims, answers),
+        bands=bands_of(setup, cases, jobs, progress),
         traces=traces,
     )
 
@@ -109,7 +111,7 @@ def _other_answers(
     """Rows of the same experiment on the other actuators that the claims are put to."""
     answers = {}
     for actuator in scenario.claims_also_on if scenario.claims else ():
-        alone = {"actuator": actuator, "claims": (), "claims_also_on": ()}
+        alone = {"actuator": actuator, "claims": (), "claims_also_on": (), "uncertainty": None}
         other = run(scenario.model_copy(update=alone), name, jobs, progress)
         answers[other.actuator] = other.rows
     return answers

@@ -51,6 +51,8 @@ def write_report(
         "report.md": render(report, names),
         "report.json": report.to_json(),
     }
+    if report.bands:
+        texts = {"bands.csv": report.bands_to_csv()} | texts
     for name, text in texts.items():
         write_atomic(folder / name, text)
         written.append(folder / name)

@@ -31,6 +31,22 @@ class Prediction:
     position_um: Array
 
 
+@dataclass(frozen=True)
+class Band:
+    """Median and 5-95 % band of one metric of one row over the draws of an uncertain actuator."""
+
+    compensator: str
+    excited_axis: str
+    measured_axis: str
+    frequency_hz: float
+    amplitude_v: float | None
+    amplitude_um: float | None
+    metric: str
+    p5_um: float
+    median_um: float
+    p95_um: float
+
+
 @dataclass(frozen=True, eq=False)
 class Trace:
     """The measured window of one case, for figures and for ``--traces``."""
@@ -55,6 +71,7 @@ class Report:
     rows : figures, one row for each case and measured axis
     statements : what a reader must know of convergence, saturation and settling
     verdicts : the scenario's claims and what was found
+    bands : spread over the draws of an uncertain actuator; empty without uncertainty
     traces : measured windows; they are not written into the report file
     """
 
@@ -68,6 +85,7 @@ class Report:
     rows: tuple[Row, ...]
     statements: tuple[str, ...]
     verdicts: tuple[Verdict, ...] = ()
+    bands: tuple[Band, ...] = ()
     traces: tuple[Trace, ...] = ()
 
     def without_traces(self) -> Report:
@@ -91,9 +109,17 @@ class Report:
             "model_digest": self.model_digest,
             "statements": list(self.statements),
             "claims": [verdict.as_dict() for verdict in self.verdicts],
+            "bands": [{k: v for k, v in asdict(band).items() if v is not None} for band in self.bands],
             "rows": [row.key() | row.numbers() for row in self.rows],
         }
         return json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n"
+
+    def bands_to_csv(self) -> str:
+        """Text of ``bands.csv``: one line for each row and metric."""
+        import pandas as pd
+
+        table = pd.DataFrame([asdict(band) for band in self.bands])
+        return str(table.to_csv(index=False, lineterminator="\n"))
 
     def to_csv(self) -> str:
         """Text of ``rms.csv``: one line a row, figures without meaning left empty."""

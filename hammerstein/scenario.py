@@ -27,6 +27,7 @@ from hammerstein.files import read_limited
 from hammerstein.instruments import Instruments
 from hammerstein.signals import Excitation, FromFile, OnAxes, Reference
 from hammerstein.sources import ModelSource
+from hammerstein.uncertainty import Uncertainty
 from hammerstein.validation import mistakes_of
 
 Frequencies = Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
@@ -87,6 +88,7 @@ class Scenario(BaseModel):
     measure: Measure = Measure()
     compensators: tuple[Compensator, ...] = ()
     models: tuple[ModelSource, ...] = ()
+    uncertainty: Uncertainty | None = Field(default=None, description="repeat the run on drawn actuators")
     tolerances: dict[str, Tolerance] = {}
     claims: tuple[Claim, ...] = ()
     claims_also_on: tuple[str, ...] = Field(

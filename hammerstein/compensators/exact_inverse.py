@@ -145,7 +145,7 @@ class ExactInverse(Law[ExactState]):
     def _scratch(self) -> tuple[Array, Array, Array]:
         """Tables that a walk writes into: now, passed, matrix."""
         m, width = self.n_inputs, self.tables.grid.shape[1] + 1
-        return np.zeros((m, 15 + m)), np.zeros((m, width, 3)), np.zeros((3, m, 2 * m))
+        return np.zeros((m, 16 + m)), np.zeros((m, width, 3)), np.zeros((3, m, 2 * m))
 
     def _respond(self, reference_um: Array, start: ExactState) -> tuple[Array, ExactState]:
         state = start.copy()

@@ -27,7 +27,7 @@ compiled calls cheap.
                                GAIN: size of what input k does to each row
     stack (m, n_max+2, 3+m)    the law's memory, a segment an entry: END, X, D; BELOW: what lies deeper
     hand (m, 3)                also memory: COUNT of segments, WANTED q, RAMP of the jump from -1 to 1
-    now (m, 15+m)              where a walk stands; follows from the memory between two samples
+    now (m, 16+m)              where a walk stands; follows from the memory between two samples
     passed (m, n_max+2, 3)     pieces that the walk has passed: PREFIX, OWNER, NEAR
     matrix (3, m, 2m)          J, its inverse, and the elimination
 """
@@ -37,7 +37,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-SINGULAR = 1e-14
+SINGULAR, POOR = 1e-14, 1e3
 GONE = 1e-12
 
 R, SLOPE = 0, 1
@@ -47,9 +47,10 @@ COUNT, WANTED, RAMP = 0, 1, 2
 # Of an input: the piece (engaged operators, segment that owns the next one, where it begins and ends, how
 # many pieces lie behind), q and its aim, the row taken at the range and where, the drive.
 PREFIX, OWNER, NEAR, FAR, SIGMA, DEPTH, Q, AIM, FIXED, AT, U = range(11)
-# Of a row: target, sum of the constants, what is left, what the memory has more than the target.
-Y, TOTAL, LEFT, MISSED = range(11, 15)
-CONSTANT = 15
+# Of a row: target, sum of the constants, what is left, what the memory has more than the target. Of the
+# first row alone: whether the Jacobian is singular (0), inverted poorly (1) or well (2).
+Y, TOTAL, LEFT, MISSED, QUALITY = range(11, 16)
+CONSTANT = 16
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -108,16 +109,20 @@ def prepare(grid, about, stack, hand, now, matrix):  # type: ignore[no-untyped-d
         ready = _first_piece(grid, stack, hand, now, matrix, k, 0.0) and ready
         if about[k, SOFT] > 0.0 and hand[k, RAMP] != now[k, SIGMA]:
             ready = False
-    return ready and _jacobian(now, matrix)
+    _jacobian(now, matrix)
+    return ready and now[0, QUALITY] == 2.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def stay(about, stack, hand, now, matrix):  # type: ignore[no-untyped-def]
     """Solve within the pieces of the last sample; False, and no memory changed, where they do not hold q."""
     m = now.shape[0]
-    _aim(now, matrix)
     for k in range(m):
-        d, q = now[k, SIGMA], now[k, AIM]
+        q = 0.0
+        for o in range(m):
+            q += matrix[1, k, o] * (now[o, Y] - now[o, TOTAL])
+        now[k, AIM] = q
+        d = now[k, SIGMA]
         if d * (q - now[k, Q]) < -about[k, STILL] or d * (q - now[k, FAR]) > 0.0 or abs(q) > about[k, BOUND]:
             return False
     for k in range(m):
@@ -136,7 +141,7 @@ def stay(about, stack, hand, now, matrix):  # type: ignore[no-untyped-def]
 def walk(ready, virtual, grid, about, stack, hand, now, passed, matrix):  # type: ignore[no-untyped-def]
     """Solve one sample from the memory, whatever it takes; drive and memory are those of what was reached.
 
-    ready : whether the walk stands at the memory and has its aim already. Returns what ``prepare`` does.
+    ready : whether the walk stands at the memory already. Returns what ``prepare`` does.
     """
     m = now.shape[0]
     exact = True
@@ -144,9 +149,8 @@ def walk(ready, virtual, grid, about, stack, hand, now, passed, matrix):  # type
         if not ready:
             for k in range(m):
                 _first_piece(grid, stack, hand, now, matrix, k, 0.0)
-            ready = _jacobian(now, matrix)
-            _aim(now, matrix)
-        exact = ready and _to_target(grid, about, stack, hand, now, passed, matrix) and exact
+            _jacobian(now, matrix)
+        exact = _to_target(grid, about, stack, hand, now, passed, matrix) and exact
         if not _fix_one(virtual, about, now):
             break
         exact = ready = False
@@ -159,7 +163,7 @@ def walk(ready, virtual, grid, about, stack, hand, now, passed, matrix):  # type
         # The pieces of the walk are those of the memory now, and so are the Jacobian and its inverse.
         for k in range(m):
             now[k, DEPTH], now[k, NEAR], now[k, MISSED] = 0.0, now[k, Q], 0.0
-        return True
+        return now[0, QUALITY] == 2.0
     ready = prepare(grid, about, stack, hand, now, matrix)
     for o in range(m):
         now[o, MISSED] = 0.0 if exact else _output(grid, stack, hand, o) - now[o, Y]
@@ -244,7 +248,7 @@ def _previous_piece(grid, stack, hand, now, passed, matrix, k):  # type: ignore[
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _jacobian(now, matrix):  # type: ignore[no-untyped-def]
-    """Sum of the constants and inverse of the Jacobian of the present pieces; False where it is singular."""
+    """Sum of the constants and inverse of the Jacobian of the present pieces."""
     m = now.shape[0]
     for o in range(m):
         total = 0.0
@@ -257,12 +261,12 @@ def _jacobian(now, matrix):  # type: ignore[no-untyped-def]
             now[o, TOTAL] = now[o, Y] - now[k, AT]
             for i in range(m):
                 matrix[0, o, i] = 1.0 if i == k else 0.0
-    return _invert(matrix)
+    now[0, QUALITY] = _invert(matrix)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _invert(matrix):  # type: ignore[no-untyped-def]
-    """Inverse of the Jacobian by elimination with row exchange; False where it is singular."""
+    """Inverse of the Jacobian by elimination with row exchange, and its quality (see QUALITY)."""
     m = matrix.shape[1]
     a, inverse, z = 0, 1, 2
     largest = 0.0
@@ -277,7 +281,7 @@ def _invert(matrix):  # type: ignore[no-untyped-def]
             if abs(matrix[z, i, j]) > abs(matrix[z, best, j]):
                 best = i
         if abs(matrix[z, best, j]) <= SINGULAR * largest:
-            return False
+            return 0.0
         if best != j:
             for c in range(2 * m):
                 matrix[z, j, c], matrix[z, best, c] = matrix[z, best, c], matrix[z, j, c]
@@ -286,10 +290,12 @@ def _invert(matrix):  # type: ignore[no-untyped-def]
                 factor = matrix[z, i, j] / matrix[z, j, j]
                 for c in range(j, 2 * m):
                     matrix[z, i, c] -= factor * matrix[z, j, c]
+    size = 0.0
     for i in range(m):
         for j in range(m):
             matrix[inverse, i, j] = matrix[z, i, m + j] / matrix[z, i, i]
-    return True
+            size = max(size, abs(matrix[inverse, i, j]))
+    return 2.0 if m * m * size * largest < POOR else 1.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -315,9 +321,12 @@ def _aim(now, matrix):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _to_target(grid, about, stack, hand, now, passed, matrix):  # type: ignore[no-untyped-def]
-    """Walk towards an aim already taken; False where the model lets no walk get to the target."""
+    """Walk to the target from the first pieces; False where the model lets no walk get there."""
     m = now.shape[0]
     for _ in range(64 + 8 * m * grid.shape[1]):
+        if now[0, QUALITY] == 0.0:
+            return False
+        _aim(now, matrix)
         first, share = _first_to_leave(about, now)
         if first < 0:
             for k in range(m):
@@ -331,9 +340,7 @@ def _to_target(grid, about, stack, hand, now, passed, matrix):  # type: ignore[n
             _next_piece(grid, stack, now, passed, matrix, first)
         else:
             _previous_piece(grid, stack, hand, now, passed, matrix, first)
-        if not _jacobian(now, matrix):
-            return False
-        _aim(now, matrix)
+        _jacobian(now, matrix)
     return False
 
 

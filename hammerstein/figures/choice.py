@@ -10,7 +10,7 @@ import numpy as np
 from hammerstein.figures.loop_data import error_runs, legible_parts, loop_runs, swept_label
 from hammerstein.figures.loops import errors_figure, loops_figure
 from hammerstein.figures.path import PathRun, path_errors_figure, path_figure
-from hammerstein.figures.style import Role, symbol
+from hammerstein.figures.style import Role, plain, symbol
 from hammerstein.figures.sweep import SweepCurve, sweep_figure
 from hammerstein.report import Report, Trace
 from hammerstein.rows import Row
@@ -63,12 +63,13 @@ def _loops(report: Report) -> dict[str, Figure]:
     mean = f", mean of {cycles} cycles" if cycles > 1 else ""
     figures = {}
     for suffix, traces in legible_parts(report.traces).items():
-        title = f"Sensor's reading over the {role}{mean}"
+        whose = f"{plain(traces[0].label)}: sensor's" if suffix else "Sensor's"
+        title = f"{whose} reading over the {role}{mean}"
         runs = loop_runs(report, traces)
         figures[f"loops{suffix}"] = loops_figure(runs, inputs, readings, title, ideal=not volts)
         errors = error_runs(report, traces)
         if errors:
-            title = f"Sensor's reading less {'the prediction' if volts else 'the reference'}"
+            title = f"{whose} reading less the {'prediction' if volts else 'reference'}"
             figures[f"errors{suffix}"] = errors_figure(errors, driven, errors_of, title)
     return figures
 

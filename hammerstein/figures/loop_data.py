@@ -54,21 +54,23 @@ def swept_label(signal: Reference | Excitation, sweep: Sweep) -> str:
 
 def legend_labels(report: Report, traces: Sequence[Trace]) -> list[str]:
     """Text of the legend for each trace: no more than what tells the curves of one figure apart."""
-    values = [swept_label(trace.signal, report.scenario.sweep) for trace in traces]
     compared = len({trace.label for trace in traces}) > 1
     labels = []
-    for trace, value in zip(traces, values, strict=True):
+    for trace in traces:
+        value = swept_label(trace.signal, report.scenario.sweep)
         name = trace.label if compared or not value else ""
         told = value and re.search(rf"(?<![\d.]){re.escape(value)}\b", name)
-        words = [word for word in (name, "" if told else value) if word]
-        labels.append(", ".join(words) or f"{trace.signal.highest_frequency_hz:g} Hz")
+        labels.append(", ".join(word for word in (name, "" if told else value) if word))
     return labels
 
 
 def loop_runs(report: Report, traces: Sequence[Trace]) -> list[LoopRun]:
     """Mean measured cycle of each trace: reading, and what the models say of it."""
     labels = legend_labels(report, traces)
-    return [_loop(trace, label, _driven(report, trace)) for trace, label in zip(traces, labels, strict=True)]
+    return [
+        _loop(trace, label or f"{trace.signal.highest_frequency_hz:g} Hz", _driven(report, trace))
+        for trace, label in zip(traces, labels, strict=True)
+    ]
 
 
 def error_runs(report: Report, traces: Sequence[Trace]) -> list[ErrorRun]:

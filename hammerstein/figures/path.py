@@ -107,9 +107,10 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
         n_errors = 0 if largest[0].target_um is None else len(largest[0].errors())
         figure, plane, traces, errors = _layout(len(axes_names), n_errors)
         pens = _pens(runs)
-        most = MOST_POINTS // (len(runs) + len(largest) * (len(axes_names) + n_errors) + len(axes_names))
+        curves = 3 * len(runs) + len(largest) * (len(axes_names) + n_errors) + len(axes_names)
+        most = MOST_POINTS // curves  # a path in the plane is longer and gets three times as many
         if plane is not None:
-            _draw_plane(plane, runs, pens, axes_names, most)
+            _draw_plane(plane, runs, pens, axes_names, 3 * most)
             letter(plane, 0)
         entries = _draw_traces(traces, largest, pens, axes_names, target, most)
         letter(traces[0], 1 if plane else 0, group)

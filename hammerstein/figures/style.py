@@ -27,7 +27,7 @@ Role = Literal["reading", "reference", "voltage", "error"]
 
 WIDTH_IN = 8.0  # at 100 pixels an inch the width of a page on a screen
 PNG_DPI = 150
-MOST_POINTS = 14_000  # of all curves of a figure together: keeps an SVG below 400 kB
+MOST_POINTS = 12_000  # of all curves of a figure together: keeps an SVG below 400 kB
 
 # Okabe and Ito's colours, told apart with any colour vision; the order keeps neighbours apart in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#000000")

@@ -96,7 +96,8 @@ def _draw(axes: Axes, curve: SweepCurve, values: Array, number: int) -> Artist:
     if here is not None:
         logarithms = np.log(np.maximum(values, 1e-12))
         height = np.exp(np.interp(np.log(here), np.log(curve.frequency_hz), logarithms))
-        axes.plot([here], [height], "|", color=style["color"], markersize=14, markeredgewidth=2.2, zorder=3)
+        mark = {"color": style["color"], "markersize": 14, "markeredgewidth": 2.2}
+        axes.plot([here], [height], "|", zorder=3, clip_on=False, **mark)
     return line
 
 

@@ -34,6 +34,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 # Two habits that these loops owe half of their speed to. An index of unsigned type is not tested for Python's
 # counting from the end; no index is negative here. And helpers use every array on each way through them, and
@@ -94,7 +95,9 @@ def engaged(gap, factor, r, k, end):  # type: ignore[no-untyped-def]
     return low
 
 
-def search_guide(r, n):  # type: ignore[no-untyped-def]
+def search_guide(
+    r: NDArray[np.float64], n: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Where ``first_at_least`` begins its search: guide (m, levels) and scale (m,).
 
     Two steps of level a threshold on average. Guides are a hair early, so that rounding makes none late.
@@ -128,14 +131,6 @@ def first_at_least(level, r, guide, scale):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def direction_of(u, r, x, d, top):  # type: ignore[no-untyped-def]
-    """+1 or -1 if moving to u engages operator 0 rising or falling, 0 inside its dead zone."""
-    gap = u - x[at(top)]
-    direction = 1.0 if gap > 0.0 else -1.0
-    return direction if direction * gap > (1.0 - direction * d[at(top)]) * r[0] else 0.0
-
-
-@njit(cache=True, nogil=True)
 def advance(u, r, w, rw, count, end, x, d, below):  # type: ignore[no-untyped-def]
     """Move one input to u; updates the stack in place and returns its new height.
 
@@ -146,38 +141,41 @@ def advance(u, r, w, rw, count, end, x, d, below):  # type: ignore[no-untyped-de
     end, x, d : (n+1,) the stack; below : (n+1, p)
     """
     top = count - 1
-    direction = direction_of(u, r, x, d, top)
-    if direction == 0.0:
-        return count
-    k = 0
-    if d[top] == direction:
-        k = end[top]
-        top -= 1
-    while top >= 0:
-        k = engaged(direction * (u - x[top]), 1.0 - direction * d[top], r, k, end[top])
-        if k < end[top]:
-            break
-        top -= 1
-    new = top + 1
+    direction, rests = _direction(u, r, x, d, top)
+    if rests:  # it moves to where it is
+        u, direction = x[at(top)], d[at(top)]
+    base, k = _base(u, direction, r, top, -1, end, x, d)
+    held, s = (1.0, base) if base >= 0 else (0.0, 0)
+    last = end[at(s)]
+    if base >= 0:
+        k = engaged(direction * (u - x[at(s)]), 1.0 - direction * d[at(s)], r, k, last)
+    new = base + 1
     for o in range(w.shape[1]):
-        below[new, o] = 0.0
-        if top >= 0:
-            rest = x[top] * (w[end[top], o] - w[k, o]) - d[top] * (rw[end[top], o] - rw[k, o])
-            below[new, o] = below[top, o] + rest
-    end[new] = k
-    x[new] = u
-    d[new] = direction
+        rest = x[at(s)] * (w[at(last), at(o)] - w[at(k), at(o)])
+        rest -= d[at(s)] * (rw[at(last), at(o)] - rw[at(k), at(o)])
+        below[at(new), at(o)] = held * (below[at(s), at(o)] + rest)
+    x[at(new)], d[at(new)], end[at(new)] = u, direction, k
     return new + 1
 
 
 @njit(cache=True, nogil=True)
-def next_engagement(r, count, end, x, d):  # type: ignore[no-untyped-def]
-    """Input at which the active top segment engages its next operator (infinite if none is left)."""
-    direction = d[count - 1]
-    if count == 1:
-        return direction * np.inf
-    below = count - 2
-    return x[below] + direction * (1.0 - direction * d[below]) * r[end[count - 1]]
+def _direction(u, r, x, d, top):  # type: ignore[no-untyped-def]
+    """+1 or -1 on the way to u, and whether operator 0 rests, as it does within its dead zone."""
+    gap = u - x[at(top)]
+    direction = 1.0 if gap > 0.0 else -1.0
+    return direction, direction * gap <= (1.0 - direction * d[at(top)]) * r[0]
+
+
+@njit(cache=True, nogil=True)
+def _base(u, direction, r, top, floor, end, x, d):  # type: ignore[no-untyped-def]
+    """Uppermost segment that moving to u does not wipe out, and how many operators move above it."""
+    same = d[at(top)] == direction
+    s = top - 1 if same else top
+    k = end[at(top)] if same else 0
+    while s > floor and direction * (u - x[at(s)]) > (1.0 - direction * d[at(s)]) * r[at(end[at(s)] - 1)]:
+        k = end[at(s)]
+        s -= 1
+    return s, k
 
 
 @njit(cache=True, nogil=True)
@@ -257,14 +255,13 @@ def _respond_block(  # type: ignore[no-untyped-def]
     """
     t = start
     while t < stop:
-        gap = u[at(t)] - x[at(top)]
-        direction = 1.0 if gap > 0.0 else -1.0
-        if direction * gap <= (1.0 - direction * d[at(top)]) * r[0]:  # operator 0 rests
+        direction, rests = _direction(u[at(t)], r, x, d, top)
+        if rests:
             for o in range(len(outputs)):
                 y[at(o), at(t)] += tip[at(top), at(o)]
             t += 1
             continue
-        base, k = _base(u[at(t)], direction, r, top, end, x, d)
+        base, k = _base(u[at(t)], direction, r, top, 0, end, x, d)
         x0, turn, unit, reach = _branch(direction, base, r, end, x, d)
         top = base + 1
         last = unit * (u[at(t)] - x0)
@@ -309,18 +306,6 @@ def _respond_block(  # type: ignore[no-untyped-def]
             for o in range(len(outputs)):
                 tip[at(top), at(o)] = _line(x[at(top)] - x0, turn, k, o, base, w, rw, tip)
     return top
-
-
-@njit(cache=True, nogil=True)
-def _base(u, direction, r, top, end, x, d):  # type: ignore[no-untyped-def]
-    """Uppermost segment that moving to u does not wipe out, and how many operators move above it."""
-    same = d[at(top)] == direction
-    s = top - 1 if same else top
-    k = end[at(top)] if same else 0
-    while s > 0 and direction * (u - x[at(s)]) > (1.0 - direction * d[at(s)]) * r[at(end[at(s)] - 1)]:
-        k = end[at(s)]
-        s -= 1
-    return s, k
 
 
 @njit(cache=True, nogil=True)

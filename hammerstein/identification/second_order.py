@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, LinearBlock, StaticDynamics, discretise
+from hammerstein.identification.delay import MOST_DELAY, shortest_delay
 from hammerstein.identification.normal_equations import Moments, Solution, moments_of, pooled, solve
 from hammerstein.identification.partition import thresholds_uniform_in_voltage
 from hammerstein.identification.records import Record
@@ -40,8 +41,6 @@ from hammerstein.identification.static_block import half_swing
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
-DELAY_GAIN = 0.01
-"""Part by which a longer delay must lower the error, or the shorter one is kept."""
 STEP = 1e-5
 LARGEST_CHANGE = 0.5
 MOST_STEPS = 25
@@ -245,19 +244,83 @@ def _first_creep(task: Task) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class AxesFit:
-    """Second-order dynamics of all axes and the delay of the inputs.
+class FirstGuess:
+    """Resonances near the best ones, found quickly.
 
     Parameters
     ----------
-    axes : one for each output
+    parameters : (output, 2) ln resonance and ln damping
     delay_samples : whole samples by which the outputs come late
-    delay_rms_um : (delay, output) rms of what is left in the search, for every delay tried
+    delay_rms_um : (delay, output) rms of what is left for every delay tried; empty if it was given
     """
+
+    parameters: Array
+    delay_samples: int
+    delay_rms_um: Array
+
+    def dynamics(self) -> AxesDynamics:
+        """Give the axes, without delay."""
+        return AxesDynamics(axes=tuple(axis_of(x) for x in self.parameters))
+
+    @property
+    def settle_s(self) -> float:
+        """Time in which the slowest axis rings down to a thousandth [s]."""
+        decay = 2.0 * math.pi * np.exp(self.parameters.sum(axis=1))
+        return math.log(1e3) / float(decay.min())
+
+
+def search_axes(
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    *,
+    operators: int = SEARCH_OPERATORS,
+    delay_samples: int | None = 0,
+    most_delay: int = MOST_DELAY,
+    sensor_bandwidth_hz: float | None = None,
+    progress: Progress | None = None,
+) -> FirstGuess:
+    """Resonance and damping of every axis, and the delay, from the beginnings of the records.
+
+    Parameters
+    ----------
+    records : all with the same axes
+    starts : what went before each record
+    operators : plays of each input, few
+    delay_samples : whole samples by which the outputs come late; None: found, up to ``most_delay``, if all
+        records have one sample time
+    sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; none if not given
+    progress : told what is being done
+    """
+    tell = progress or (lambda _: None)
+    quick = shortened(records, starts)
+    grids = tuple(thresholds_uniform_in_voltage(reach, operators) for reach in half_swing(quick))
+    names = records[0].outputs
+    tasks = [
+        Task(quick, tuple(starts), grids, o, 0, delay_samples or 0, sensor_bandwidth_hz)
+        for o in range(len(names))
+    ]
+    begins = []
+    for name, task in zip(names, tasks, strict=True):
+        tell(f"searching the resonance of {name}")
+        begins.append(refine(task, search(task)).x)
+    if delay_samples is not None or len({record.sample_time_s for record in records}) > 1:
+        return FirstGuess(np.array(begins), delay_samples or 0, np.empty((0, len(tasks))))
+    tell("searching the delay")
+    points = [
+        [refine(replace(task, delay_samples=d), x) for task, x in zip(tasks, begins, strict=True)]
+        for d in range(most_delay + 1)
+    ]
+    rms = np.array([[point.rms for point in row] for row in points])
+    delay = shortest_delay(rms)
+    return FirstGuess(np.array([point.x for point in points[delay]]), delay, rms)
+
+
+@dataclass(frozen=True, eq=False)
+class AxesFit:
+    """Second-order dynamics of all axes and the delay of the inputs."""
 
     axes: tuple[AxisFit, ...]
     delay_samples: int
-    delay_rms_um: Array
 
     def dynamics(self, sample_time_s: float) -> AxesDynamics:
         """Give the linear block of the model."""
@@ -268,11 +331,10 @@ class AxesFit:
 def fit_axes(
     records: Sequence[Record],
     grids: Sequence[Array],
+    starts: Sequence[Start],
+    guess: FirstGuess,
     *,
-    starts: Sequence[Start] = (),
     creep_modes: int = 0,
-    delay_samples: int | None = 0,
-    most_delay: int = 5,
     sensor_bandwidth_hz: float | None = None,
     progress: Progress | None = None,
 ) -> AxesFit:
@@ -280,51 +342,26 @@ def fit_axes(
 
     Parameters
     ----------
-    records : all with the same axes; sample times may differ where no delay is looked for
+    records : all with the same axes; sample times may differ where there is no delay
     grids : thresholds of each input [V]
-    starts : what went before each record; rest if not given
+    starts : what went before each record
+    guess : where to begin
     creep_modes : slow modes of each axis
-    delay_samples : whole samples by which the outputs come late; None: found, up to ``most_delay``
-    sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; none if not given
+    sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz]
     progress : told what is being done
     """
-    begun = tuple(starts) or (Start("rest"),) * len(records)
     tell = progress or (lambda _: None)
-    outputs = range(len(records[0].y_um))
-    coarse = tuple(
-        thresholds_uniform_in_voltage(reach, SEARCH_OPERATORS) if len(grid) > 1 else grid
-        for reach, grid in zip(half_swing(records), grids, strict=True)
-    )
-    quick = shortened(records, begun)
-    tasks = [Task(quick, begun, coarse, o, 0, delay_samples or 0, sensor_bandwidth_hz) for o in outputs]
-    begins = []
-    for o, task in enumerate(tasks):
-        tell(f"searching the resonance of {records[0].outputs[o]}")
-        begins.append(refine(task, search(task)).x)
-    delay, delay_rms = delay_samples, np.empty((0, len(tasks)))
-    if delay is None:
-        tell("searching the delay")
-        delay_rms = _delay_curve(tasks, begins, most_delay)
-        delay = shortest_delay(delay_rms)
     fits = []
-    for o, begin in enumerate(begins):
+    for o, begin in enumerate(guess.parameters):
         tell(f"fitting the axis {records[0].outputs[o]}")
-        task = Task(tuple(records), begun, tuple(grids), o, creep_modes, delay, sensor_bandwidth_hz)
+        task = Task(
+            tuple(records),
+            tuple(starts),
+            tuple(grids),
+            o,
+            creep_modes,
+            guess.delay_samples,
+            sensor_bandwidth_hz,
+        )
         fits.append(fit_axis(task, begin))
-    return AxesFit(tuple(fits), delay, delay_rms)
-
-
-def _delay_curve(tasks: Sequence[Task], begins: Sequence[Array], most_delay: int) -> Array:
-    """What is left (delay, output) when the axes are fitted anew for every delay [um]."""
-    return np.array(
-        [
-            [refine(replace(task, delay_samples=d), x).rms for task, x in zip(tasks, begins, strict=True)]
-            for d in range(most_delay + 1)
-        ]
-    )
-
-
-def shortest_delay(rms_um: Array) -> int:
-    """Shortest delay whose error is within one percent of the least: rms (delay, output)."""
-    relative = np.sqrt(np.mean((rms_um / rms_um[0]) ** 2, axis=1))
-    return int(np.flatnonzero(relative <= (1.0 + DELAY_GAIN) * relative.min())[0])
+    return AxesFit(tuple(fits), guess.delay_samples)

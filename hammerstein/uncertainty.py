@@ -1,0 +1,112 @@
+"""How uncertain the actuator is: draws of an actuator near the nominal one."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt
+
+from hammerstein.dynamics import AxesDynamics, Axis, StateSpaceDynamics, StaticDynamics
+from hammerstein.errors import InputError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.instruments import Instruments
+from hammerstein.model import HammersteinModel
+
+Array = NDArray[np.float64]
+
+
+class Uncertainty(BaseModel):
+    """Relative standard deviations of the actuator's parameters; each draw is another actuator.
+
+    Frequencies, dampings, creep gains and noise are multiplied by exp(s g), g standard normal, so that they
+    stay positive. Each weight gets s |w| g added, or its own standard error times g.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    draws: PositiveInt = 50
+    seed: int = Field(default=1, ge=0)
+    weights: float | Literal["standard_errors"] = Field(
+        default=0.0, description='relative, or "standard_errors" from the actuator\'s model file'
+    )
+    resonance: float = Field(default=0.0, ge=0.0)
+    damping: float = Field(default=0.0, ge=0.0)
+    creep: float = Field(default=0.0, ge=0.0)
+    noise: float = Field(default=0.0, ge=0.0)
+
+    def draw(
+        self, model: HammersteinModel, instruments: Instruments, number: int
+    ) -> tuple[HammersteinModel, Instruments]:
+        """Actuator and instruments of one draw; it does not depend on how many are drawn.
+
+        Raises InputError where standard errors are asked for and the model has none, or where axes are
+        perturbed and the dynamics have none.
+        """
+        generator = np.random.default_rng([self.seed, number])
+        hysteresis = _weights_drawn(model.hysteresis, self.weights, generator)
+        dynamics = self._dynamics_drawn(model, generator)
+        drawn = HammersteinModel(
+            name=model.name,
+            hysteresis=hysteresis,
+            dynamics=dynamics,
+            amplitude_v=model.amplitude_v,
+            inputs=model.inputs,
+            outputs=model.outputs,
+            instruments=model.instruments,
+            provenance=model.provenance,
+        )
+        noise = instruments.sensor.noise_um * _factor(self.noise, generator)
+        sensor = instruments.sensor.model_copy(update={"noise_um": noise})
+        return drawn, instruments.model_copy(update={"sensor": sensor})
+
+    def _dynamics_drawn(
+        self, model: HammersteinModel, generator: np.random.Generator
+    ) -> AxesDynamics | StaticDynamics | StateSpaceDynamics:
+        dynamics = model.dynamics
+        if isinstance(dynamics, AxesDynamics):
+            axes = tuple(self._axis_drawn(axis, generator) for axis in dynamics.axes)
+            return dynamics.model_copy(update={"axes": axes})
+        if self.resonance or self.damping or self.creep:
+            raise InputError(
+                "uncertainty", f"{model.name} has no axes with a resonance that could be uncertain"
+            )
+        return dynamics
+
+    def _axis_drawn(self, axis: Axis, generator: np.random.Generator) -> Axis:
+        return Axis(
+            resonance_hz=axis.resonance_hz * _factor(self.resonance, generator),
+            damping_ratio=axis.damping_ratio * _factor(self.damping, generator),
+            creep=tuple(
+                mode.model_copy(update={"gain": mode.gain * _factor(self.creep, generator)})
+                for mode in axis.creep
+            ),
+        )
+
+
+def _factor(relative: float, generator: np.random.Generator) -> float:
+    return float(np.exp(relative * generator.standard_normal()))
+
+
+def _weights_drawn(
+    hysteresis: PrandtlIshlinskii, relative: float | str, generator: np.random.Generator
+) -> PrandtlIshlinskii:
+    rows = []
+    for row in hysteresis.pairs:
+        pairs = []
+        for pair in row:
+            deviations = _deviations(pair, relative) * generator.standard_normal(len(pair.thresholds_v))
+            pairs.append(Pair(pair.thresholds_v, pair.weights_um_per_v + deviations))
+        rows.append(tuple(pairs))
+    return PrandtlIshlinskii(tuple(rows))
+
+
+def _deviations(pair: Pair, relative: float | str) -> Array:
+    if not isinstance(relative, str):
+        return np.asarray(relative * np.abs(pair.weights_um_per_v))
+    if pair.weight_errors_um_per_v is None:
+        raise InputError(
+            "uncertainty.weights", "the actuator's model has no standard errors; give a relative deviation"
+        )
+    return pair.weight_errors_um_per_v
