@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hammerstein import record_commands
 from hammerstein.errors import HammersteinError
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+app.command()(record_commands.loops)
 
 Paths = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Scenario files, or folders of them.")]
 Jobs = Annotated[
@@ -71,7 +74,7 @@ def run(
     """Run scenarios and write a report for each: numbers, a page, figures."""
     from hammerstein.batch import Writer, load_all, run_all
     from hammerstein.errors import InputError
-    from hammerstein.tables import result_table
+    from hammerstein.tables import result_table, show
 
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
@@ -87,7 +90,7 @@ def run(
         reports = [json.loads(o.report.to_json()) for o in outcomes if o.report is not None]
         typer.echo(json.dumps({"reports": reports, "errors": [str(o.error) for o in outcomes if o.error]}))
     else:
-        _print(result_table([o.report for o in outcomes if o.report is not None]))
+        show(result_table([o.report for o in outcomes if o.report is not None]))
         typer.echo(f"reports in {out}")
     _fail_with(outcomes)
 
@@ -142,13 +145,13 @@ def schema() -> None:
 def actuators(as_json: AsJson = False) -> None:
     """List the actuators that come with the package."""
     from hammerstein.model import HammersteinModel, packaged_actuators
-    from hammerstein.tables import actuator_table
+    from hammerstein.tables import actuator_table, show
 
     models = [HammersteinModel.load(name) for name in packaged_actuators()]
     if as_json:
         typer.echo(json.dumps([json.loads(model.to_json()) for model in models]))
     else:
-        _print(actuator_table(models))
+        show(actuator_table(models))
 
 
 @app.command()
@@ -205,13 +208,6 @@ class _Watch:
         if self.bar is not None:
             self.bar.update(self.task, advance=1, description=name)
             self.bar.update(self.inner, visible=False)
-
-
-def _print(renderable: Any) -> None:
-    from rich.console import Console
-
-    console = Console()
-    console.print(renderable) if console.is_terminal else Console(width=140).print(renderable)
 
 
 def _complain(message: str) -> None:

@@ -1,4 +1,5 @@
 """Markdown page of a report."""
+
 from __future__ import annotations
 
 

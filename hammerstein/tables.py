@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hammerstein.identification.loops import Loop
 from hammerstein.model import HammersteinModel
 from hammerstein.report import Report
 from hammerstein.rows import Row
@@ -60,3 +62,29 @@ def actuator_table(models: Iterable[HammersteinModel]) -> Table:
         words = (model.name, ", ".join(model.inputs), ", ".join(model.outputs), str(operators))
         table.add_row(*words, model.dynamics.describe(), f"{model.amplitude_v:g}")
     return table
+
+
+def loops_table(found: Mapping[str, Sequence[Loop]]) -> Table:
+    """One line a loop of a measured record."""
+    columns = ("file", "input", "output", "start", "amplitude_v", "height_um", "width_um", "width_percent")
+    table = _table("Loops", (*columns, "area_v_um", "closure_um", "drift_um", "settled"))
+    for source, loops in found.items():
+        for loop in loops:
+            numbers = (loop.amplitude_v, loop.height_um, loop.width_um, loop.width_percent, loop.area_v_um)
+            table.add_row(
+                Path(source).name,
+                loop.input,
+                loop.output + (" (minor)" if loop.minor else ""),
+                str(loop.start),
+                *(f"{number:.4g}" for number in (*numbers, loop.closure_um, loop.drift_um)),
+                "yes" if loop.settled else "no",
+            )
+    return table
+
+
+def show(table: Table) -> None:
+    """Print a table on stdout, as wide as the terminal; wide enough for every column where it is a file."""
+    from rich.console import Console
+
+    console = Console()
+    (console if console.is_terminal else Console(width=160)).print(table)

@@ -113,7 +113,7 @@ def prepare(grid, about, stack, hand, now, matrix):  # type: ignore[no-untyped-d
     return ready and now[0, QUALITY] == 2.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def stay(about, stack, hand, now, matrix):  # type: ignore[no-untyped-def]
     """Solve within the pieces of the last sample; False, and no memory changed, where they do not hold q."""
     m = now.shape[0]

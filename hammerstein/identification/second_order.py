@@ -36,6 +36,7 @@ from hammerstein.identification.regressors import (
     delayed,
     regressor_blocks,
 )
+from hammerstein.identification.starts import shortened
 from hammerstein.identification.static_block import half_swing
 
 Array = NDArray[np.float64]
@@ -213,15 +214,6 @@ def search(task: Task) -> Array:
     return best
 
 
-def shortened(records: Sequence[Record], starts: Sequence[Start]) -> tuple[Record, ...]:
-    """Beginnings of the records, short enough to search quickly."""
-    most = max(SEARCH_SAMPLES // len(records), 500)
-    return tuple(
-        record.part(0, min(record.samples, start.first + most))
-        for record, start in zip(records, starts, strict=True)
-    )
-
-
 def fit_axis(task: Task, begin: Array) -> AxisFit:
     """Fit one axis from parameters near the best ones."""
     point = refine(task, np.concatenate([begin[:2], _first_creep(task)]))
@@ -292,12 +284,11 @@ def search_axes(
     progress : told what is being done
     """
     tell = progress or (lambda _: None)
-    quick = shortened(records, starts)
+    quick, begun = shortened(records, starts, SEARCH_SAMPLES)
     grids = tuple(thresholds_uniform_in_voltage(reach, operators) for reach in half_swing(quick))
     names = records[0].outputs
     tasks = [
-        Task(quick, tuple(starts), grids, o, 0, delay_samples or 0, sensor_bandwidth_hz)
-        for o in range(len(names))
+        Task(quick, begun, grids, o, 0, delay_samples or 0, sensor_bandwidth_hz) for o in range(len(names))
     ]
     begins = []
     for name, task in zip(names, tasks, strict=True):

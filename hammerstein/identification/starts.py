@@ -25,6 +25,8 @@ KEPT_SHARE = 0.5
 """Part of a record that must remain for the rest to be spent on forgetting."""
 CAUTION = 0.25
 """Part of the remaining record that is left out as well until the dynamics are known."""
+FEWEST = 500
+"""Samples of a record that are always kept."""
 ALIKE = 2.0
 ALIKE_FLOOR = 0.002
 """A start from rest is believed if it explains the beginning as well as the model explains the rest."""
@@ -104,3 +106,18 @@ def _judged(
     after = np.sqrt(np.mean(error[:, cautious.first :] ** 2, axis=1))
     allowed = ALIKE * after + ALIKE_FLOOR * np.ptp(record.y_um, axis=1)
     return Start("rest") if bool((before <= allowed).all()) else forgotten
+
+
+def shortened(
+    records: Sequence[Record], starts: Sequence[Start], samples: int
+) -> tuple[tuple[Record, ...], tuple[Start, ...]]:
+    """Beginnings of the records with a given number of samples in all, for what must be quick."""
+    most = max(samples // len(records), FEWEST)
+    cut, begun = [], []
+    for record, start in zip(records, starts, strict=True):
+        stop = min(record.samples, start.first + most)
+        part = record.part(0, stop)
+        late = start.kind == "repeated" and start.first == 0 and stop < record.samples
+        cut.append(part)
+        begun.append(replace(start, first=run_in(part)) if late else start)
+    return tuple(cut), tuple(begun)

@@ -143,7 +143,7 @@ def static_moments(
     through: LinearBlock | Sequence[LinearBlock] | None = None,
 ) -> list[Moments]:
     """Moments of each output with the slope columns of all inputs, over all records."""
-    p, columns = len(records[0].y_um), sum(map(len, grids))
+    p = len(records[0].y_um)
     each = list(zip(records, starts, strict=True))
     if through is None:
         parts = [_record_moments(*one, grids, delay_samples, (), range(p)) for one in each]
@@ -151,23 +151,27 @@ def static_moments(
     blocks = [through] * len(records) if isinstance(through, LinearBlock) else through
     moments = []
     for o in range(p):
-        filters = [_filters(block, p, o, columns) for block in blocks]
         parts = [
-            _record_moments(*one, grids, delay_samples, passed, [o])
-            for one, passed in zip(each, filters, strict=True)
+            _record_moments(*one, grids, delay_samples, path_filters(blocks, i, o, grids, p), [o])
+            for i, one in enumerate(each)
         ]
         moments.append(pooled(parts))
     return moments
 
 
-def _filters(block: LinearBlock, p: int, o: int, columns: int) -> list[Filter]:
-    """Path of one output alone; the block must not couple the outputs."""
+def path_filters(
+    blocks: Sequence[LinearBlock], record: int, o: int, grids: Sequence[Array], p: int
+) -> list[Filter]:
+    """Path of one of p outputs in the block of a record; the block must not couple the outputs."""
+    if not blocks:
+        return []
+    block = blocks[record]
     first = block.n_outputs - p
     paths = [channel(block, first + o, k) for k in range(p)]
     own = paths.pop(o)
     if own is None or any(path is not None for path in paths):
         raise IdentificationError("the linear block couples the outputs; give one that acts on each alone")
-    return [SideBySide(own, columns)]
+    return [SideBySide(own, sum(map(len, grids)))]
 
 
 def _record_moments(

@@ -1,0 +1,165 @@
+"""Thresholds for given records, and how many of them the records call for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import LinearBlock
+from hammerstein.identification.normal_equations import Moments, moments_of, pooled, solve
+from hammerstein.identification.partition import thresholds_uniform_in_time, thresholds_uniform_in_voltage
+from hammerstein.identification.prediction import ranges
+from hammerstein.identification.preparation import driven_inputs
+from hammerstein.identification.records import Record
+from hammerstein.identification.regressors import Filter, Start, delayed, regressor_blocks
+from hammerstein.identification.starts import shortened
+from hammerstein.identification.static_block import half_swing, path_filters
+from hammerstein.identification.turning_points import find_cycles
+
+Array = NDArray[np.float64]
+Partition = Literal["time", "voltage"]
+
+COUNTS = (1, 2, 3, 4, 6, 8, 10, 12, 15, 20, 25, 30, 40)
+"""Numbers of operators that are tried."""
+CURVE_SAMPLES = 50_000
+SEGMENTS = 16
+HELD_OUT = 4
+"""Every fourth segment of each record is held out."""
+ENOUGH = 0.02
+"""A number of operators is enough if its error is within this part of the least."""
+FINE = 1000
+"""Samples a node where the records have no cycle: the partition's limit for many samples."""
+
+
+def input_grids(records: Sequence[Record], operators: int, partition: Partition = "time") -> list[Array]:
+    """Thresholds of each input [V], up to half the largest swing in the records.
+
+    Parameters
+    ----------
+    records : voltages and displacements
+    operators : number of thresholds of every input
+    partition : ``time``: uniform in the time of a sine of the records' slowest cycle, as in the paper;
+        ``voltage``: uniform in the voltage, from 0
+    """
+    grids = []
+    for k, reach in enumerate(half_swing(records)):
+        if reach == 0.0:
+            grids.append(np.empty(0))
+        elif operators == 1:
+            grids.append(np.zeros(1))
+        elif partition == "voltage":
+            grids.append(thresholds_uniform_in_voltage(reach, operators))
+        else:
+            half = _samples_per_half_cycle(records, k)
+            samples = half if half >= 2 * (operators + 1) else float(FINE * (operators + 1))
+            grids.append(thresholds_uniform_in_time(reach, operators, samples)[0])
+    return grids
+
+
+def _samples_per_half_cycle(records: Sequence[Record], k: int) -> float:
+    """Half the length of the slowest cycle of one input [samples]; 0 if there is none."""
+    halves = [0.0]
+    for record in records:
+        if k in driven_inputs(record):
+            cycles = [e.stop - e.start for e in find_cycles(record.u_v[k]).excursions if not e.minor]
+            halves += [0.5 * float(np.median(cycles))] if cycles else []
+    return max(halves)
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """Errors on held-out stretches with one number of operators.
+
+    Parameters
+    ----------
+    operators : thresholds of each pair
+    nrmse_percent : (output,) rms error in percent of the range
+    """
+
+    operators: int
+    nrmse_percent: tuple[float, ...]
+
+    @property
+    def mean_percent(self) -> float:
+        """Mean over the outputs."""
+        return float(np.mean(self.nrmse_percent))
+
+
+def error_curve(
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    *,
+    partition: Partition = "time",
+    delay_samples: int = 0,
+    through: Sequence[LinearBlock] = (),
+    counts: Sequence[int] = COUNTS,
+) -> tuple[CurvePoint, ...]:
+    """Error on held-out stretches of the records against the number of operators.
+
+    Each record is cut in 16 stretches; every fourth is held out. The plays run through all of them.
+
+    Parameters
+    ----------
+    records, starts : what is fitted
+    partition : how thresholds are placed
+    delay_samples : whole samples by which the outputs come late
+    through : linear block of each record, if there is one
+    counts : numbers of operators to try
+    """
+    few, begun = shortened(records, starts, CURVE_SAMPLES)
+    span = ranges(few, begun)
+    points = []
+    for n in counts:
+        grids = input_grids(few, n, partition)
+        squares = np.zeros(len(span))
+        samples = 0
+        for o in range(len(span)):
+            parts = [
+                _halves(record, start, grids, delay_samples, path_filters(through, i, o, grids, len(span)), o)
+                for i, (record, start) in enumerate(zip(few, begun, strict=True))
+            ]
+            squares[o], samples = _held_out([p[0] for p in parts], [p[1] for p in parts])
+        points.append(CurvePoint(n, tuple((100.0 * np.sqrt(squares / samples) / span).tolist())))
+    return tuple(points)
+
+
+def _halves(
+    record: Record, start: Start, grids: Sequence[Array], delay: int, filters: Sequence[Filter], o: int
+) -> tuple[Moments, Moments]:
+    """Moments of the fitted and of the held-out stretches."""
+    u, y = delayed(record, start, delay), record.y_um[[o]]
+    blocks = list(regressor_blocks(u, start, grids, filters))
+    columns = sum(map(len, grids))
+
+    def chosen(held: bool) -> Iterator[tuple[Array, Array]]:
+        for k, x in blocks:
+            samples = np.arange(k, k + x.shape[1])
+            mask = (samples * SEGMENTS // record.samples % HELD_OUT == HELD_OUT - 1) == held
+            if mask.any():
+                yield x[:, mask], y[:, samples[mask]]
+
+    return moments_of(chosen(False), columns, 1), moments_of(chosen(True), columns, 1)
+
+
+def _held_out(fitted: Sequence[Moments], held: Sequence[Moments]) -> tuple[float, int]:
+    """Squares left in the held-out stretches, and how many samples they have."""
+    train, test = pooled(fitted), pooled(held)
+    c = solve(train.gram, train.cross[:, 0], float(train.power[0]), train.freedom).coefficients
+    left = float(test.power[0] - 2.0 * test.cross[:, 0] @ c + c @ test.gram @ c)
+    return max(left, 0.0), test.samples
+
+
+def enough_operators(curve: Sequence[CurvePoint]) -> int:
+    """Smallest number of operators whose held-out error is within two percent of the least.
+
+    Examples
+    --------
+    >>> enough_operators([CurvePoint(1, (7.0,)), CurvePoint(8, (0.81,)), CurvePoint(15, (0.8,))])
+    8
+    """
+    least = min(point.mean_percent for point in curve)
+    return next(point.operators for point in curve if point.mean_percent <= (1.0 + ENOUGH) * least)

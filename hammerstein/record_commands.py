@@ -1,0 +1,90 @@
+"""Commands that start from measured records."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from hammerstein.identification.records import Record
+
+Files = Annotated[
+    list[Path], typer.Argument(metavar="FILE...", help="Records: CSV, .dat, .npy, .mat, Parquet.")
+]
+Inputs = Annotated[str, typer.Option(metavar="COL[,COL]", help="Voltage columns, by name or number from 1.")]
+Outputs = Annotated[
+    str, typer.Option(metavar="COL[,COL]", help="Displacement columns, by name or number from 1.")
+]
+Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Samples a second.")]
+Time = Annotated[str | None, typer.Option(metavar="COL", help="Time column in s, instead of --rate.")]
+InputScale = Annotated[float, typer.Option(metavar="S", help="Factor from the file's number to V.")]
+OutputScale = Annotated[float, typer.Option(metavar="S", help="Factor from the file's number to um.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
+
+
+def read(
+    files: Sequence[Path],
+    inputs: str,
+    outputs: str,
+    rate: float | None,
+    time: str | None,
+    input_scale: float,
+    output_scale: float,
+) -> tuple[Record, ...]:
+    """Records from the options that all commands share."""
+    from hammerstein.identification.records import read_records
+
+    return read_records(
+        files,
+        inputs=_columns(inputs),
+        outputs=_columns(outputs),
+        rate_hz=rate,
+        time=time,
+        input_scale=input_scale,
+        output_scale=output_scale,
+    )
+
+
+def _columns(words: str) -> list[str]:
+    return [word.strip() for word in words.split(",") if word.strip()]
+
+
+def loops(
+    files: Files,
+    inputs: Inputs,
+    outputs: Outputs,
+    rate: Rate = None,
+    time: Time = None,
+    input_scale: InputScale = 1.0,
+    output_scale: OutputScale = 1.0,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the figure goes.")] = Path("reports"),
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Find the loops in measured records: height, width, area, closure, drift."""
+    from hammerstein.identification.loops import loop_table
+    from hammerstein.tables import loops_table, show
+
+    records = read(files, inputs, outputs, rate, time, input_scale, output_scale)
+    found = {record.source: loop_table(record) for record in records}
+    if as_json:
+        plain = [
+            {"file": source, **asdict(loop), "width_percent": loop.width_percent}
+            for source, loops_found in found.items()
+            for loop in loops_found
+        ]
+        typer.echo(json.dumps({"loops": plain}))
+    else:
+        show(loops_table(found))
+    if figures:
+        from hammerstein.figures import save_figures
+        from hammerstein.figures.measured import loops_of_records
+
+        figure = loops_of_records(records, [loop_table(record) for record in records])
+        for path in save_figures({"loops": figure} if figure else {}, out / Path(files[0]).stem):
+            typer.echo(str(path), err=as_json)
