@@ -79,6 +79,7 @@ def run(
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
+    _announce_compilation()
     writer = Writer(out, figures, "mat" if traces == "mat" else "csv" if traces == "csv" else None)
     outcomes = []
     with _Watch(len(scenarios)) as watch:
@@ -93,6 +94,13 @@ def run(
         show(result_table([o.report for o in outcomes if o.report is not None]))
         typer.echo(f"reports in {out}")
     _fail_with(outcomes)
+
+
+def _announce_compilation() -> None:
+    from hammerstein.compilation import must_compile
+
+    if must_compile():
+        _complain("compiling the time loops, once after installation (about 20 s)")
 
 
 def _fail_with(outcomes: list[Outcome]) -> None:
@@ -123,6 +131,7 @@ def check(
     from hammerstein.files import write_atomic
     from hammerstein.regression import check_files
 
+    _announce_compilation()
     with _Watch(len(find_scenarios(paths))) as watch:
         result = check_files(paths, baseline, update_baseline, jobs, watch.progress, watch.finished)
     if junit is not None:

@@ -37,8 +37,15 @@ def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]
         return None
     first = records[0]
     return loops_figure(
-        runs, [f"{name} [V]" for name in first.inputs], [f"{name} [um]" for name in first.outputs]
+        runs,
+        [f"{_words(name)} [V]" for name in first.inputs],
+        [f"{_words(name)} [um]" for name in first.outputs],
     )
+
+
+def _words(column: str) -> str:
+    """Name of a column on an axis: a bare number says little."""
+    return f"column {column}" if column.isdigit() else column
 
 
 def _chosen(table: Sequence[Loop]) -> list[Loop]:
