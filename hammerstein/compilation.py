@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def must_compile() -> bool:
-    """Tell whether numba's cache holds no loops yet, as after installation: the first run then takes longer."""
+    """Tell whether numba's cache holds no loops yet, as after installation: the first run takes longer."""
     from hammerstein.compensators import kernels as compensators
     from hammerstein.hysteresis import kernels as hysteresis
 

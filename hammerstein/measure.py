@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein import metrics
-from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
 from hammerstein.dynamics import StaticDynamics, discretise
 from hammerstein.model import HammersteinModel
 from hammerstein.plant import Response
@@ -175,10 +174,7 @@ def _settled(setup: SetUp, case: Case, response: Response, window: Window) -> bo
 
 def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     """What a reader of the report must know: convergence, saturation, and what did not settle."""
-    statements = []
-    for label, law in setup.laws.items():
-        if isinstance(law, InverseMultiplicative):
-            statements.append(f"{label}: {law.convergence.statement()}")
+    statements = [f"{label}: {text}" for label, law in setup.laws.items() if (text := law.statement())]
     for result in results:
         row = result.rows[0]
         where = (

@@ -99,6 +99,10 @@ class InverseMultiplicative(Law[FeedbackState]):
         if not (self.convergence.converges or run_anyway):
             raise SimulationError(f"{self.convergence.statement()} {self._remedy()}")
 
+    def statement(self) -> str:
+        """Say whether the iteration inside converges, with the numbers."""
+        return self.convergence.statement()
+
     def _remedy(self) -> str:
         if self.convergence.slope_min_um_per_v <= 0:
             return (

@@ -50,6 +50,10 @@ class Law(ABC, Generic[S]):
     def _respond(self, reference_um: Array, start: S) -> tuple[Array, S]:
         """Drive (m, N) for a checked reference (p, N), and the state after it; ``start`` is kept."""
 
+    def statement(self) -> str:
+        """Say what a user must know of the law before a run; empty if nothing."""
+        return ""
+
     def respond(self, reference_um: ArrayLike, start: S | None = None) -> tuple[Array, S]:
         """Drive for a stretch of reference.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from hammerstein.compensators.law import Law
 from hammerstein.model import HammersteinModel
@@ -60,6 +60,50 @@ class DecoupledInverseSpec(ModelSource):
         return DecoupledInverse(model, range_v)
 
 
+class ExactInverseSpec(ModelSource):
+    """The exact inverse of the static block, cross-couplings included."""
+
+    law: Literal["exact_inverse"]
+    softening_v: NonNegativeFloat = Field(
+        default=0.0, description="voltage over which the jump at a reversal is spread"
+    )
+    run_anyway: bool = Field(default=False, description="accept a model without an inverse")
+
+    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
+        """Give the law for a model, a drive range and a sample time."""
+        from hammerstein.compensators.exact_inverse import ExactInverse
+
+        return ExactInverse(model, range_v, self.softening_v, self.run_anyway)
+
+
+class HammersteinInverseSpec(ModelSource):
+    """The inverse of the dynamics, known ahead, then the exact inverse of the static block."""
+
+    law: Literal["hammerstein_inverse"]
+    preview_s: NonNegativeFloat | None = Field(
+        default=None, description="how far ahead the reference is known; as far as needed if not given"
+    )
+    filter_hz: PositiveFloat | None = Field(
+        default=None, description="bandwidth of a reference filter, for references that are not smooth"
+    )
+    softening_v: NonNegativeFloat = Field(
+        default=0.0, description="voltage over which the jump at a reversal is spread"
+    )
+    run_anyway: bool = Field(default=False, description="accept a model without an inverse")
+
+    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
+        """Give the law for a model, a drive range and a sample time."""
+        from hammerstein.compensators.hammerstein_inverse import HammersteinInverse
+
+        options = (self.preview_s, self.filter_hz, self.softening_v, self.run_anyway)
+        return HammersteinInverse(model, range_v, sample_time_s, *options)
+
+
 Compensator = Annotated[
-    NoCompensation | InverseMultiplicativeSpec | DecoupledInverseSpec, Field(discriminator="law")
+    NoCompensation
+    | InverseMultiplicativeSpec
+    | DecoupledInverseSpec
+    | ExactInverseSpec
+    | HammersteinInverseSpec,
+    Field(discriminator="law"),
 ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import textwrap
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -27,7 +28,8 @@ Role = Literal["reading", "reference", "voltage", "error"]
 
 WIDTH_IN = 8.0  # at 100 pixels an inch the width of a page on a screen
 PNG_DPI = 150
-MOST_POINTS = 12_000  # of all curves of a figure together: keeps an SVG below 400 kB
+LONGEST_TITLE = 80  # characters that fit the width
+MOST_POINTS = 11_000  # of all curves of a figure together: keeps an SVG below 400 kB
 
 # Okabe and Ito's colours, told apart with any colour vision; the order keeps neighbours apart in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#000000")
@@ -157,7 +159,12 @@ def legend_above(figure: Figure, entries: dict[str, Artist], title: str = "") ->
     most = 4 if longest < 20 else 3 if longest < 27 else 2 if longest < 54 else 1
     columns = math.ceil(len(entries) / math.ceil(len(entries) / most))
     legend = figure.legend(
-        list(entries.values()), list(entries), loc="outside upper center", ncols=columns, title=title or None
+        list(entries.values()),
+        list(entries),
+        loc="outside upper center",
+        ncols=columns,
+        title="\n".join(textwrap.wrap(title, LONGEST_TITLE)) or None,
+        alignment="center",
     )
     legend.get_title().set_fontweight("bold")
 

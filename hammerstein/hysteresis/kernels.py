@@ -147,8 +147,7 @@ def advance(u, r, w, rw, count, end, x, d, below):  # type: ignore[no-untyped-de
     base, k = _base(u, direction, r, top, -1, end, x, d)
     held, s = (1.0, base) if base >= 0 else (0.0, 0)
     last = end[at(s)]
-    if base >= 0:
-        k = engaged(direction * (u - x[at(s)]), 1.0 - direction * d[at(s)], r, k, last)
+    k = engaged(direction * (u - x[at(s)]), 1.0 - direction * d[at(s)], r, k, last if base >= 0 else k)
     new = base + 1
     for o in range(w.shape[1]):
         rest = x[at(s)] * (w[at(last), at(o)] - w[at(k), at(o)])
