@@ -105,6 +105,7 @@ class Claim(BaseModel):
     over: Quantity | None = Field(default=None, description="divide by this quantity")
     factor: float = Field(default=1.0, description="multiply by this, such as 0.5 for half a height")
     agreement: Agreement
+    note: str = Field(default="", description="what a reader should know if the claim is not met")
 
     @model_validator(mode="after")
     def _has_a_figure_to_be_near(self) -> Self:
@@ -191,7 +192,8 @@ def verdicts(
         if math.isnan(answers[0].value):
             raise InputError(f"claim {claim.id}", "selects no row that has this metric; look into rms.csv")
         own = next(iter(rows_by_actuator))
-        reason = "" if answers[0].agrees else _reason(claim, own, static, rows_by_actuator)
+        measured = "" if answers[0].agrees else _reason(claim, own, static, rows_by_actuator)
+        reason = f"{measured}. {claim.note}" if measured and claim.note else measured
         wanted = claim.agreement.words()
         found.append(
             Verdict(claim.id, claim.statement, claim.paper, claim.unit, wanted, tuple(answers), reason)

@@ -69,12 +69,17 @@ def run(
     traces: Annotated[
         str | None, typer.Option(metavar="csv|mat", help="Write every wire of every case.")
     ] = None,
+    page: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write all claims and figures on one page there.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Run scenarios and write a report for each: numbers, a page, figures."""
     from hammerstein.batch import Writer, load_all, run_all
+    from hammerstein.claims_page import claims_csv, write_page
     from hammerstein.errors import InputError
-    from hammerstein.tables import result_table, show
+    from hammerstein.files import write_atomic
+    from hammerstein.tables import claims_table, result_table, show
 
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
@@ -87,11 +92,20 @@ def run(
             watch.finished(outcome.name)
             outcomes.append(outcome)
     outcomes.sort(key=lambda outcome: outcome.name)
+    reports = [outcome.report for outcome in outcomes if outcome.report is not None]
+    claimed = [report for report in reports if report.verdicts]
+    if claimed:
+        write_atomic(out / "claims.csv", claims_csv(claimed))
+    if page is not None:
+        write_page(reports, out, page)
     if as_json:
-        reports = [json.loads(o.report.to_json()) for o in outcomes if o.report is not None]
-        typer.echo(json.dumps({"reports": reports, "errors": [str(o.error) for o in outcomes if o.error]}))
+        errors = [str(outcome.error) for outcome in outcomes if outcome.error]
+        contents = [json.loads(report.to_json()) for report in reports]
+        typer.echo(json.dumps({"reports": contents, "errors": errors}))
     else:
-        show(result_table([o.report for o in outcomes if o.report is not None]))
+        show(result_table(reports))
+        if claimed:
+            show(claims_table(claimed))
         typer.echo(f"reports in {out}")
     _fail_with(outcomes)
 

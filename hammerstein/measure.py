@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,11 +49,15 @@ def rows_of(setup: SetUp, case: Case) -> Result:
     response = setup.simulate(case)
     window = Window.of(setup.scenario, case.signal, setup.plant.sample_time_s)
     targets = _targets(setup, case, response)
-    rows = [
-        _row(setup, case, response, window, target, axis)
-        for target in (targets or NO_TARGET)
-        for axis in range(len(response.position_um))
-    ]
+    axes = range(len(response.position_um))
+    keys = [_case_figures(setup, case, response, window, axis) for axis in axes]
+    rows = []
+    for target in targets or NO_TARGET:
+        errors: list[dict[str, Any]] = (
+            [{}] * len(axes) if target is None else _errors(response, target, window.first)
+        )
+        label = case.label if target is None else target.label
+        rows += [Row(compensator=label, **key, **error) for key, error in zip(keys, errors, strict=True)]
     names = scenario_axes(setup.scenario, setup.plant.model)
     predictions = tuple(
         Prediction(t.label, t.reading_um[:, window.first :], t.position_um[:, window.first :])
@@ -91,39 +96,49 @@ def _prediction(setup: SetUp, model: HammersteinModel, response: Response) -> tu
     return reading, position
 
 
-def _row(
-    setup: SetUp, case: Case, response: Response, window: Window, target: Target | None, axis: int
-) -> Row:
-    start = window.first
+def _case_figures(setup: SetUp, case: Case, response: Response, window: Window, axis: int) -> dict[str, Any]:
+    """What a row says of its case, whatever the response is compared with."""
     names = scenario_axes(setup.scenario, setup.plant.model)
     signal = case.signal.model_dump()
-    error = None if target is None else (response.reading_um - target.reading_um)[:, start:]
-    true = None if target is None else (response.position_um - target.position_um)[:, start:]
-    path = _path_figures(response, start) if case.axis is None and len(response.position_um) == 2 else {}
-    return Row(
-        compensator=case.label if target is None else target.label,
-        excited_axis="all" if case.axis is None else names[case.axis],
-        measured_axis=setup.plant.model.outputs[axis],
-        frequency_hz=case.signal.highest_frequency_hz,
-        amplitude_v=signal.get("amplitude_v", signal.get("radius_v")),
-        amplitude_um=signal.get("amplitude_um", signal.get("radius_um")),
-        rms_um=None if error is None else metrics.rms(error[axis]),
-        max_um=None if error is None else metrics.worst(error[axis]),
-        rms_true_um=None if true is None else metrics.rms(true[axis]),
-        max_true_um=None if true is None else metrics.worst(true[axis]),
-        euclidean_rms_um=None if error is None else metrics.rms(metrics.euclidean(error)),
-        euclidean_max_um=None if error is None else metrics.worst(metrics.euclidean(error)),
-        euclidean_rms_true_um=None if true is None else metrics.rms(metrics.euclidean(true)),
-        euclidean_max_true_um=None if true is None else metrics.worst(metrics.euclidean(true)),
-        saturated_samples=int(response.saturated[:, start:].sum()),
+    path = _path_figures(response, window.first) if case.axis is None else {}
+    return {
+        "excited_axis": "all" if case.axis is None else names[case.axis],
+        "measured_axis": setup.plant.model.outputs[axis],
+        "frequency_hz": case.signal.highest_frequency_hz,
+        "amplitude_v": signal.get("amplitude_v", signal.get("radius_v")),
+        "amplitude_um": signal.get("amplitude_um", signal.get("radius_um")),
+        "saturated_samples": int(response.saturated[:, window.first :].sum()),
         **path,
         **_loop(setup, case, response, window, axis),
-    )
+    }
+
+
+def _errors(response: Response, target: Target, first: int) -> list[dict[str, Any]]:
+    """Errors of reading and true position, axis by axis, and as a distance."""
+    error = (response.reading_um - target.reading_um)[:, first:]
+    true = (response.position_um - target.position_um)[:, first:]
+    distance, true_distance = metrics.euclidean(error), metrics.euclidean(true)
+    together = {
+        "euclidean_rms_um": metrics.rms(distance),
+        "euclidean_max_um": metrics.worst(distance),
+        "euclidean_rms_true_um": metrics.rms(true_distance),
+        "euclidean_max_true_um": metrics.worst(true_distance),
+    }
+    return [
+        {
+            "rms_um": metrics.rms(error[axis]),
+            "max_um": metrics.worst(error[axis]),
+            "rms_true_um": metrics.rms(true[axis]),
+            "max_true_um": metrics.worst(true[axis]),
+            **together,
+        }
+        for axis in range(len(error))
+    ]
 
 
 def _path_figures(response: Response, start: int) -> dict[str, float]:
     """Radial error and the paper's epsilon of a path in the plane."""
-    if response.reference_um is None:
+    if response.reference_um is None or len(response.reference_um) != 2:
         return {}
     reference, reading = response.reference_um[:, start:], response.reading_um[:, start:]
     return {

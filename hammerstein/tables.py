@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hammerstein.claims_page import Line
 from hammerstein.identification.loops import Loop
 from hammerstein.model import HammersteinModel
 from hammerstein.report import Report
@@ -61,6 +62,18 @@ def actuator_table(models: Iterable[HammersteinModel]) -> Table:
         operators = sum(len(pair.thresholds_v) for row in model.hysteresis.pairs for pair in row)
         words = (model.name, ", ".join(model.inputs), ", ".join(model.outputs), str(operators))
         table.add_row(*words, model.dynamics.describe(), f"{model.amplitude_v:g}")
+    return table
+
+
+def claims_table(reports: Sequence[Report]) -> Table:
+    """One line a claim: the paper, what every actuator answers, the verdict and its reason."""
+    columns = ("claim", "statement", "reason", "paper", "simulated", "ratio", "wanted", "verdict")
+    table = _table("Claims", columns)
+    for report in reports:
+        for line in (Line.of(verdict) for verdict in report.verdicts):
+            simulated = "\n".join(f"{name} {value}" for name, value in line.simulated)
+            row = (line.id, line.statement, line.reason, line.paper, simulated, line.ratio, line.wanted)
+            table.add_row(*row, line.verdict)
     return table
 
 

@@ -35,6 +35,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for folder in ("scenarios", "settings"):
         (root / folder).mkdir()
     (root / "settings/other.toml").write_text("answer = 42\n")
+    (root / "beside_the_settings.toml").write_text(LOOP.format(amplitude=10))
     for name, amplitude in (("large", 10), ("small", 5)):
         (root / f"scenarios/{name}.toml").write_text(LOOP.format(amplitude=amplitude))
     assert check_files([root / "scenarios"], root / "reports/baseline", update=True).exit_code == 0

@@ -17,7 +17,7 @@ STILL = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class ExactState:
-    """Memory of the exact inverse, in the tables of ``exact_kernel``.
+    """Memory of the exact inverse, as in the table of ``exact_kernel``.
 
     stack : (m, n_max+2, 3+m) the stacks of segments behind the smallest plays
     hand : (m, 3) height of each stack, the last q asked for [V], ramp of the jump from -1 to 1
@@ -30,21 +30,10 @@ class ExactState:
         """Give plain lists."""
         return {"stack": self.stack.tolist(), "hand": self.hand.tolist()}
 
-    def copy(self) -> ExactState:
-        """Give an independent copy."""
-        return ExactState(self.stack.copy(), self.hand.copy())
-
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> ExactState:
         """Restore what ``as_dict`` saved."""
         return cls(np.array(data["stack"], dtype=np.float64), np.array(data["hand"], dtype=np.float64))
-
-
-class Tables(NamedTuple):
-    """The model and the scratch of a walk in the tables of ``exact_kernel``, in the order of its arguments."""
-
-    grid: Array
-    about: Array
 
 
 class Recovery(NamedTuple):
@@ -116,25 +105,29 @@ class ExactInverse(Law[ExactState]):
             k = int(np.argmax(self.smallest_v >= range_v))
             message = f"{self.smallest_v[k]:g} V of input {k + 1} is beyond the range of {range_v:g} V; nothing moves"
             raise InputError("smallest threshold", message)
-        self.tables = self._tables()
+        self._table = self._new_table()
 
-    def _tables(self) -> Tables:
+    def _new_table(self) -> Array:
+        """Table of ``exact_kernel`` with the model in it."""
+        from hammerstein.compensators import exact_kernel as at
+
         m, bank = self.n_inputs, self.square.bank
-        grid = np.full((m, bank.r.shape[1] + 1, 1 + 2 * m), np.inf)
-        grid[:, :-1, 0] = bank.r
-        grid[:, :, 1 : 1 + m], grid[:, :, 1 + m :] = bank.slope, bank.moment
-        largest = float(bank.r[np.isfinite(bank.r)].max())
-        about = np.empty((m, 4 + m))
-        about[:, 0], about[:, 1] = self.smallest_v, self.range_v - self.smallest_v
-        about[:, 2] = np.where(self.smallest_v > 0.0, self.softening_v, 0.0)
-        about[:, 3] = STILL * (1.0 + largest)
-        about[:, 4:] = np.abs([bank.slope[k, n] for k, n in enumerate(bank.n)])
-        return Tables(grid, about)
+        operators = bank.r.shape[1]
+        table = np.zeros((4, m, max(operators + 2, at.SCRATCH + 1), at.CONSTANT + 1 + 2 * m))
+        table[at.GRID, :, :operators, at.R] = bank.r
+        table[at.GRID, :, : operators + 1, at.SLOPE : at.SLOPE + m] = bank.slope
+        table[at.GRID, :, : operators + 1, at.SLOPE + m : at.SLOPE + 2 * m] = bank.moment
+        about = table[at.HERE, :, at.ABOUT]
+        about[:, at.PLAY], about[:, at.BOUND] = self.smallest_v, self.range_v - self.smallest_v
+        about[:, at.SOFT] = np.where(self.smallest_v > 0.0, self.softening_v, 0.0)
+        about[:, at.STILL] = STILL * (1.0 + float(bank.r[np.isfinite(bank.r)].max()))
+        about[:, at.GAIN : at.GAIN + m] = np.abs([bank.slope[k, n] for k, n in enumerate(bank.n)])
+        return table
 
     def rest(self) -> ExactState:
         """Actuator never driven: one segment an input, nothing engaged."""
         m, bank = self.n_inputs, self.square.bank
-        stack, hand = np.zeros((m, bank.r.shape[1] + 1, 3 + m)), np.zeros((m, 3))
+        stack, hand = np.zeros((m, bank.r.shape[1] + 2, 3 + m)), np.zeros((m, 3))
         stack[:, 0, 0], hand[:, 0] = bank.n, 1.0
         return ExactState(stack, hand)
 
@@ -142,25 +135,26 @@ class ExactInverse(Law[ExactState]):
         """State from what ``as_dict`` gave."""
         return ExactState.from_dict(data)
 
-    def _scratch(self) -> tuple[Array, Array, Array]:
-        """Tables that a walk writes into: now, passed, matrix."""
-        m, width = self.n_inputs, self.tables.grid.shape[1] + 1
-        return np.zeros((m, 16 + m)), np.zeros((m, width, 3)), np.zeros((3, m, 2 * m))
-
     def _respond(self, reference_um: Array, start: ExactState) -> tuple[Array, ExactState]:
-        state = start.copy()
-        return self.solve(reference_um, state, np.zeros(0)), state
+        drive, state, _ = self.solve(reference_um, start, np.zeros(0))
+        return drive, state
 
-    def solve(self, v_um: Array, state: ExactState, away: Array, recovery: Recovery | None = None) -> Array:
-        """Drive (m, N) for outputs (p, N) of the static block; ``state`` is moved on in place.
+    def solve(
+        self, v_um: Array, start: ExactState, away: Array, recovery: Recovery | None = None
+    ) -> tuple[Array, ExactState, Array]:
+        """Drive (m, N) for outputs (p, N) of the static block, and the state after it.
 
-        away : (n,) distance of a linear block behind it from where its inverse believes it to be, updated
+        away : (n,) distance of a linear block behind it from where its inverse believes it to be; the last
+            of what is returned is that distance afterwards
         recovery : how that distance is taken away; needed if there is such a block
         """
-        from hammerstein.compensators.exact_kernel import respond_exact
+        from hammerstein.compensators import exact_kernel as at
 
         p, drive = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1]))
         back = recovery or Recovery(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((p, 0)))
-        tables = (*self.tables, state.stack, state.hand, *self._scratch())
-        respond_exact(v_um, self.n_inputs - p, *back, away, *tables, drive)
-        return drive
+        table, left = self._table.copy(), away.copy()
+        _, rows, columns = start.stack.shape
+        stack, hand = table[at.STACK, :, :rows, :columns], table[at.HERE, :, at.HAND, : at.RAMP + 1]
+        stack[:], hand[:] = start.stack, start.hand
+        at.respond_exact(v_um, self.n_inputs - p, *back, left, table, drive)
+        return drive, ExactState(stack.copy(), hand.copy()), left

@@ -159,10 +159,13 @@ class HammersteinInverse(Law[PathState]):
     def _respond(self, reference_um: Array, start: PathState) -> tuple[Array, PathState]:
         raw = np.hstack([start.raw, reference_um])
         known = np.hstack([start.filtered, self._filtered(raw)])
-        modes, away, exact = start.modes.copy(), start.away.copy(), start.exact.copy()
+        modes = start.modes.copy()
         v = self._wanted(known, modes)
-        drive = self.exact.solve(v, exact, away, self.recovery)
-        kept = raw[:, raw.shape[1] - start.raw.shape[1] :], known[:, known.shape[1] - start.filtered.shape[1] :]
+        drive, exact, away = self.exact.solve(v, start.exact, start.away, self.recovery)
+        kept = (
+            raw[:, raw.shape[1] - start.raw.shape[1] :],
+            known[:, known.shape[1] - start.filtered.shape[1] :],
+        )
         return drive, PathState(kept[0].copy(), kept[1].copy(), modes, away, exact)
 
     def drive_for(self, reference_um: ArrayLike) -> Array:
@@ -185,7 +188,7 @@ class HammersteinInverse(Law[PathState]):
         known = np.ascontiguousarray(self._filtered(ends)[:, self.linear.delay_samples :])
         modes = self._smooth_start(known)
         away = -self._block_state(known, modes)
-        return self.exact.solve(self._wanted(known, modes), self.exact.rest(), away, self.recovery)
+        return self.exact.solve(self._wanted(known, modes), self.exact.rest(), away, self.recovery)[0]
 
     def _filtered(self, raw: Array) -> Array:
         from hammerstein.compensators.linear_inverse_kernel import filtered

@@ -92,7 +92,9 @@ def invertibility(
     if dominant:
         number = math.prod(int(n) for n in reached.bank.n)
         counts = (number, 0) if dominant > 0 else (0, number)
-        return Invertibility(*counts, 0, (), (), _mean_slopes(reached)[: hysteresis.n_outputs], 2.0 * smallest)
+        return Invertibility(
+            *counts, 0, (), (), _mean_slopes(reached)[: hysteresis.n_outputs], 2.0 * smallest
+        )
     return _enumerated(reached, smallest, hysteresis.n_outputs)
 
 

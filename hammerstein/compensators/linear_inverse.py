@@ -161,7 +161,9 @@ def _first_reaction(block: LinearBlock) -> tuple[Counts, Array, Array]:
     for i in range(p):
         heard = np.flatnonzero(sizes[:, i] > NEGLIGIBLE * max(float(sizes[:, i].max()), 1e-300))
         if len(heard) == 0:
-            raise SimulationError(f"Output {i + 1} of the linear block does not react to any input: no inverse.")
+            raise SimulationError(
+                f"Output {i + 1} of the linear block does not react to any input: no inverse."
+            )
         ahead[i] = heard[0]
         first[i] = reactions[heard[0]][i]
         free[i] = block.C[i] @ np.linalg.matrix_power(block.A, int(heard[0]))

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hammerstein.figures.loop_data import error_runs, legible_parts, loop_runs, swept_label
+from hammerstein.conditions import identified_at
+from hammerstein.figures.loop_data import MOST_CURVES, error_runs, legible_parts, loop_runs, swept_label
 from hammerstein.figures.loops import errors_figure, loops_figure
 from hammerstein.figures.path import PathRun, path_errors_figure, path_figure
-from hammerstein.figures.style import Role, plain, symbol
+from hammerstein.figures.style import Array, Role, plain, symbol
 from hammerstein.figures.sweep import SweepCurve, sweep_figure
-from hammerstein.report import Report, Trace
-from hammerstein.rows import Row
+from hammerstein.report import Band, Report, Trace
+from hammerstein.rows import KEY, Row
 from hammerstein.signals import OnAxes
 
 if TYPE_CHECKING:
@@ -68,10 +69,10 @@ def _loops(report: Report) -> dict[str, Figure]:
         runs = loop_runs(report, traces)
         figures[f"loops{suffix}"] = loops_figure(runs, inputs, readings, title, ideal=not volts)
         errors = error_runs(report, traces)
-        if errors:
+        if errors and len({run.label for run in errors}) <= MOST_CURVES:
             title = f"{whose} reading less the {'prediction' if volts else 'reference'}"
             figures[f"errors{suffix}"] = errors_figure(errors, driven, errors_of, title)
-    return figures
+    return figures | _operators(report)
 
 
 def _sweeps(report: Report) -> dict[str, Figure]:
@@ -126,25 +127,57 @@ def sweep_curves(report: Report, merit: str) -> list[SweepCurve]:
         size = f"{row.amplitude_v:g} V" if row.amplitude_um is None else f"{row.amplitude_um:g} µm"
         words = [row.compensator, size if len(amplitudes) > 1 else ""]
         rows_of.setdefault(", ".join(word for word in words if word) or "reading", []).append(row)
-    identified, excited = identified_at(report), _excited(report)
+    bands = {_key(band): band for band in report.bands if band.metric == merit}
+    identified = identified_at(report)
     curves = []
     for label, rows in rows_of.items():
         frequencies = sorted({row.frequency_hz for row in rows})
-        values = np.full((len(report.axes), len(excited), len(frequencies)), np.nan)
-        for row in rows:
-            o, k = report.axes.index(row.measured_axis), excited.index(row.excited_axis)
-            value = getattr(row, merit)
-            values[o, k, frequencies.index(row.frequency_hz)] = np.nan if value is None else value
+        where = [(row, frequencies.index(row.frequency_hz)) for row in rows]
+        found = [(row, at, bands[_key(row)]) for row, at in where if _key(row) in bands]
+        low = _grid(report, len(frequencies), [(row, at, band.p5_um) for row, at, band in found])
+        high = _grid(report, len(frequencies), [(row, at, band.p95_um) for row, at, band in found])
+        values = _grid(report, len(frequencies), [(row, at, getattr(row, merit)) for row, at in where])
         mark = identified.get(rows[0].compensator)
-        curves.append(SweepCurve(label, np.array(frequencies), values, mark))
+        band = (low, high) if found else None
+        curves.append(SweepCurve(label, np.array(frequencies), values, mark, band))
     return curves
 
 
-def identified_at(report: Report) -> dict[str, float]:
-    """Frequency at which each compensator's or model's hysteresis was identified, where there is one."""
-    sources = (*report.scenario.compensators, *report.scenario.models)
-    found = {source.label: getattr(source.identification, "frequency_hz", None) for source in sources}
-    return {label: frequency for label, frequency in found.items() if frequency is not None}
+def _key(row: Row | Band) -> tuple[object, ...]:
+    """What a row and its bands have in common."""
+    return tuple(getattr(row, name) for name in KEY)
+
+
+def _grid(report: Report, points: int, found: Iterable[tuple[Row, int, float | None]]) -> Array:
+    """Values (output, excited axis, point) from single ones; NaN where there is none."""
+    excited = _excited(report)
+    values = np.full((len(report.axes), len(excited), points), np.nan)
+    for row, at, value in found:
+        o, k = report.axes.index(row.measured_axis), excited.index(row.excited_axis)
+        values[o, k, at] = np.nan if value is None else value
+    return values
+
+
+def _operators(report: Report) -> dict[str, Figure]:
+    """Error against the number of operators, if that is what tells the models apart."""
+    models = {
+        model.label: getattr(model.identification, "operators", None) for model in report.scenario.models
+    }
+    numbers = sorted({number for number in models.values() if number is not None})
+    if len(numbers) <= MOST_LOOPS or len(numbers) < len(models):
+        return {}
+    curves = []
+    runs = dict.fromkeys((row.frequency_hz, row.amplitude_v) for row in report.rows)
+    for frequency_hz, amplitude_v in runs:
+        rows = [r for r in report.rows if (r.frequency_hz, r.amplitude_v) == (frequency_hz, amplitude_v)]
+        found = [(row, numbers.index(models[row.compensator]), row.rms_um) for row in rows]
+        label = f"{frequency_hz:g} Hz, {amplitude_v or 0:g} V"
+        curves.append(SweepCurve(label, np.array(numbers, float), _grid(report, len(numbers), found)))
+    title = "Model error against its size"
+    figure = sweep_figure(
+        curves, _transfers(report), "rms error [µm]", title, "play operators of each transfer"
+    )
+    return {"operators": figure}
 
 
 def _paths(report: Report) -> dict[str, Figure]:

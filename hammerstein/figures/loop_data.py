@@ -15,6 +15,7 @@ from hammerstein.scenario import Sweep
 from hammerstein.signals import Excitation, Reference
 
 MOST_CURVES = 6  # loops in one panel
+MOST_OVERLAYS = 4  # models drawn over a loop
 MOST_PHASES = 2000  # samples of a mean cycle
 SWEPT_WORDS = {
     "frequency_hz": "{:g} Hz",
@@ -94,10 +95,11 @@ def _driven(report: Report, trace: Trace) -> int:
 def _loop(trace: Trace, label: str, driven: int) -> LoopRun:
     response = trace.response
     wire = response.drive_v if response.reference_um is None else response.reference_um
-    outputs = [response.reading_um, *(p.reading_um for p in trace.predictions)]
+    shown = trace.predictions if len(trace.predictions) <= MOST_OVERLAYS else ()
+    outputs = [response.reading_um, *(p.reading_um for p in shown)]
     cycle = _closed_cycle(trace, np.vstack([wire[driven], *outputs]))
     means = np.split(cycle[1:], len(outputs))
-    predictions = tuple((p.label, mean) for p, mean in zip(trace.predictions, means[1:], strict=True))
+    predictions = tuple((p.label, mean) for p, mean in zip(shown, means[1:], strict=True))
     return LoopRun(label, driven, cycle[0], means[0], predictions)
 
 

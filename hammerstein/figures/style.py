@@ -164,7 +164,6 @@ def legend_above(figure: Figure, entries: dict[str, Artist], title: str = "") ->
         loc="outside upper center",
         ncols=columns,
         title="\n".join(textwrap.wrap(title, LONGEST_TITLE)) or None,
-        alignment="center",
     )
     legend.get_title().set_fontweight("bold")
 

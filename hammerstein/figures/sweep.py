@@ -27,26 +27,33 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LOGARITHMIC_FROM = 12.0  # ratio of the ends from which an axis is logarithmic
+BAND_ALPHA = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class SweepCurve:
-    """One compensator or model over frequency.
+    """One compensator or model over frequency, or over another swept value.
 
     label : what the legend calls it
-    frequency_hz : (point,) [Hz], increasing
+    x : (point,) frequency [Hz] or another swept value, positive and increasing
     values : (output, input, point); NaN where there is none
-    identified_hz : frequency at which it was identified; None: not at one frequency
+    mark : where a tick stands on the curve, such as the frequency of its identification; None: nowhere
+    band : lower and upper edge around the curve, each as ``values``; None: no band
     """
 
     label: str
-    frequency_hz: Array
+    x: Array
     values: Array
-    identified_hz: float | None = None
+    mark: float | None = None
+    band: tuple[Array, Array] | None = None
 
 
 def sweep_figure(
-    curves: Sequence[SweepCurve], panel_titles: Sequence[Sequence[str]], quantity: str, title: str = ""
+    curves: Sequence[SweepCurve],
+    panel_titles: Sequence[Sequence[str]],
+    quantity: str,
+    title: str = "",
+    x_label: str = "frequency [Hz]",
 ) -> Figure:
     """Curves against frequency in the paper's arrangement (Figs. 7, 9).
 
@@ -58,11 +65,12 @@ def sweep_figure(
     panel_titles : what stands above each panel (output, input)
     quantity : label of the vertical axes, with unit
     title : written above the legend
+    x_label : label of the horizontal axes, with unit
 
     Examples
     --------
     >>> f = np.array([10.0, 50.0, 200.0])
-    >>> curve = SweepCurve("model", f, np.array([[[0.1, 0.2, 3.0]]]), identified_hz=50.0)
+    >>> curve = SweepCurve("model", f, np.array([[[0.1, 0.2, 3.0]]]), mark=50.0)
     >>> figure = sweep_figure([curve], [["x"]], "RMS error [um]")
     >>> figure.axes[0].get_yscale()
     'log'
@@ -74,52 +82,61 @@ def sweep_figure(
         entries: dict[str, Artist] = {}
         for number, curve in enumerate(curves):
             for (o, k), axes in np.ndenumerate(panels):
-                line = _draw(axes, curve, curve.values[o, k], number)
-                entries.setdefault(plain(curve.label), line)
+                entries[plain(curve.label)] = _draw(axes, curve, o, k, number)
         _scale(panels, curves)
         for number, axes in enumerate(panels.flat):
             o, k = divmod(number, columns)
             letter(axes, number, panel_titles[o][k])
-            axes.set_xlabel("frequency [Hz]" if o == rows - 1 else "")
+            axes.set_xlabel(x_label if o == rows - 1 else "")
             axes.set_ylabel(quantity if k == 0 else "")
-        if any(_marked_hz(curve) is not None for curve in curves):
-            entries["identified here"] = _tick_for_legend()
-        legend_above(figure, entries, title)
+        legend_above(figure, entries | _explained(curves), title)
     return figure
 
 
-def _draw(axes: Axes, curve: SweepCurve, values: Array, number: int) -> Artist:
-    style = line_style(number)
+def _draw(axes: Axes, curve: SweepCurve, output: int, input_: int, number: int) -> Artist:
+    """One curve in one panel, with its band and its tick."""
+    style, values = line_style(number), curve.values[output, input_]
+    if curve.band is not None:
+        low, high = (edge[output, input_] for edge in curve.band)
+        axes.fill_between(curve.x, low, high, color=style["color"], alpha=BAND_ALPHA, linewidth=0.0)
     markers = sparse_markers(len(values), number, markers=9)
-    (line,) = axes.plot(curve.frequency_hz, values, markevery=markers, **style)
-    here = _marked_hz(curve)
-    if here is not None:
+    (line,) = axes.plot(curve.x, values, markevery=markers, **style)
+    mark = _mark(curve)
+    if mark is not None:
         logarithms = np.log(np.maximum(values, 1e-12))
-        height = np.exp(np.interp(np.log(here), np.log(curve.frequency_hz), logarithms))
-        mark = {"color": style["color"], "markersize": 14, "markeredgewidth": 2.2}
-        axes.plot([here], [height], "|", zorder=3, clip_on=False, **mark)
+        height = np.exp(np.interp(np.log(mark), np.log(curve.x), logarithms))
+        tick = {"color": style["color"], "markersize": 14, "markeredgewidth": 2.2}
+        axes.plot([mark], [height], "|", zorder=3, clip_on=False, **tick)
     return line
 
 
-def _marked_hz(curve: SweepCurve) -> float | None:
-    """Frequency of the identification, if the curve passes it."""
-    here = curve.identified_hz
-    return None if here is None or not curve.frequency_hz[0] <= here <= curve.frequency_hz[-1] else here
+def _mark(curve: SweepCurve) -> float | None:
+    """Place of the tick, if the curve passes it."""
+    inside = curve.mark is not None and curve.x[0] <= curve.mark <= curve.x[-1]
+    return curve.mark if inside else None
 
 
-def _tick_for_legend() -> Artist:
+def _explained(curves: Sequence[SweepCurve]) -> dict[str, Artist]:
+    """Entries of the legend for ticks and bands."""
     from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
-    return Line2D([], [], linestyle="", marker="|", color="#555555", markersize=11, markeredgewidth=2.2)
+    entries: dict[str, Artist] = {}
+    if any(_mark(curve) is not None for curve in curves):
+        tick = Line2D([], [], linestyle="", marker="|", color="#555555", markersize=11, markeredgewidth=2.2)
+        entries["identified here"] = tick
+    if any(curve.band is not None for curve in curves):
+        entries["5 to 95 % of drawn actuators"] = Patch(color="#555555", alpha=BAND_ALPHA, linewidth=0.0)
+    return entries
 
 
 def _scale(panels: np.ndarray, curves: Sequence[SweepCurve]) -> None:
     """Logarithmic axes where the values span more than about a decade."""
-    frequencies = np.concatenate([curve.frequency_hz for curve in curves])
+    x = np.concatenate([curve.x for curve in curves])
     values = np.concatenate([curve.values.ravel() for curve in curves])
     values = values[np.isfinite(values)]
     for axes in panels.flat:
-        if frequencies.max() >= LOGARITHMIC_FROM * frequencies.min():
+        if x.max() >= LOGARITHMIC_FROM * x.min():
             axes.set_xscale("log")
             plain_numbers(axes.xaxis)
         if values.min() > 0.0 and values.max() >= LOGARITHMIC_FROM * values.min():

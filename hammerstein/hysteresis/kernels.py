@@ -179,59 +179,62 @@ def _base(u, direction, r, top, floor, end, x, d):  # type: ignore[no-untyped-de
 
 @njit(cache=True, nogil=True)
 def respond_turning_points(  # type: ignore[no-untyped-def]
-    u, r, guide, scale, n, w, rw, count, end, x, d, below, y, outputs
+    u, r, guide, scale, n, lines, count, end, x, d, below, y, outputs
 ):
     """Turning-point form: the same outputs as the textbook loop; the stack is updated in place.
 
     u : (m, N); r : (m, n_max); guide : (m, levels), scale : (m,), see ``first_at_least``; n : (m,)
-    w, rw : (m, n_max+1, p) partial sums; count : (m,); end, x, d : (m, n_max+1); below : (m, n_max+1, p)
-    y : (p, N) zeros, to which the outputs are added
+    lines : (m, n_max+1, 2 p) W of each output, then R of each output
+    count : (m,); end, x, d : (m, n_max+1); below : (m, n_max+1, p), see ``advance``; y : (p, N), overwritten
     outputs : p zeros in a tuple: a number of outputs that the compiler knows, for it unrolls their loops
 
     Returns N, or the first sample of the block in which it met an input that is not finite.
     """
-    m, height, p = u.shape[0], r.shape[1] + 2, w.shape[2]
+    m, height = u.shape[0], r.shape[1] + 2
     ends, xs, ds = np.empty((m, height), np.int64), np.empty((m, height)), np.empty((m, height))
-    tips = np.empty((m, height, p))
+    tips = np.empty((m, height, len(outputs)))
     for k in range(m):
-        _load(n[k], w[k], rw[k], count[k], end[k], x[k], d[k], ends[k], xs[k], ds[k], tips[k])
+        _load(n[k], lines[k], count[k], end[k], x[k], d[k], ends[k], xs[k], ds[k], tips[k], outputs)
     for start in range(0, u.shape[1], BLOCK):
         stop = min(start + BLOCK, u.shape[1])
+        y[:, start:stop] = 0.0
         for k in range(m):
             if not _finite(u[k], start, stop):
                 return start
             if n[k] > 0:
                 count[k] = _respond_block(
-                    u[k], start, stop, r[k], guide[k], scale[k], w[k], rw[k],
+                    u[k], start, stop, r[k], guide[k], scale[k], lines[k],
                     count[k], ends[k], xs[k], ds[k], tips[k], y, outputs,
                 )  # fmt: skip
     for k in range(m):
-        _save(w[k], rw[k], count[k], ends[k], xs[k], ds[k], end[k], x[k], d[k], below[k])
+        _save(lines[k], count[k], ends[k], xs[k], ds[k], end[k], x[k], d[k], below[k])
     return u.shape[1]
 
 
 @njit(cache=True, nogil=True)
-def _load(n, w, rw, count, end, x, d, ends, xs, ds, tips):  # type: ignore[no-untyped-def]
+def _load(n, lines, count, end, x, d, ends, xs, ds, tips, outputs):  # type: ignore[no-untyped-def]
     """Copy a stack onto a floor of n operators at rest, and follow its tips from the floor upwards."""
     ends[0], xs[0], ds[0] = n, 0.0, 0.0
     tips[0] = 0.0
     for s in range(count):
         ends[s + 1], xs[s + 1], ds[s + 1] = end[s], x[s], d[s]
-        for o in range(w.shape[1]):
-            tips[s + 1, o] = _line(xs[s + 1] - xs[s], ds[s + 1] - ds[s], ends[s + 1], o, s, w, rw, tips)
+        way, turn = xs[s + 1] - xs[s], ds[s + 1] - ds[s]
+        for o in range(len(outputs)):
+            tips[s + 1, o] = _line(way, turn, end[s], o, s, lines, tips, outputs)
 
 
 @njit(cache=True, nogil=True)
-def _save(w, rw, count, ends, xs, ds, end, x, d, below):  # type: ignore[no-untyped-def]
+def _save(lines, count, ends, xs, ds, end, x, d, below):  # type: ignore[no-untyped-def]
     """Copy the stack back without its floor, and add up what lies below each segment."""
+    p = below.shape[1]
     for s in range(count):
         end[s], x[s], d[s] = ends[s + 1], xs[s + 1], ds[s + 1]
-        for o in range(w.shape[1]):
+        for o in range(p):
             below[s, o] = 0.0
             if s > 0:
-                rest = x[s - 1] * (w[end[s - 1], o] - w[end[s], o])
-                rest -= d[s - 1] * (rw[end[s - 1], o] - rw[end[s], o])
-                below[s, o] = below[s - 1, o] + rest
+                slope = lines[end[s - 1], o] - lines[end[s], o]
+                moment = lines[end[s - 1], p + o] - lines[end[s], p + o]
+                below[s, o] = below[s - 1, o] + (x[s - 1] * slope - d[s - 1] * moment)
 
 
 @njit(cache=True, nogil=True)
@@ -245,7 +248,7 @@ def _finite(u, start, stop):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _respond_block(  # type: ignore[no-untyped-def]
-    u, start, stop, r, guide, scale, w, rw, top, end, x, d, tip, y, outputs
+    u, start, stop, r, guide, scale, lines, top, end, x, d, tip, y, outputs
 ):
     """Add to y what one input contributes from start to stop; returns the new top of its stack.
 
@@ -263,26 +266,28 @@ def _respond_block(  # type: ignore[no-untyped-def]
         base, k = _base(u[at(t)], direction, r, top, 0, end, x, d)
         x0, turn, unit, reach = _branch(direction, base, r, end, x, d)
         top = base + 1
-        last = unit * (u[at(t)] - x0)
+        way = u[at(t)] - x0
+        last = unit * way
         limit = reach
         if base > 0:
             k = max(k, first_at_least(max(last, 0.0), r, guide, scale))
             limit = min(r[at(k)], reach)
         for o in range(len(outputs)):
-            value = _line(u[at(t)] - x0, turn, k, o, base, w, rw, tip)
+            value = _line(way, turn, k, o, base, lines, tip, outputs)
             tip[at(top), at(o)] = value
             y[at(o), at(t)] += value
         turned = t
         t += 1
         while t < stop:
-            level = unit * (u[at(t)] - x0)
+            way = u[at(t)] - x0
+            level = unit * way
             if level > limit:
                 if level > reach:
                     break
                 k = first_at_least(level, r, guide, scale)
                 limit = r[at(k)]
                 for o in range(len(outputs)):
-                    y[at(o), at(t)] += _line(u[at(t)] - x0, turn, k, o, base, w, rw, tip)
+                    y[at(o), at(t)] += _line(way, turn, k, o, base, lines, tip, outputs)
                 last = level
                 t += 1
             elif level < last:
@@ -299,11 +304,11 @@ def _respond_block(  # type: ignore[no-untyped-def]
                     t += 1
                 for o in range(len(outputs)):
                     for i in range(first, t):
-                        y[at(o), at(i)] += _line(u[at(i)] - x0, turn, k, o, base, w, rw, tip)
+                        y[at(o), at(i)] += _line(u[at(i)] - x0, turn, k, o, base, lines, tip, outputs)
         x[at(top)], d[at(top)], end[at(top)] = u[at(t - 1)], direction, k
         if t > turned + 1:
             for o in range(len(outputs)):
-                tip[at(top), at(o)] = _line(x[at(top)] - x0, turn, k, o, base, w, rw, tip)
+                tip[at(top), at(o)] = _line(x[at(top)] - x0, turn, k, o, base, lines, tip, outputs)
     return top
 
 
@@ -321,6 +326,6 @@ def _branch(direction, base, r, end, x, d):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _line(way, turn, k, o, base, w, rw, tip):  # type: ignore[no-untyped-def]
+def _line(way, turn, k, o, base, lines, tip, outputs):  # type: ignore[no-untyped-def]
     """Output o a way u - x' from the tip of the base, with the first k operators engaged."""
-    return tip[at(base), at(o)] + (w[at(k), at(o)] * way - turn * rw[at(k), at(o)])
+    return tip[at(base), at(o)] + (lines[at(k), at(o)] * way - turn * lines[at(k), at(len(outputs) + o)])

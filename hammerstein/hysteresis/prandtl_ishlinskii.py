@@ -180,6 +180,7 @@ class Bank:
     r : (m, n_max) thresholds [V], filled up with infinity
     w : (m, n_max, p) weights [um/V], zero where an output lacks the operator
     slope, moment : (m, n_max+1, p) partial sums of w and of w r
+    lines : (m, n_max+1, 2 p) the two side by side
     guide, scale : (m, levels), (m,) where the search for a threshold begins, see ``kernels``
     """
 
@@ -188,6 +189,7 @@ class Bank:
     w: Array
     slope: Array
     moment: Array
+    lines: Array
     guide: Counts
     scale: Array
 
@@ -209,10 +211,11 @@ class Bank:
         slope, moment = np.zeros((2, m, r.shape[1] + 1, p))
         np.cumsum(w, axis=1, out=slope[:, 1:])
         np.cumsum(w * np.where(np.isfinite(r), r, 0.0)[:, :, None], axis=1, out=moment[:, 1:])
+        lines = np.concatenate([slope, moment], axis=2)
         guide, scale = search_guide(r, n)
-        for array in (n, r, w, slope, moment, guide, scale):
+        for array in (n, r, w, slope, moment, lines, guide, scale):
             array.flags.writeable = False
-        return cls(n, r, w, slope, moment, guide, scale)
+        return cls(n, r, w, slope, moment, lines, guide, scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,9 +347,9 @@ class PrandtlIshlinskii:
             message = f"has shape {u.shape}; the model wants ({self.n_inputs}, samples)"
             raise InputError("voltage", message)
         state = self.rest() if start is None else start.copy()
-        y = np.zeros((self.n_outputs, u.shape[1]))
+        y = np.empty((self.n_outputs, u.shape[1]))
         b, s = self.bank, state
-        bank = (b.r, b.guide, b.scale, b.n, b.slope, b.moment)
+        bank = (b.r, b.guide, b.scale, b.n, b.lines)
         stack = (s.count, s.end, s.x, s.d, s.below)
         done = respond_turning_points(u, *bank, *stack, y, (0,) * self.n_outputs)
         if done < u.shape[1]:

@@ -30,7 +30,7 @@ def shortest_delay(rms_um: Array) -> int:
     >>> shortest_delay(np.array([[2.0, 1.0], [1.0, 0.5], [0.999, 0.5]]))
     1
     """
-    size = np.maximum(rms_um[0], np.finfo(float).tiny)
+    size = np.maximum(rms_um.max(axis=0), np.finfo(float).tiny)
     relative = np.sqrt(np.mean((rms_um / size) ** 2, axis=1))
     return int(np.flatnonzero(relative <= (1.0 + DELAY_GAIN) * relative.min())[0])
 

@@ -152,7 +152,9 @@ def _experiments(
 ) -> tuple[list[Array], list[Array]]:
     inputs, outputs = _arrays(u), _arrays(y)
     if len(inputs) != len(outputs) or not inputs:
-        raise InputError("records", f"{len(inputs)} experiments of inputs, {len(outputs)} of outputs; pair them")
+        raise InputError(
+            "records", f"{len(inputs)} experiments of inputs, {len(outputs)} of outputs; pair them"
+        )
     m, p = len(inputs[0]), len(outputs[0])
     for i, (a, b) in enumerate(zip(inputs, outputs, strict=True), start=1):
         name = f"experiment {i}"

@@ -30,3 +30,21 @@ def respond_copies(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
             for i in range(n):
                 now[i] = new[i]
         x[row] = now
+
+
+@njit(cache=True, nogil=True)
+def respond_modes(poles, b, c, d, z, v, y):  # type: ignore[no-untyped-def]
+    """z[k+1] = poles z[k] + b v[k], y[k] = Re(c z[k]) + d v[k], each row of v through its own copy.
+
+    poles, b, c : (mode,) complex; d : number; z : (copy, mode) states, updated in place
+    v : (copy, N) inputs; y : (copy, N) outputs, overwritten
+    """
+    for row in range(v.shape[0]):
+        for t in range(v.shape[1]):
+            u = v[row, t]
+            out = d * u
+            for i in range(poles.shape[0]):
+                now = z[row, i]
+                out += c[i].real * now.real - c[i].imag * now.imag
+                z[row, i] = poles[i] * now + b[i] * u
+            y[row, t] = out

@@ -49,10 +49,12 @@ class Score:
     ----------
     nrmse_percent : rms error in percent of the range of the readings
     rms_um : rms error about its mean in each record [um]
+    output_percent : rms error in percent of the rms of the readings about their mean
     """
 
     nrmse_percent: tuple[float, ...]
     rms_um: tuple[float, ...]
+    output_percent: tuple[float, ...]
 
     @property
     def mean_percent(self) -> float:
@@ -62,14 +64,16 @@ class Score:
 
 def score(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Score:
     """Errors of a model on records, all together."""
-    squares, samples = np.zeros(len(records[0].y_um)), 0
+    squares, power, samples = np.zeros(len(records[0].y_um)), np.zeros(len(records[0].y_um)), 0
     for record, start in zip(records, starts, strict=True):
         residual = candidate.residual(record, start)
         squares += np.sum(residual**2, axis=1)
         samples += residual.shape[1]
+        power += np.var(record.y_um[:, start.first :], axis=1) * residual.shape[1]
     rms = np.sqrt(squares / samples)
     percent = 100.0 * rms / ranges(records, starts)
-    return Score(tuple(percent.tolist()), tuple(rms.tolist()))
+    relative = 100.0 * np.sqrt(squares / np.maximum(power, np.finfo(float).tiny))
+    return Score(tuple(percent.tolist()), tuple(rms.tolist()), tuple(relative.tolist()))
 
 
 def ranges(records: Sequence[Record], starts: Sequence[Start]) -> Array:

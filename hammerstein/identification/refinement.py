@@ -37,7 +37,24 @@ class _Blocks:
             free[part, part] = True
         return np.nonzero(free)
 
-    def moved(self, step: Array) -> Matrices:
+    def resolvents(self, z: Complex) -> Iterator[tuple[slice, Complex]]:
+        """(z - A)^-1 (F, s, s), block by block."""
+        for part in self.parts:
+            block = self.model.A[part, part]
+            yield part, np.linalg.inv(z[:, None, None] * np.eye(len(block)) - block)
+
+    def cost(self, lines: WeightedLines) -> float:
+        """Sum of squares that the model leaves of the target."""
+        total = 0.0
+        for k in lines.chunks():
+            error = self.model.D - lines.target[k]
+            for part, resolvent in self.resolvents(lines.z[k]):
+                error += self.model.C[:, part] @ (resolvent @ self.model.B[part])
+            error = lines.left[k, :, None] * (error @ lines.right[k])
+            total += float(np.sum(error.real**2 + error.imag**2))
+        return total
+
+    def moved(self, step: Array) -> _Blocks:
         """Model after a step of the parameters: A, B, then C and D output by output."""
         (n, m), p = self.model.B.shape, len(self.model.C)
         free = self.pattern()
@@ -45,11 +62,9 @@ class _Blocks:
         A = self.model.A.copy()
         A[free] += step[:count]
         outputs = step[count + n * m :].reshape(p, n + m)
-        return Matrices(
-            A,
-            self.model.B + step[count : count + n * m].reshape(n, m),
-            self.model.C + outputs[:, :n],
-            self.model.D + outputs[:, n:],
+        B = self.model.B + step[count : count + n * m].reshape(n, m)
+        return _Blocks(
+            Matrices(A, B, self.model.C + outputs[:, :n], self.model.D + outputs[:, n:]), self.parts
         )
 
 
@@ -79,7 +94,7 @@ def refine(
     Matrices, stable, in block diagonal form where that is well conditioned
     """
     blocks = split(start)
-    cost = lines.cost(blocks.model)
+    cost = blocks.cost(lines)
     damping = FIRST_DAMPING
     for iteration in range(1, max_iterations + 1):
         if cost <= ROUNDING * lines.total:
@@ -89,7 +104,7 @@ def refine(
         trial, cost, damping = _step(lines, blocks, hessian, gradient, cost, damping)
         if trial is None:
             break
-        blocks = _Blocks(trial, blocks.parts)
+        blocks = trial
         progress(iteration, cost)
         if before - cost <= tolerance * cost:
             break
@@ -122,7 +137,7 @@ def split(model: Matrices) -> _Blocks:
 
 def _step(
     lines: WeightedLines, blocks: _Blocks, hessian: Array, gradient: Array, cost: float, damping: float
-) -> tuple[Matrices | None, float, float]:
+) -> tuple[_Blocks | None, float, float]:
     """First step, under growing damping, that is stable and lowers the cost; None if there is none."""
     scale = np.diagonal(hessian)
     scale = np.maximum(scale, 1e-12 * scale.max())
@@ -133,7 +148,7 @@ def _step(
             damping *= 10.0
             continue
         trial = blocks.moved(-linalg.cho_solve(factor, gradient))
-        if _is_stable(trial.A) and (fresh := lines.cost(trial)) < cost:
+        if _is_stable(trial.model.A) and (fresh := trial.cost(lines)) < cost:
             return trial, fresh, max(damping / 5.0, LEAST_DAMPING)
         damping *= 4.0
     return None, cost, damping
@@ -166,29 +181,31 @@ def _normal_equations(lines: WeightedLines, blocks: _Blocks) -> tuple[Array, Arr
 
 def _jacobians(lines: WeightedLines, blocks: _Blocks) -> Iterator[tuple[int, Array, Array]]:
     """Jacobian and error of each output on each chunk of lines, real parts above imaginary parts."""
-    A, B, C, D = blocks.model
+    n, (_, B, C, D) = len(blocks.model.A), blocks.model
     rows, columns = blocks.pattern()
     for k in lines.chunks():
         z, right = lines.z[k], lines.right[k]
-        inputs = np.concatenate([np.empty((len(z), len(A), right.shape[2]), complex), right], axis=1)
-        observed = np.empty((len(z), len(C), len(A)), complex)
-        for part in blocks.parts:
-            resolvent = np.linalg.inv(z[:, None, None] * np.eye(part.stop - part.start) - A[part, part])
+        inputs = np.concatenate([np.empty((len(z), n, right.shape[2]), complex), right], axis=1)
+        observed = np.empty((len(z), len(C), n), complex)
+        for part, resolvent in blocks.resolvents(z):
             inputs[:, part] = resolvent @ (B[part] @ right)
             observed[:, :, part] = C[:, part] @ resolvent
         error = np.hstack([C, D]) @ inputs - lines.target[k] @ right
-        own = inputs.swapaxes(1, 2)  # line, column of R, state or input
+        own = np.ascontiguousarray(inputs.swapaxes(1, 2))  # line, column of R, state or input
+        paired = np.take(own, columns, axis=2)
         for a in range(len(C)):
             weight = lines.left[k, a, None, None]
             seen = weight * observed[:, a, None, :]
-            by_input = (seen[..., None] * own[:, :, None, len(A) :]).reshape(*own.shape[:2], -1)
-            jacobian = [seen[..., rows] * own[..., columns], by_input, weight * own]
+            by_input = (seen[..., None] * own[:, :, None, n:]).reshape(*own.shape[:2], -1)
+            jacobian = [np.take(seen, rows, axis=2) * paired, by_input, weight * own]
             yield a, _real(jacobian), _real([weight * error[:, a, :, None]])[:, 0]
 
 
 def _real(parts: Sequence[Complex]) -> Array:
     """Stack parts (F, m, column) side by side, real rows above imaginary ones."""
-    stack = np.empty((2, *parts[0].shape[:2], sum(part.shape[2] for part in parts)))
-    np.concatenate([part.real for part in parts], axis=2, out=stack[0])
-    np.concatenate([part.imag for part in parts], axis=2, out=stack[1])
+    ends = np.cumsum([part.shape[2] for part in parts])
+    stack = np.empty((2, *parts[0].shape[:2], ends[-1]))
+    for part, end in zip(parts, ends, strict=True):
+        place = slice(end - part.shape[2], end)
+        stack[0, ..., place], stack[1, ..., place] = part.real, part.imag
     return stack.reshape(-1, stack.shape[3])

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +30,10 @@ BLOCK = 8192
 class Filter(Protocol):
     """A linear block that columns pass, with its memory outside."""
 
-    def rest(self) -> Array:
+    def rest(self) -> NDArray[Any]:
         """State of a block that was never driven."""
 
-    def respond(self, columns: Array, start: Array, /) -> tuple[Array, Array]:
+    def respond(self, columns: Array, start: NDArray[Any], /) -> tuple[Array, NDArray[Any]]:
         """Outputs (row, sample) and the state after them."""
 
 
@@ -86,7 +86,7 @@ def regressor_blocks(
             yield k + skip, passed[:, skip:]
 
 
-def _filtered(columns: Array, filters: Sequence[Filter], states: list[Array]) -> Array:
+def _filtered(columns: Array, filters: Sequence[Filter], states: list[NDArray[Any]]) -> Array:
     """Columns behind the filters, whose states are carried on."""
     if not filters:
         return columns

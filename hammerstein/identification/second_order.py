@@ -47,9 +47,12 @@ LARGEST_CHANGE = 0.5
 MOST_STEPS = 25
 ENOUGH = 1e-7
 """Relative gain of a step under which the search has arrived."""
-SEARCH_SAMPLES = 30_000
-SEARCH_OPERATORS = 5
-SEARCH_DAMPING = (0.05, 0.4)
+SEARCH_SAMPLES = 10_000
+SEARCH_OPERATORS = 3
+GUESS_SAMPLES = 30_000
+GUESS_OPERATORS = 5
+SEARCH_DAMPING = 0.15
+SEARCH_BEGINS = 3
 SEARCH_RATIO = 1.3
 """Ratio of neighbouring frequencies tried: within reach of the Gauss-Newton steps."""
 
@@ -202,16 +205,13 @@ def _point(task: Task, x: Array, slopes: Array) -> Point:
 
 
 def search(task: Task) -> Array:
-    """Resonance and damping near the best ones, on a coarse grid over all that the records can show."""
+    """Resonance and damping near the best ones, from a coarse grid over all that the records can show."""
     lower, upper = task.limits
-    best, least = lower, math.inf
-    for f in np.arange(math.log(10.0) + lower[0], upper[0], math.log(SEARCH_RATIO)):
-        for damping in SEARCH_DAMPING:
-            x = np.array([f, math.log(damping)])
-            rms = _alone(task, partial(task.path, x)).residual_rms
-            if rms < least:
-                best, least = x, rms
-    return best
+    frequencies = np.arange(math.log(10.0) + lower[0], upper[0], math.log(SEARCH_RATIO))
+    grid = [np.array([f, math.log(SEARCH_DAMPING)]) for f in frequencies]
+    errors = [_alone(task, partial(task.path, x)).residual_rms for x in grid]
+    begins = [grid[int(i)] for i in np.argsort(errors, kind="stable")[:SEARCH_BEGINS]]
+    return min((refine(task, x) for x in begins), key=lambda point: point.rms).x
 
 
 def fit_axis(task: Task, begin: Array) -> AxisFit:
@@ -265,7 +265,6 @@ def search_axes(
     records: Sequence[Record],
     starts: Sequence[Start],
     *,
-    operators: int = SEARCH_OPERATORS,
     delay_samples: int | None = 0,
     most_delay: int = MOST_DELAY,
     sensor_bandwidth_hz: float | None = None,
@@ -277,33 +276,35 @@ def search_axes(
     ----------
     records : all with the same axes
     starts : what went before each record
-    operators : plays of each input, few
     delay_samples : whole samples by which the outputs come late; None: found, up to ``most_delay``, if all
         records have one sample time
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; none if not given
     progress : told what is being done
     """
     tell = progress or (lambda _: None)
-    quick, begun = shortened(records, starts, SEARCH_SAMPLES)
-    grids = tuple(thresholds_uniform_in_voltage(reach, operators) for reach in half_swing(quick))
+    delay = delay_samples or 0
+
+    def task(output: int, samples: int, operators: int) -> Task:
+        quick, begun = shortened(records, starts, samples)
+        grids = tuple(thresholds_uniform_in_voltage(reach, operators) for reach in half_swing(quick))
+        return Task(quick, begun, grids, output, 0, delay, sensor_bandwidth_hz)
+
     names = records[0].outputs
-    tasks = [
-        Task(quick, begun, grids, o, 0, delay_samples or 0, sensor_bandwidth_hz) for o in range(len(names))
-    ]
+    tasks = [task(o, GUESS_SAMPLES, GUESS_OPERATORS) for o in range(len(names))]
     begins = []
-    for name, task in zip(names, tasks, strict=True):
+    for o, name in enumerate(names):
         tell(f"searching the resonance of {name}")
-        begins.append(refine(task, search(task)).x)
+        begins.append(refine(tasks[o], search(task(o, SEARCH_SAMPLES, SEARCH_OPERATORS))).x)
     if delay_samples is not None or len({record.sample_time_s for record in records}) > 1:
-        return FirstGuess(np.array(begins), delay_samples or 0, np.empty((0, len(tasks))))
+        return FirstGuess(np.array(begins), delay, np.empty((0, len(tasks))))
     tell("searching the delay")
     points = [
-        [refine(replace(task, delay_samples=d), x) for task, x in zip(tasks, begins, strict=True)]
+        [refine(replace(quick, delay_samples=d), x) for quick, x in zip(tasks, begins, strict=True)]
         for d in range(most_delay + 1)
     ]
     rms = np.array([[point.rms for point in row] for row in points])
-    delay = shortest_delay(rms)
-    return FirstGuess(np.array([point.x for point in points[delay]]), delay, rms)
+    found = shortest_delay(rms)
+    return FirstGuess(np.array([point.x for point in points[found]]), found, rms)
 
 
 @dataclass(frozen=True, eq=False)

@@ -113,11 +113,14 @@ def shortened(
 ) -> tuple[tuple[Record, ...], tuple[Start, ...]]:
     """Beginnings of the records with a given number of samples in all, for what must be quick."""
     most = max(samples // len(records), FEWEST)
-    cut, begun = [], []
-    for record, start in zip(records, starts, strict=True):
-        stop = min(record.samples, start.first + most)
-        part = record.part(0, stop)
-        late = start.kind == "repeated" and start.first == 0 and stop < record.samples
-        cut.append(part)
-        begun.append(replace(start, first=run_in(part)) if late else start)
-    return tuple(cut), tuple(begun)
+    pairs = [_cut(record, start, most) for record, start in zip(records, starts, strict=True)]
+    return tuple(record for record, _ in pairs), tuple(start for _, start in pairs)
+
+
+def _cut(record: Record, start: Start, most: int) -> tuple[Record, Start]:
+    if record.samples <= most:
+        return record, start
+    part = record.part(0, most)
+    if start.kind == "rest":
+        return part, start
+    return part, Start("repeated", min(run_in(part), most // 2))

@@ -201,13 +201,15 @@ def solve_static(
     refuse_inseparable(records[0], layout, free)
     solutions = free
     if method != "least_squares":
-        gains = _gains(records, thresholds_v, layout, free)
-        bounds = _nonnegative if method == "nonnegative" else _invertible
+        gains = gains_of(records, thresholds_v, layout, [solution.coefficients for solution in free])
         solutions = [
-            _solve_output(layout, o, moment, ridge, bounds(layout, o, gains))
+            _solve_output(layout, o, moment, ridge, bounds_of(method, layout, o, gains))
             for o, moment in enumerate(moments)
         ]
-    rows = [_pairs(row, layout, o, solutions[o]) for o, row in enumerate(thresholds_v)]
+    rows = [
+        pairs_of(row, layout, o, solution.coefficients, solution.covariance)
+        for o, (row, solution) in enumerate(zip(thresholds_v, solutions, strict=True))
+    ]
     parts = [(o, k, part) for o, row in enumerate(layout.parts) for k, part in enumerate(row)]
     return StaticFit(
         hysteresis=PrandtlIshlinskii(tuple(rows)),
@@ -226,7 +228,7 @@ def _solve_output(
 ) -> Solution:
     merge = layout.merge[o]
     gram = merge.T @ moment.gram @ merge
-    penalty = _ridge(layout.parts[o], gram, ridge) if ridge > 0.0 else None
+    penalty = ridge_of(layout.parts[o], gram, ridge) if ridge > 0.0 else None
     cross = merge.T @ moment.cross[:, 0]
     return solve(gram, cross, float(moment.power[0]), moment.freedom, bounds=bounds, penalty=penalty)
 
@@ -241,7 +243,7 @@ def _differences(parts: Sequence[slice]) -> Array:
     return matrix
 
 
-def _ridge(parts: Sequence[slice], gram: Array, ridge: float) -> Array:
+def ridge_of(parts: Sequence[slice], gram: Array, ridge: float) -> Array:
     """Penalty of all weights but the first of each pair, in terms of the slopes."""
     differences = _differences(parts)
     sums = np.linalg.inv(differences)
@@ -250,17 +252,23 @@ def _ridge(parts: Sequence[slice], gram: Array, ridge: float) -> Array:
     return differences.T @ (strength[:, None] * differences)
 
 
-def _gains(
-    records: Sequence[Record], thresholds_v: Thresholds, layout: Layout, free: Sequence[Solution]
+def gains_of(
+    records: Sequence[Record], thresholds_v: Thresholds, layout: Layout, slopes: Sequence[Array]
 ) -> Array:
-    """Gain of every pair (output, input) at the amplitude of the records [um/V]."""
+    """Gain of every pair (output, input) at the amplitude of the records [um/V], from slopes an output."""
     reach = half_swing(records)
     gains = np.zeros((len(thresholds_v), len(reach)))
     for o, row in enumerate(thresholds_v):
         for k, r in enumerate(row):
-            weights = np.diff(free[o].coefficients[layout.parts[o][k]], prepend=0.0)
-            gains[o, k] = weights @ (reach[k] - r) / reach[k]
+            if r.size:
+                weights = np.diff(slopes[o][layout.parts[o][k]], prepend=0.0)
+                gains[o, k] = weights @ (reach[k] - r) / reach[k]
     return gains
+
+
+def bounds_of(method: Weighting, layout: Layout, o: int, gains: Array) -> Bounds:
+    """Bounds of the slopes of one output under a method."""
+    return _nonnegative(layout, o, gains) if method == "nonnegative" else _invertible(layout, o, gains)
 
 
 def _nonnegative(layout: Layout, o: int, gains: Array) -> Bounds:
@@ -293,10 +301,13 @@ def direct_pairs(gains: Array) -> list[tuple[int, int]]:
     return list(zip(outputs.tolist(), inputs.tolist(), strict=True))
 
 
-def _pairs(row: Sequence[Array], layout: Layout, o: int, solution: Solution) -> tuple[Pair, ...]:
+def pairs_of(
+    row: Sequence[Array], layout: Layout, o: int, slopes: Array, covariance: Array
+) -> tuple[Pair, ...]:
+    """Pairs of one output with weights and standard errors, from its slopes."""
     differences = _differences(layout.parts[o])
-    weights = differences @ solution.coefficients
-    errors = np.sqrt(np.diag(differences @ solution.covariance @ differences.T))
+    weights = differences @ slopes
+    errors = np.sqrt(np.maximum(np.diag(differences @ covariance @ differences.T), 0.0))
     return tuple(Pair(r, weights[part], errors[part]) for r, part in zip(row, layout.parts[o], strict=True))
 
 

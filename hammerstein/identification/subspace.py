@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 MARGIN = 1e-6
-"""Distance from the unit circle at which an unstable pole is put back inside."""
+"""Distance from the unit circle of a pole that stood on it, after it is put back inside."""
 
 
 def subspace(lines: WeightedLines, order: int, block_rows: int) -> Matrices:
@@ -51,13 +51,11 @@ def stable(A: Array) -> Array:
     """Mirror the eigenvalues outside the unit circle into it."""
     if not len(A) or np.abs(linalg.eigvals(A)).max() < 1.0:
         return A
-    # the complex Schur form stays well conditioned where eigenvectors are nearly parallel
-    T, Q = linalg.schur(A, output="complex")
-    poles = np.diagonal(T)
-    size = np.abs(poles)
-    inside = np.minimum(1.0 / np.maximum(size, 1.0), 1.0 - MARGIN)
-    np.fill_diagonal(T, np.where(size < 1.0, poles, poles / np.maximum(size, 1e-300) * inside))
-    return np.asarray((Q @ T @ Q.conj().T).real)
+    # ordered so that the unstable poles stand in the last block, whose inverse has the mirrored ones
+    T, Q, inside = linalg.schur(A, sort="iuc")
+    last = slice(inside, None)
+    T[last, last] = (1.0 - MARGIN) * linalg.inv(T[last, last])
+    return np.asarray(Q @ T @ Q.T)
 
 
 def _mean_left(lines: WeightedLines) -> Array:

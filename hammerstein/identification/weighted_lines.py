@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Weighting = Literal["power", "variance"]
 
-CHUNK = 1024
+CHUNK = 4096
 """Lines handled at a time, which bounds the memory for long records."""
 
 SPREAD = 0.9

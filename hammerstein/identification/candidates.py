@@ -1,0 +1,265 @@
+"""The kinds of model that are fitted beside each other, so that each block must earn its place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import (
+    AxesDynamics,
+    LinearBlock,
+    StateSpaceDynamics,
+    StaticDynamics,
+    discretise,
+)
+from hammerstein.errors import IdentificationError
+from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.identification.coupled import fit_linear, fit_static_coupled, refit_linear
+from hammerstein.identification.fit import Kind
+from hammerstein.identification.prediction import Candidate, score
+from hammerstein.identification.records import Record
+from hammerstein.identification.regressors import Start
+from hammerstein.identification.second_order import AxesFit, AxisFit, FirstGuess, fit_axes
+from hammerstein.identification.settings import Settings
+from hammerstein.identification.settled_loops import closed_form_model
+from hammerstein.identification.static_block import (
+    Layout,
+    StaticFit,
+    Thresholds,
+    Weighting,
+    refuse_unreached,
+    solve_static,
+    static_moments,
+)
+from hammerstein.identification.verdict import FELT, axis_identified
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Records with all that is known before the candidates are fitted."""
+
+    records: tuple[Record, ...]
+    starts: tuple[Start, ...]
+    thresholds_v: Thresholds
+    delay_samples: int
+    settings: Settings
+    progress: Progress
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs."""
+        return len(self.records[0].y_um)
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of the inputs [s]."""
+        return self.delay_samples * self.records[0].sample_time_s
+
+    def linear_thresholds(self) -> list[list[Array]]:
+        """Give a single threshold of 0 to every pair: a linear gain."""
+        return [[np.zeros(min(len(r), 1)) for r in row] for row in self.thresholds_v]
+
+    def paths(self, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics) -> list[LinearBlock]:
+        """Discrete path of each record from the static block to the reading, without delay."""
+        prompt = dynamics.model_copy(update={"input_delay_s": 0.0})
+        sensor = self.settings.sensor_bandwidth_hz
+        if isinstance(prompt, StaticDynamics) and sensor is None:
+            return []
+        return [discretise(prompt, record.sample_time_s, sensor) for record in self.records]
+
+    def candidate(
+        self,
+        hysteresis: PrandtlIshlinskii,
+        dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
+    ) -> Candidate:
+        """Static block and linear block as a model with the delay of the task."""
+        late = dynamics.model_copy(update={"input_delay_s": self.delay_s})
+        return Candidate(hysteresis, late, self.settings.sensor_bandwidth_hz)
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """A static block under several methods, behind one and the same linear block.
+
+    ``chosen`` is by the method that was asked for; ``free`` and ``one_sign`` serve for comparison.
+    """
+
+    chosen: StaticFit
+    free: StaticFit
+    one_sign: StaticFit | None
+
+
+@dataclass(frozen=True, eq=False)
+class Built:
+    """All candidates, and what only the largest of them tells."""
+
+    candidates: dict[Kind, Candidate]
+    kind: Kind
+    blocks: Blocks
+    axes: tuple[AxisFit, ...] = ()
+
+
+def build_static(task: Task) -> Built:
+    """Linear gain and static hysteresis."""
+    dynamics = StaticDynamics(n_outputs=task.outputs)
+    task.progress("fitting the static block")
+    linear = static_blocks(task, task.linear_thresholds(), dynamics, "least_squares")
+    blocks = static_blocks(task, task.thresholds_v, dynamics, task.settings.method)
+    candidates: dict[Kind, Candidate] = {
+        "linear": task.candidate(linear.chosen.hysteresis, dynamics),
+        "static_hysteresis": task.candidate(blocks.chosen.hysteresis, dynamics),
+    }
+    return Built(candidates, "static_hysteresis", blocks)
+
+
+def static_blocks(
+    task: Task,
+    thresholds_v: Thresholds,
+    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
+    method: str,
+) -> Blocks:
+    """Weights by the method asked for, and by the two that it is compared with."""
+    layout = Layout.of(thresholds_v)
+    refuse_unreached(task.records, layout.grids)
+    moments = static_moments(
+        task.records, layout.grids, task.starts, task.delay_samples, task.paths(dynamics) or None
+    )
+
+    def solved(how: Weighting) -> StaticFit:
+        return solve_static(task.records, thresholds_v, layout, moments, how, task.settings.ridge)
+
+    free = solved("least_squares")
+    if method == "closed_form":
+        return Blocks(_closed_form(task, free), free, solved("nonnegative"))
+    chosen = {
+        "least_squares": free,
+        "nonnegative": solved("nonnegative"),
+        "invertible": solved("invertible"),
+    }
+    return Blocks(chosen[method], free, chosen["nonnegative"])
+
+
+def _closed_form(task: Task, free: StaticFit) -> StaticFit:
+    """Closed form on the settled loops, brought forward by the delay."""
+    settings = task.settings
+    d = task.delay_samples
+    prompt = [
+        Record(
+            record.u_v[:, : record.samples - d],
+            record.y_um[:, d:],
+            record.sample_time_s,
+            record.inputs,
+            record.outputs,
+            record.source,
+            verified=True,
+        )
+        for record in task.records
+    ]
+    given = task.thresholds_v if settings.thresholds_v is not None else None
+    counts = {len(r) for row in task.thresholds_v for r in row}
+    if given is None and len(counts) > 1:
+        raise IdentificationError("the closed form places one number of thresholds; give one, or thresholds")
+    hysteresis = closed_form_model(prompt, max(counts), given)
+    return replace(free, hysteresis=hysteresis, bounded=(), open=())
+
+
+def build_second_order(task: Task, guess: FirstGuess) -> Built:
+    """All four kinds, with second-order axes."""
+    settings = task.settings
+    static = build_static(task)
+    fits: dict[bool, AxesFit] = {}
+    for plays, thresholds_v in ((False, task.linear_thresholds()), (True, task.thresholds_v)):
+        fits[plays] = fit_axes(
+            task.records,
+            Layout.of(thresholds_v).grids,
+            task.starts,
+            guess,
+            creep_modes=settings.creep_modes,
+            sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
+            progress=task.progress if plays else None,
+        )
+    axes = fits[True].axes
+    if not any(axis_identified(axis) for axis in axes):
+        return replace(static, axes=axes)
+    dynamics = dynamics_of(axes)
+    blocks = static_blocks(task, task.thresholds_v, dynamics, settings.method)
+    if not _felt(static.blocks.chosen, blocks.chosen):
+        unfelt = [replace(axis, rms_um=axis.static_rms_um) for axis in axes]
+        return replace(static, axes=tuple(unfelt))
+    alone = dynamics_of(fits[False].axes)
+    gains = static_blocks(task, task.linear_thresholds(), alone, "least_squares")
+    candidates: dict[Kind, Candidate] = {
+        **static.candidates,
+        "linear_dynamics": task.candidate(gains.chosen.hysteresis, alone),
+        "hammerstein": task.candidate(blocks.chosen.hysteresis, dynamics),
+    }
+    return Built(candidates, "hammerstein", blocks, axes)
+
+
+def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:
+    """Whether dynamics lower the error of a static block that is bound to have an inverse."""
+    return bool(np.any(with_dynamics.rms_um <= (1.0 - FELT) * without.rms_um))
+
+
+def dynamics_of(axes: Sequence[AxisFit]) -> AxesDynamics | StateSpaceDynamics:
+    """Linear block of the axes; those that the records do not tell pass their input unchanged."""
+    told = [o for o, axis in enumerate(axes) if axis_identified(axis)]
+    if len(told) in (0, len(axes)):
+        return AxesDynamics(axes=tuple(fit.axis for fit in axes))
+    system = AxesDynamics(axes=tuple(axes[o].axis for o in told)).system()
+    n, p = system.nstates, len(axes)
+    b, c, d = np.zeros((n, p)), np.zeros((p, n)), np.eye(p)
+    b[:, told], c[told] = system.B, system.C
+    d[told, told] = 0.0
+    rows = (tuple(map(tuple, np.asarray(matrix).tolist())) for matrix in (system.A, b, c, d))
+    return StateSpaceDynamics(**dict(zip("ABCD", rows, strict=True)))
+
+
+def build_state_space(task: Task) -> Built:
+    """All four kinds, with a state-space model of the order asked for."""
+    settings = task.settings
+    assert settings.order is not None  # refused by Settings
+    static = build_static(task)
+    task.progress("fitting the linear dynamics")
+    block, gain = fit_linear(task.records, settings.order, task.progress)
+    alone = task.candidate(_gain_model(gain), _state_space(block))
+    task.progress("fitting the static block behind them")
+    first = _coupled(task, block)
+    task.progress("fitting the linear dynamics behind the static block")
+    again = refit_linear(task.records, task.starts, first.chosen.hysteresis, settings.order, task.progress)
+    second = _coupled(task, again)
+    trials = [
+        (blocks, task.candidate(blocks.chosen.hysteresis, _state_space(g)))
+        for blocks, g in ((first, block), (second, again))
+    ]
+    blocks, best = min(trials, key=lambda trial: score(trial[1], task.records, task.starts).mean_percent)
+    candidates: dict[Kind, Candidate] = {
+        **static.candidates,
+        "linear_dynamics": alone,
+        "hammerstein": best,
+    }
+    return Built(candidates, "hammerstein", blocks)
+
+
+def _coupled(task: Task, block: LinearBlock) -> Blocks:
+    method = task.settings.method
+    weighting: Weighting = "invertible" if method == "closed_form" else method
+    found = fit_static_coupled(
+        task.records, task.thresholds_v, block, task.starts, method=weighting, ridge=task.settings.ridge
+    )
+    return Blocks(found, found, None)
+
+
+def _gain_model(gain: Array) -> PrandtlIshlinskii:
+    return PrandtlIshlinskii.from_arrays(np.zeros(1), gain[:, :, None])
+
+
+def _state_space(block: LinearBlock) -> StateSpaceDynamics:
+    rows = {name: tuple(map(tuple, getattr(block, name).tolist())) for name in "ABCD"}
+    return StateSpaceDynamics(**rows, sample_time_s=block.sample_time_s)

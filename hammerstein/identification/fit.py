@@ -1,0 +1,94 @@
+"""What an identification has found, beside the model: errors, offsets, statements."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+from hammerstein.identification.operators import CurvePoint
+from hammerstein.identification.prediction import Candidate, Score
+from hammerstein.identification.regressors import Start
+from hammerstein.identification.second_order import AxisFit
+
+Kind = Literal["linear", "static_hysteresis", "linear_dynamics", "hammerstein"]
+
+KIND_NAMES: Mapping[Kind, str] = {
+    "linear": "linear gain",
+    "static_hysteresis": "static Prandtl-Ishlinskii",
+    "linear_dynamics": "linear dynamics alone",
+    "hammerstein": "Hammerstein",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """How a model was found and how far it can be trusted.
+
+    Parameters
+    ----------
+    inputs, outputs : names of the axes
+    kind : what the model is
+    fit : errors of each kind of model on the records it was fitted to
+    validation : the same on records that were held back; empty if there were none
+    method : how the weights were found
+    operators : (output, input) number of thresholds of each pair
+    delay_samples : whole samples by which the outputs come late
+    sample_time_s : time between samples of the records [s]
+    sensor_bandwidth_hz : what the sensor was taken for [Hz]
+    offsets_um : (record, output) readings that belong to an output of zero [um]
+    starts : what went before each record
+    axes : resonances and damping with their standard errors, where they were fitted
+    order : order of a state-space model
+    error_curve : held-out error against the number of operators
+    not_identifiable : what the excitation cannot tell
+    flags : what a model of this kind cannot represent
+    notes : what was done to the records
+    invertible : whether the model has an inverse
+    invertibility : the same as a sentence, with the frequency or the slope to blame
+    verdict : which block earns its place
+    candidates : the models behind the errors
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    kind: Kind
+    fit: Mapping[Kind, Score]
+    validation: Mapping[Kind, Score]
+    method: str
+    operators: tuple[tuple[int, ...], ...]
+    delay_samples: int
+    sample_time_s: float
+    sensor_bandwidth_hz: float | None
+    offsets_um: tuple[tuple[float, ...], ...]
+    starts: tuple[Start, ...]
+    axes: tuple[AxisFit, ...]
+    order: int | None
+    error_curve: tuple[CurvePoint, ...]
+    not_identifiable: tuple[str, ...]
+    flags: tuple[str, ...]
+    notes: tuple[str, ...]
+    invertible: bool
+    invertibility: str
+    verdict: str
+    candidates: Mapping[Kind, Candidate] = field(repr=False)
+
+    @property
+    def judged(self) -> Mapping[Kind, Score]:
+        """Errors that the verdict rests on: on records held back, if there are any."""
+        return self.validation or self.fit
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain values for JSON: ``fit`` and ``validation`` hold the errors of each kind of model."""
+        plain = {
+            name: getattr(self, name)
+            for name in self.__dataclass_fields__
+            if name not in {"fit", "validation", "candidates", "starts", "axes", "error_curve"}
+        }
+        return plain | {
+            "fit": {kind: asdict(score) for kind, score in self.fit.items()},
+            "validation": {kind: asdict(score) for kind, score in self.validation.items()},
+            "starts": [asdict(start) for start in self.starts],
+            "axes": [asdict(axis) | {"axis": axis.axis.model_dump(mode="json")} for axis in self.axes],
+            "error_curve": [asdict(point) for point in self.error_curve],
+        }

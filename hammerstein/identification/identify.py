@@ -1,0 +1,309 @@
+"""From records to a model and an account of how far it can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import StaticDynamics
+from hammerstein.errors import InputError
+from hammerstein.identification.candidates import (
+    Built,
+    Task,
+    build_second_order,
+    build_state_space,
+    build_static,
+)
+from hammerstein.identification.delay import static_delay
+from hammerstein.identification.fit import Fit, Kind
+from hammerstein.identification.operators import (
+    CURVE_SAMPLES,
+    CurvePoint,
+    enough_operators,
+    error_curve,
+    input_grids,
+)
+from hammerstein.identification.prediction import Candidate, Score, ranges, score
+from hammerstein.identification.preparation import prepare, refuse_swapped
+from hammerstein.identification.records import Record
+from hammerstein.identification.second_order import FirstGuess, search_axes
+from hammerstein.identification.settings import Settings
+from hammerstein.identification.starts import StartMode, cautious_start, judged_starts, shortened
+from hammerstein.identification.static_block import direct_pairs, fit_static, half_swing
+from hammerstein.identification.verdict import (
+    axis_statements,
+    bound_notes,
+    butterfly_flags,
+    invertibility_of,
+    record_flags,
+    shape_flags,
+    verdict,
+)
+from hammerstein.instruments import Instruments
+from hammerstein.model import HammersteinModel
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+DELAY_OPERATORS = 15
+"""Operators with which the delay is found where their number is still open."""
+FIRST_OPERATORS = 8
+FIRST_SAMPLES = 50_000
+"""Operators and samples of the first model, which only tells how the records begin."""
+
+
+def identify(
+    records: Sequence[Record],
+    settings: Settings | None = None,
+    *,
+    validation: Sequence[Record] = (),
+    name: str = "identified",
+    instruments: Instruments | None = None,
+    progress: Progress | None = None,
+) -> tuple[HammersteinModel, Fit]:
+    """Identify a model from measured records, and say how good it is.
+
+    Four kinds of model are fitted beside each other where dynamics are asked for, two without: linear gain,
+    static Prandtl-Ishlinskii block, linear dynamics alone, and the Hammerstein model. The largest is
+    returned; the verdict says whether its blocks earn their place.
+
+    Parameters
+    ----------
+    records : experiments on one actuator, with any inputs driven in each
+    settings : how it is done; least squares with 15 operators and no dynamics if not given
+    validation : records that are held back and only judged
+    name : of the model
+    instruments : drive and sensor for the model file; ideal ones on the records' sample time if not given
+    progress : told what is being done
+
+    Returns
+    -------
+    model : the actuator's model; its provenance holds the verdict and whether it has an inverse
+    fit : errors, offsets, standard errors, statements
+
+    Raises
+    ------
+    InputError : records that do not fit together, swapped columns
+    IdentificationError : records that do not determine the model
+
+    Examples
+    --------
+    >>> from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+    >>> u = 4.0 * np.sin(2.0 * np.pi * np.arange(1200) / 300) * np.linspace(1.0, 0.5, 1200)
+    >>> truth = PrandtlIshlinskii([[Pair([0.0, 1.0, 2.0], [3.0, 1.0, 1.0])]])
+    >>> record = Record([u], truth.respond([u])[0], 1e-3)
+    >>> model, fit = identify([record], Settings(thresholds_v=[0.0, 1.0, 2.0], error_curve=False))
+    >>> model.hysteresis.pairs[0][0].weights_um_per_v.round(6), fit.invertible
+    (array([3., 1., 1.]), True)
+    """
+    settings = settings or Settings()
+    tell = progress or (lambda _: None)
+    ready, notes = _ready(records)
+    held, held_notes = _ready(validation) if validation else ((), [])
+    _refuse_mixed([*ready, *held])
+    tell("looking at how the records begin")
+    guess, first = _first_model(ready, settings, tell)
+    task, curve = _task(ready, settings, guess, first, tell)
+    built = _build(task, guess)
+    best = built.candidates[built.kind]
+    held_starts = judged_starts(held, best.predict, _settle_s(guess), _start_mode(settings))
+    tell("judging the models")
+    fitted = {kind: score(c, ready, task.starts) for kind, c in built.candidates.items()}
+    judged = {kind: score(c, held, held_starts) for kind, c in built.candidates.items()} if held else {}
+    fit = _account(task, built, curve, fitted, judged, [*notes, *held_notes])
+    return _model(task, fit, best, name, instruments), fit
+
+
+def _ready(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
+    """Records without their dead start, and what was done to them."""
+    if not records:
+        raise InputError("records", "none was given")
+    ready, notes = [], []
+    for record in records:
+        refuse_swapped(record)
+        prepared = prepare(record)
+        if prepared.dead_start_samples and prepared.at_rest:
+            ready.append(prepared.record)
+            offsets = ", ".join(f"{v:.4g}" for v in prepared.offset_v)
+            notes.append(
+                f"{record.source}: a dead start of {prepared.dead_start_samples} samples was cut off; "
+                f"voltages count from their values at rest ({offsets} V)"
+            )
+        else:
+            ready.append(record)
+    return tuple(ready), notes
+
+
+def _refuse_mixed(records: Sequence[Record]) -> None:
+    shapes = {(len(record.u_v), len(record.y_um)) for record in records}
+    if len(shapes) > 1:
+        listed = ", ".join(f"{m} inputs and {p} outputs" for m, p in sorted(shapes))
+        raise InputError("records", f"do not have the same axes: {listed}")
+
+
+def _start_mode(settings: Settings) -> StartMode:
+    """Without a model of how it rings, a start from rest cannot be told from the records."""
+    return "repeated" if settings.dynamics == "state_space" and settings.start == "auto" else settings.start
+
+
+def _settle_s(guess: FirstGuess | None) -> float:
+    return 0.0 if guess is None else guess.settle_s
+
+
+def _first_model(
+    records: tuple[Record, ...], settings: Settings, tell: Progress
+) -> tuple[FirstGuess | None, Candidate]:
+    """A quick model that tells how the records begin, and the resonances it was found with."""
+    cautious = [cautious_start(record) for record in records]
+    guess = None
+    if settings.dynamics == "second_order":
+        guess = search_axes(
+            records,
+            cautious,
+            delay_samples=settings.delay_samples,
+            sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
+            progress=tell,
+        )
+    quick, begun = shortened(records, cautious, FIRST_SAMPLES)
+    delay = guess.delay_samples if guess else settings.delay_samples or 0
+    row = input_grids(quick, FIRST_OPERATORS, "voltage")
+    task = Task(quick, begun, [list(row) for _ in quick[0].y_um], delay, settings, tell)
+    dynamics = guess.dynamics() if guess else StaticDynamics(n_outputs=task.outputs)
+    found = fit_static(
+        quick,
+        task.thresholds_v,
+        method="least_squares",
+        starts=begun,
+        delay_samples=delay,
+        through=task.paths(dynamics) or None,
+    )
+    return guess, task.candidate(found.hysteresis, dynamics)
+
+
+def _task(
+    records: tuple[Record, ...],
+    settings: Settings,
+    guess: FirstGuess | None,
+    first: Candidate,
+    tell: Progress,
+) -> tuple[Task, tuple[CurvePoint, ...]]:
+    """Starts, delay and thresholds of the records."""
+    starts = judged_starts(records, first.predict, _settle_s(guess), _start_mode(settings))
+    few, begun = shortened(records, starts, CURVE_SAMPLES)
+    delay = guess.delay_samples if guess else settings.delay_samples
+    if delay is None:
+        tell("searching the delay")
+        delay = 0
+        if settings.dynamics == "none":
+            delay, _ = static_delay(few, settings.thresholds(few, DELAY_OPERATORS), begun)
+    task = Task(records, starts, (), delay, settings, tell)
+    curve: tuple[CurvePoint, ...] = ()
+    wanted = settings.error_curve or settings.operators == "auto"
+    if wanted and settings.dynamics != "state_space":
+        tell("trying numbers of operators")
+        paths = task.paths(first.dynamics)
+        curve = error_curve(records, starts, partition=settings.partition, delay_samples=delay, through=paths)
+    chosen = enough_operators(curve) if curve else 15
+    return Task(records, starts, settings.thresholds(records, chosen), delay, settings, tell), curve
+
+
+def _build(task: Task, guess: FirstGuess | None) -> Built:
+    if guess is not None:
+        return build_second_order(task, guess)
+    return build_state_space(task) if task.settings.dynamics == "state_space" else build_static(task)
+
+
+def _account(
+    task: Task,
+    built: Built,
+    curve: tuple[CurvePoint, ...],
+    fitted: dict[Kind, Score],
+    judged: dict[Kind, Score],
+    notes: list[str],
+) -> Fit:
+    """Everything that is said about the model."""
+    record, settings, best = task.records[0], task.settings, built.candidates[built.kind]
+    blocks = built.blocks
+    direct = direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))
+    flags = record_flags(best, task.records, task.starts)
+    if settings.dynamics == "none":
+        flags += butterfly_flags(task.records, direct)
+    if blocks.one_sign is not None:
+        spans = ranges(task.records, task.starts)
+        flags += shape_flags(task.records, blocks.free, blocks.one_sign, spans, direct)
+    unknown = axis_statements(record.outputs, built.axes) if built.axes else []
+    unknown += [
+        f"single weights between {record.inputs[k]} and {record.outputs[o]}: only sums of them are told"
+        for o, k in blocks.chosen.open
+    ]
+    bounds = bound_notes(task.records, blocks.chosen, blocks.free) if settings.method == "invertible" else []
+    amplitude = float(half_swing(task.records).max())
+    invertible, sentence = invertibility_of(best.hysteresis, best.dynamics, amplitude, record.sample_time_s)
+    return Fit(
+        inputs=record.inputs,
+        outputs=record.outputs,
+        kind=built.kind,
+        fit=fitted,
+        validation=judged,
+        method=settings.method,
+        operators=tuple(tuple(len(p.thresholds_v) for p in row) for row in best.hysteresis.pairs),
+        delay_samples=task.delay_samples,
+        sample_time_s=record.sample_time_s,
+        sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
+        offsets_um=tuple(tuple(row) for row in _offsets(best, task).tolist()),
+        starts=task.starts,
+        axes=built.axes,
+        order=settings.order,
+        error_curve=curve,
+        not_identifiable=tuple(unknown),
+        flags=tuple(flags),
+        notes=(*notes, *bounds),
+        invertible=invertible,
+        invertibility=sentence,
+        verdict=verdict(judged or fitted, bool(judged), flags),
+        candidates=built.candidates,
+    )
+
+
+def _offsets(best: Candidate, task: Task) -> Array:
+    """Reading (record, output) that belongs to an output of zero [um]."""
+    return np.array(
+        [
+            (record.y_um - best.predict(record, start))[:, start.first :].mean(axis=1)
+            for record, start in zip(task.records, task.starts, strict=True)
+        ]
+    )
+
+
+def _model(
+    task: Task, fit: Fit, best: Candidate, name: str, instruments: Instruments | None
+) -> HammersteinModel:
+    record = task.records[0]
+    bandwidth = fit.sensor_bandwidth_hz
+    if instruments is None:
+        instruments = Instruments.ideal(record.sample_time_s)
+        if bandwidth is not None:
+            sensor = instruments.sensor.model_copy(update={"bandwidth_hz": bandwidth})
+            instruments = instruments.model_copy(update={"sensor": sensor})
+    return HammersteinModel(
+        name=name,
+        hysteresis=best.hysteresis,
+        dynamics=best.dynamics,
+        amplitude_v=float(half_swing(task.records).max()),
+        inputs=record.inputs,
+        outputs=record.outputs,
+        instruments=instruments,
+        provenance={
+            "records": [Path(r.source).name for r in task.records],
+            "method": fit.method,
+            "delay_samples": fit.delay_samples,
+            "nrmse_percent": list(fit.judged[fit.kind].nrmse_percent),
+            "invertible": fit.invertible,
+            "invertibility": fit.invertibility,
+            "verdict": fit.verdict,
+            "flags": list(fit.flags),
+        },
+    )

@@ -1,0 +1,148 @@
+"""How an identification is done: one value, checked once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import InputError, Mistake
+from hammerstein.identification.operators import Partition, input_grids
+from hammerstein.identification.records import Record
+from hammerstein.identification.starts import StartMode
+
+Array = NDArray[np.float64]
+Method = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
+DynamicsKind = Literal["none", "second_order", "state_space"]
+
+MOST_OPERATORS = 200
+MOST_CREEP_MODES = 5
+_CHOICES = {
+    "partition": ("time", "voltage"),
+    "method": ("closed_form", "least_squares", "nonnegative", "invertible"),
+    "dynamics": ("none", "second_order", "state_space"),
+    "start": ("auto", "rest", "repeated"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """How an identification is done.
+
+    Parameters
+    ----------
+    operators : thresholds of every pair: one number, one for each pair (output, input), or ``auto``
+    thresholds_v : thresholds [V] instead: one array for all pairs, or one for each pair (output, input)
+    partition : how thresholds are placed: uniform in ``time`` as in the paper, or in ``voltage``
+    method : how the weights are found: ``closed_form``, ``least_squares``, ``nonnegative`` or ``invertible``
+    ridge : penalty of the weights, for more thresholds than the records can tell; 0: none
+    dynamics : ``none``, ``second_order`` or ``state_space``
+    order : number of states of a state-space model
+    creep_modes : slow modes of each second-order axis
+    delay_samples : whole samples by which the outputs come late; None: found
+    sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; None: unlimited
+    start : what went before each record: ``rest``, ``repeated`` (the like of it), or ``auto``: found out
+    error_curve : whether the held-out error is found for many numbers of operators
+    """
+
+    operators: int | Sequence[Sequence[int]] | Literal["auto"] = 15
+    thresholds_v: Array | Sequence[float] | Sequence[Sequence[Array]] | None = None
+    partition: Partition = "time"
+    method: Method = "invertible"
+    ridge: float = 0.0
+    dynamics: DynamicsKind = "none"
+    order: int | None = None
+    creep_modes: int = 0
+    delay_samples: int | None = None
+    sensor_bandwidth_hz: float | None = None
+    start: StartMode = "auto"
+    error_curve: bool = True
+
+    def __post_init__(self) -> None:
+        mistakes = [*self._unknown_choices(), *self._misfits(), *self._bad_numbers()]
+        if mistakes:
+            raise InputError("identification", mistakes)
+
+    def _unknown_choices(self) -> list[Mistake]:
+        return [
+            Mistake(name, f"{getattr(self, name)!r} is not known; choose one of {', '.join(known)}")
+            for name, known in _CHOICES.items()
+            if getattr(self, name) not in known
+        ]
+
+    def _misfits(self) -> list[Mistake]:
+        mistakes = []
+        if (self.dynamics == "state_space") != (self.order is not None):
+            mistakes.append(Mistake("order", "belongs to dynamics state_space, and is needed there"))
+        if self.creep_modes and self.dynamics != "second_order":
+            mistakes.append(Mistake("creep_modes", "belong to dynamics second_order"))
+        if self.method == "closed_form" and self.dynamics != "none":
+            mistakes.append(
+                Mistake("method", "closed_form sees no dynamics; use least_squares or invertible with them")
+            )
+        if isinstance(self.operators, str) and self.operators != "auto":
+            mistakes.append(Mistake("operators", f"{self.operators!r} is not known; give a number or auto"))
+        if self.thresholds_v is not None and self.operators == "auto":
+            mistakes.append(Mistake("operators", "cannot be auto where thresholds are given"))
+        return mistakes
+
+    def _bad_numbers(self) -> list[Mistake]:
+        counts = np.ravel(self.operators) if not isinstance(self.operators, str) else np.array([1])
+        bandwidth = self.sensor_bandwidth_hz
+        wrong = {
+            "operators": (counts < 1).any() or (counts > MOST_OPERATORS).any(),
+            "order": self.order is not None and self.order < 1,
+            "creep_modes": not 0 <= self.creep_modes <= MOST_CREEP_MODES,
+            "delay_samples": self.delay_samples is not None and self.delay_samples < 0,
+            "sensor_bandwidth_hz": bandwidth is not None and not bandwidth > 0.0,
+            "ridge": not (np.isfinite(self.ridge) and self.ridge >= 0.0),
+        }
+        limits = {
+            "operators": f"must be 1 to {MOST_OPERATORS}",
+            "order": "must be 1 or more",
+            "creep_modes": f"must be 0 to {MOST_CREEP_MODES}",
+            "delay_samples": "must be 0 or more",
+            "sensor_bandwidth_hz": "must be above 0",
+            "ridge": "must be 0 or more",
+        }
+        return [Mistake(name, limits[name]) for name, is_wrong in wrong.items() if is_wrong]
+
+    def thresholds(self, records: Sequence[Record], operators: int | None = None) -> list[list[Array]]:
+        """Thresholds (output, input) of every pair for given records.
+
+        Parameters
+        ----------
+        records : voltages and displacements
+        operators : what ``auto`` has come to
+
+        Raises
+        ------
+        InputError : numbers or thresholds for other pairs than the records have
+        """
+        p, m = len(records[0].y_um), len(records[0].u_v)
+        if self.thresholds_v is not None:
+            return _given(self.thresholds_v, p, m)
+        chosen = operators if self.operators == "auto" else self.operators
+        if isinstance(chosen, int):
+            row = input_grids(records, chosen, self.partition)
+            return [list(row) for _ in range(p)]
+        counts = np.asarray(chosen)
+        if counts.shape != (p, m):
+            raise InputError("operators", f"have shape {counts.shape}; give one number, or ({p}, {m})")
+        return [
+            [input_grids(records, int(counts[o, k]), self.partition)[k] for k in range(m)] for o in range(p)
+        ]
+
+
+def _given(
+    thresholds_v: Array | Sequence[float] | Sequence[Sequence[Array]], p: int, m: int
+) -> list[list[Array]]:
+    if all(np.ndim(r) == 0 for r in thresholds_v):
+        return [[np.asarray(thresholds_v, dtype=np.float64)] * m for _ in range(p)]
+    rows = [[np.asarray(r, dtype=np.float64) for r in row] for row in thresholds_v]  # type: ignore[union-attr]
+    if len(rows) != p or any(len(row) != m for row in rows):
+        raise InputError("thresholds_v", f"must be one array, or {p} rows of {m} arrays (output, input)")
+    return rows

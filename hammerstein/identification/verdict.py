@@ -1,0 +1,209 @@
+"""Sentences about a fit: which block earns its place, and what a model of this kind cannot follow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.compensators.invertibility import invertibility
+from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.identification.fit import KIND_NAMES, Kind
+from hammerstein.identification.prediction import Candidate, Score, ranges
+from hammerstein.identification.records import Record
+from hammerstein.identification.regressors import Start
+from hammerstein.identification.second_order import AxisFit
+from hammerstein.identification.static_block import StaticFit
+
+Array = NDArray[np.float64]
+
+EARNED = 0.1
+"""Part by which a block must lower the error to earn its place."""
+UNREPRESENTED_PERCENT = 10.0
+SATURATING_PERCENT = 5.0
+SATURATING_RATIO = 3.0
+"""Weights of one sign must miss the record by this much, absolutely and against free weights."""
+FLATTENED = 0.6
+"""Last slope, in parts of the steepest, below which a branch flattens towards its tip."""
+BUTTERFLY = 0.5
+"""Distance of the outputs at the tips, in parts of the range, below which a loop is no rising one."""
+TIP = 0.05
+UNSURE_PERCENT = 5.0
+UNSURE_DAMPING_PERCENT = 30.0
+FELT = 0.02
+"""Part by which dynamics must lower the error to be told at all."""
+LOST = 1e-3
+"""Smallest gain, in parts of the largest at low frequency, that can be inverted."""
+LINES = 400
+
+
+def verdict(scores: Mapping[Kind, Score], held_back: bool, flags: Sequence[str]) -> str:
+    """Say which block earns its place, from the mean errors of the kinds of model.
+
+    Examples
+    --------
+    >>> scores = {
+    ...     "linear": Score((7.4,), (3.0,), (20.0,)),
+    ...     "static_hysteresis": Score((0.8,), (0.3,), (2.0,)),
+    ... }
+    >>> print(verdict(scores, True, ()))
+    On records held back: linear gain 7.4 %, static Prandtl-Ishlinskii 0.8 % of the range. Hysteresis earns \
+its place: it lowers the error from 7.4 to 0.8 %.
+    """
+    errors = {kind: score.mean_percent for kind, score in scores.items()}
+    where = "On records held back" if held_back else "On the fitted records themselves (none was held back)"
+    listed = ", ".join(f"{KIND_NAMES[kind]} {error:.3g} %" for kind, error in errors.items())
+    sentences = [f"{where}: {listed} of the range."]
+    if "hammerstein" in errors:
+        sentences.append(_earns("The hysteresis block", errors["linear_dynamics"], errors["hammerstein"]))
+        sentences.append(_earns("The linear dynamics", errors["static_hysteresis"], errors["hammerstein"]))
+    else:
+        sentences.append(_earns("Hysteresis", errors["linear"], errors["static_hysteresis"]))
+    if flags:
+        sentences.append("The classical model does not represent these records: " + "; ".join(flags) + ".")
+    return " ".join(sentences)
+
+
+def _earns(block: str, without: float, with_it: float) -> str:
+    plural = block.endswith("dynamics")
+    earn, its, it, lower = ("earn", "their", "they", "lower") if plural else ("earns", "its", "it", "lowers")
+    if with_it <= (1.0 - EARNED) * without:
+        return f"{block} {earn} {its} place: {it} {lower} the error from {without:.3g} to {with_it:.3g} %."
+    does = "do" if plural else "does"
+    return (
+        f"{block} {does} not earn {its} place: the error is {without:.3g} % without and {with_it:.3g} % with "
+        f"{'them' if plural else 'it'}."
+    )
+
+
+def record_flags(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> list[str]:
+    """Records that the model misses by more than ten percent of their range."""
+    found = []
+    for record, start in zip(records, starts, strict=True):
+        rms = np.sqrt(np.mean(candidate.residual(record, start) ** 2, axis=1))
+        percent = 100.0 * rms / ranges([record], [start])
+        moved = np.ptp(record.y_um[:, start.first :], axis=1) >= 0.1 * np.ptp(record.y_um, axis=1).max()
+        for o in np.flatnonzero((percent > UNREPRESENTED_PERCENT) & moved):
+            found.append(
+                f"{record.outputs[o]} of {record.source} is missed by {percent[o]:.1f} % of its range"
+            )
+    return found
+
+
+def shape_flags(
+    records: Sequence[Record],
+    free: StaticFit,
+    one_sign: StaticFit,
+    spans_um: Array,
+    direct: Sequence[tuple[int, int]],
+) -> list[str]:
+    """Saturating loops: weights of one sign miss them, and the branches flatten towards the tips.
+
+    Parameters
+    ----------
+    records : what was fitted
+    free, one_sign : fits with free weights, and with weights of the sign of the gain
+    spans_um : (output,) ranges of the outputs [um]
+    direct : pairs (output, input) to be judged
+    """
+    found = []
+    for o, k in direct:
+        missed = 100.0 * one_sign.rms_um[o] / spans_um[o]
+        needed = max(SATURATING_PERCENT, SATURATING_RATIO * 100.0 * free.rms_um[o] / spans_um[o])
+        slopes = np.abs(free.hysteresis.pairs[o][k].slopes)
+        if missed > needed and slopes[-1] < FLATTENED * slopes.max():
+            found.append(
+                f"{records[0].outputs[o]} saturates: its branches flatten towards the tips to "
+                f"{100 * slopes[-1] / slopes.max():.0f} % of their steepest slope, weights of one sign miss "
+                f"it by {missed:.1f} % of the range, and loops inside the measured ones will be wrong"
+            )
+    return found
+
+
+def butterfly_flags(records: Sequence[Record], direct: Sequence[tuple[int, int]]) -> list[str]:
+    """Butterfly loops: the output is alike at both tips of the voltage, though it moves in between."""
+    found = []
+    for o, k in direct:
+        for record in records:
+            u, y = record.u_v[k], record.y_um[o]
+            margin = TIP * float(np.ptp(u))
+            if margin == 0.0:
+                continue
+            rise = abs(float(y[u >= u.max() - margin].mean() - y[u <= u.min() + margin].mean()))
+            if rise < BUTTERFLY * float(np.ptp(y)):
+                found.append(
+                    f"{record.outputs[o]} of {record.source} is no rising loop (a butterfly, or a strong "
+                    f"lag): its tips differ by {100 * rise / float(np.ptp(y)):.0f} % of the range only"
+                )
+    return found
+
+
+def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str]:
+    """What the excitation does not tell about each axis."""
+    found = []
+    for name, axis in zip(outputs, axes, strict=True):
+        if not axis_identified(axis):
+            found.append(
+                f"resonance and damping of {name}: the records look the same without dynamics "
+                f"({axis.static_rms_um:.4g} um without, {axis.rms_um:.4g} um with); excite it nearer to its "
+                "resonance"
+            )
+        elif axis.damping_error_percent > UNSURE_DAMPING_PERCENT:
+            found.append(f"damping of {name}: known to {axis.damping_error_percent:.0f} % only")
+        for mode, error in zip(axis.axis.creep, axis.creep_gain_errors, strict=True):
+            if abs(mode.gain) < 2.0 * error:
+                found.append(
+                    f"creep of {name} over {mode.time_constant_s:.3g} s: {mode.gain:.2g} +- {error:.2g}; "
+                    "record for several times as long"
+                )
+    return found
+
+
+def axis_identified(axis: AxisFit) -> bool:
+    """Whether the records tell the resonance of an axis."""
+    felt = axis.rms_um <= (1.0 - FELT) * axis.static_rms_um
+    return felt and axis.resonance_error_percent <= UNSURE_PERCENT
+
+
+def bound_notes(records: Sequence[Record], fit: StaticFit, free: StaticFit) -> list[str]:
+    """Slopes of direct pairs that the records would have below their bound."""
+    found = []
+    for o, k in sorted({(o, k) for o, k, _ in fit.bounded}):
+        slopes, pair = [j for oo, kk, j in fit.bounded if (oo, kk) == (o, k)], free.hysteresis.pairs[o][k]
+        lowest = min(slopes, key=lambda j: float(pair.slopes[j]))
+        found.append(
+            f"{len(slopes)} slopes of the pair {records[0].inputs[k]} to {records[0].outputs[o]} stand on "
+            f"their bound; free, the slope with thresholds up to {pair.thresholds_v[lowest]:.3g} V would be "
+            f"{pair.slopes[lowest]:.3g} um/V. Phase lag looks like hysteresis: fit the dynamics too, or "
+            "record more slowly"
+        )
+    return found
+
+
+def invertibility_of(
+    hysteresis: PrandtlIshlinskii,
+    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
+    amplitude_v: float,
+    sample_time_s: float,
+) -> tuple[bool, str]:
+    """Whether a model has an inverse, and a sentence that names the slope or the frequency to blame."""
+    try:
+        static = invertibility(hysteresis, amplitude_v)
+        static_ok, sentence = static.invertible, static.statement()
+    except (InputError, SimulationError) as error:
+        static_ok, sentence = False, f"The static block has no inverse: {error}"
+    if not isinstance(dynamics, StateSpaceDynamics):
+        return static_ok, sentence
+    frequency_hz = np.linspace(0.0, 0.5 / sample_time_s, LINES + 1)[:-1]
+    response = discretise(dynamics, sample_time_s).response(frequency_hz)
+    singular = np.linalg.svd(response, compute_uv=False)
+    weakest = int(np.argmin(singular[:, -1]))
+    if singular[weakest, -1] >= LOST * singular[0, 0]:
+        return static_ok, sentence
+    return False, (
+        f"{sentence} The linear block has no usable inverse at {frequency_hz[weakest]:.4g} Hz: one direction "
+        f"of the outputs answers with {singular[weakest, -1] / singular[0, 0]:.1e} of the static gain only."
+    )

@@ -1,0 +1,38 @@
+"""How the time of the hysteresis block grows with samples, operators and axes (ratio: times the smaller)."""
+
+import pytest
+from conftest import noise, sines, with_operators
+from ratios import Work
+
+SIGNALS = {"50 Hz sines": sines, "white noise": noise}
+GROUP = "Growth of the time a sample (ratio: times the time a sample of what it is compared with)"
+
+
+def work(model, u):
+    return Work(lambda: model.respond(u), u.shape[1])
+
+
+@pytest.mark.parametrize(("signal", "required"), [("50 Hz sines", 2.0), ("white noise", 3.0)])
+def test_growth_with_operators(bench, signal, required):
+    u = SIGNALS[signal](bench.samples)
+    small = work(with_operators(15), u)
+    for n, limit in ((150, None), (1500, required), (10_000, None)):
+        large = work(with_operators(n), u)
+        bench.compare(GROUP, f"{n} operators, {signal}", "15 operators", large, small, "<=", limit)
+
+
+@pytest.mark.parametrize("axes", [1, 3, 4])
+def test_growth_with_axes(bench, axes):
+    model, u = with_operators(15, axes), sines(bench.samples, axes)
+    small = work(with_operators(15), sines(bench.samples))
+    bench.compare(GROUP, f"{axes} x {axes}, 50 Hz sines", "2 x 2", work(model, u), small, "<=")
+
+
+@pytest.mark.parametrize("factor", [0.001, 0.1, 10])
+def test_growth_with_samples(bench, factor, published):
+    model, samples = published.hysteresis, round(factor * bench.samples)
+    u = sines(samples)
+    large = work(model, u)
+    small = work(model, sines(bench.samples))
+    what = f"{samples:,} samples, 50 Hz sines"
+    bench.compare(GROUP, what, f"{bench.samples:,} samples", large, small, "<=", repeats=5)

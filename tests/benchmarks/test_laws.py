@@ -1,0 +1,74 @@
+"""Compensators against the forward model, and the whole experiment against a block diagram."""
+
+import control
+import numpy as np
+from conftest import SAMPLE_TIME_S, sines
+from ratios import Work
+from references import experiment_diagram
+
+from hammerstein.compensators.exact_inverse import ExactInverse
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
+from hammerstein.measure import rows_of
+from hammerstein.scenario import Scenario
+from hammerstein.setup import prepare
+
+LAWS = "Compensators, 2 x 2, 15 operators, 50 Hz sines (ratio: times the forward model)"
+EXPERIMENT = "Whole experiment: reference, compensator, drive, hysteresis, dynamics, sensor, metrics"
+
+
+def against_forward(bench, law, model, name, required):
+    """The law follows what the forward model answers to the sines: both work on the same movement."""
+    u = 0.9 * sines(bench.samples)
+    wanted = model.hysteresis.respond(u)[0]
+    ours = Work(lambda: law.respond(wanted), u.shape[1])
+    forward = Work(lambda: model.hysteresis.respond(u), u.shape[1])
+    bench.compare(LAWS, name, "forward model", ours, forward, "<=", required, repeats=5)
+
+
+def test_exact_inverse_against_the_forward_model(bench, published):
+    against_forward(bench, ExactInverse(published, 10.0), published, "exact_inverse", 15.0)
+
+
+def test_inverse_multiplicative_against_the_forward_model(bench, published):
+    law = InverseMultiplicative(published, 10.0, SAMPLE_TIME_S)
+    against_forward(bench, law, published, "inverse_multiplicative", 10.0)
+
+
+def circle(samples):
+    """A 40 um circle of 50 Hz on the packaged actuator, compensated with the paper's law."""
+    cycles = samples // 400
+    measure = {"settle_cycles": 2, "measured_cycles": cycles - 2}
+    identified = {"label": "paper", "law": "inverse_multiplicative", "identification": {"frequency_hz": 50.0}}
+    reference = {"kind": "circle", "radius_um": 40.0, "frequency_hz": 50.0}
+    return Scenario.model_validate(
+        {
+            "question": "How fast is the whole loop?",
+            "actuator": "duo_bimorph",
+            "reference": reference,
+            "measure": measure,
+            "compensators": [identified],
+        }
+    )
+
+
+def test_whole_experiment_against_a_block_diagram(bench):
+    setup = prepare(circle(bench.samples))
+    case = next(setup.cases())
+    response = setup.simulate(case)
+    few = slice(0, bench.fewer(2000))
+    time_s = response.time_s[few]
+    diagram = experiment_diagram(setup.plant, setup.laws[case.label])
+    drawn = np.random.default_rng(case.seed(setup.scenario.seed)).standard_normal(response.reading_um.shape)
+    wires = np.concatenate([response.reference_um, drawn])[:, few]
+
+    def simulated():
+        return control.input_output_response(diagram, time_s, wires).outputs
+
+    # Where rounding decides between two steps of a converter, the two may differ by one step.
+    away = np.abs(simulated() - response.reading_um[:, few])
+    assert np.median(away) < 1e-9
+    assert away.max() < 1.5 * setup.plant.instruments.sensor.resolution_um
+    ours = Work(lambda: rows_of(setup, case), response.drive_v.shape[1])
+    other = Work(simulated, time_s.size)
+    what = f"circle, {response.drive_v.shape[1]:,} samples"
+    bench.compare(EXPERIMENT, what, "control.interconnect", ours, other, ">=", 500.0, repeats=5)

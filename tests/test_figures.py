@@ -1,0 +1,310 @@
+"""Figures: what is drawn, that it is the same every time, and that it stays small."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from hammerstein.errors import InputError
+from hammerstein.experiment import run
+from hammerstein.figures import LoopRun, figures_of, loops_figure, save_figures, write_figures
+from hammerstein.figures.loop_data import legend_labels, legible_parts
+from hammerstein.figures.style import MOST_POINTS, line_style, thin_path, thin_trace
+from hammerstein.figures.sweep import SweepCurve, sweep_figure
+from hammerstein.figures.write import images
+from hammerstein.report import Report
+from hammerstein.scenario import Scenario
+
+LARGEST_SVG_BYTES = 400_000
+
+SINE_V = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}
+SINE_UM = {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 50.0}
+CIRCLE = {"kind": "circle", "radius_um": 40.0, "frequency_hz": 50.0}
+PAPER = {"label": "paper", "law": "inverse_multiplicative", "identification": {}}
+NONE = {"label": "none", "law": "none", "identification": {}}
+MODEL = {"label": "model", "identification": {}}
+OTHER_MODEL = {"label": "other", "identification": {"frequency_hz": 80.0}}
+FIVE = {"frequency_hz": [10.0, 20.0, 50.0, 80.0, 100.0]}
+
+
+def report_of(**content: Any) -> Report:
+    return run(Scenario.model_validate({"question": "?", "actuator": "duo_bimorph_static"} | content), "test")
+
+
+@cache
+def loops() -> Report:
+    return report_of(drive=SINE_V)
+
+
+@cache
+def circles() -> Report:
+    return report_of(reference=CIRCLE, sweep={"radius_um": [15.0, 40.0]}, compensators=[PAPER, NONE])
+
+
+@cache
+def sweep() -> Report:
+    return report_of(reference=SINE_UM, sweep=FIVE, compensators=[PAPER, NONE])
+
+
+def solid_line(axes: Axes) -> np.ndarray:
+    return np.asarray(axes.lines[0].get_xydata())
+
+
+def legend_texts(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+@pytest.mark.parametrize(
+    ("content", "names"),
+    [
+        ({"drive": SINE_V}, ["loops"]),
+        ({"drive": SINE_V, "models": [MODEL]}, ["loops", "errors"]),
+        ({"drive": SINE_V, "sweep": FIVE}, ["sweep"]),
+        ({"drive": SINE_V, "sweep": FIVE, "models": [MODEL]}, ["sweep"]),
+        ({"reference": SINE_UM, "compensators": [NONE]}, ["loops", "errors"]),
+        ({"reference": SINE_UM, "compensators": [NONE], "sweep": FIVE}, ["sweep", "sweep_true"]),
+        ({"reference": CIRCLE, "compensators": [NONE]}, ["path"]),
+        (
+            {"reference": CIRCLE, "compensators": [NONE], "sweep": {"radius_um": [20.0, 40.0]}},
+            ["path", "errors"],
+        ),
+        ({"reference": SINE_UM | {"axis": "all"}, "compensators": [NONE]}, ["path"]),
+        ({"drive": {"kind": "circle", "radius_v": 8.0, "frequency_hz": 50.0}}, ["path"]),
+        (
+            {
+                "drive": SINE_V,
+                "models": [{"label": str(n), "identification": {"operators": n}} for n in (3, 5, 8, 11, 15)],
+            },
+            ["loops", "errors", "operators"],
+        ),
+    ],
+)
+def test_figures_follow_from_the_scenario(content: dict[str, Any], names: list[str]) -> None:
+    assert list(figures_of(report_of(**content))) == names
+
+
+def test_loops_stand_in_the_paper_s_arrangement() -> None:
+    panels = figures_of(loops())["loops"].axes
+    assert [axes.get_title(loc="left") for axes in panels] == ["(a)", "(b)", "(c)", "(d)"]
+    assert [axes.get_xlabel() for axes in panels] == ["voltage $u_x$ [V]", "voltage $u_y$ [V]"] * 2
+    assert [axes.get_ylabel() for axes in panels] == ["reading $x$ [µm]"] * 2 + ["reading $y$ [µm]"] * 2
+    assert [axes.get_title(loc="right") for axes in panels] == [
+        "direct",
+        "cross-coupling",
+        "cross-coupling",
+        "direct",
+    ]
+
+
+def test_loops_show_the_settled_loop_of_theory() -> None:
+    panels = figures_of(loops())["loops"].axes
+    half_heights = [np.ptp(solid_line(axes)[:, 1]) / 2.0 for axes in panels]
+    # sum of w (A - r) of the published table at 10 V; the reading has noise of 0.04 um
+    assert half_heights == pytest.approx([58.40, 1.41, 2.08, 50.57], abs=0.1)
+    assert np.abs(solid_line(panels[0])[:, 0]).max() == pytest.approx(10.0, abs=1e-3)
+    assert solid_line(panels[0])[0] == pytest.approx(solid_line(panels[0])[-1])
+
+
+def test_many_models_are_not_drawn_over_one_loop() -> None:
+    def lines(count: int) -> int:
+        models = [{"label": str(n), "identification": {"operators": n}} for n in range(3, 3 + count)]
+        return len(figures_of(report_of(drive=SINE_V, models=models))["loops"].axes[0].lines)
+
+    assert (lines(4), lines(5)) == (1 + 4, 1)
+
+
+def test_loops_of_one_driven_axis_have_one_column() -> None:
+    report = report_of(reference=SINE_UM | {"axis": 2}, compensators=[NONE])
+    panels = figures_of(report)["loops"].axes
+    assert [axes.get_xlabel() for axes in panels] == ["reference $y_r$ [µm]"] * 2
+    assert [axes.get_title(loc="right") for axes in panels] == ["cross-coupling", "direct"]
+    ideal, reading = panels[1].lines[0], panels[1].lines[1]
+    assert np.array_equal(ideal.get_xdata(), ideal.get_ydata())
+    assert np.ptp(reading.get_ydata()) == pytest.approx(80.0, rel=0.2)
+
+
+@pytest.mark.parametrize(("outputs", "inputs"), [(1, 1), (3, 2), (2, 3)])
+def test_loops_of_any_number_of_axes(outputs: int, inputs: int) -> None:
+    phase = np.linspace(0.0, 2.0 * np.pi, 50)
+    runs = [LoopRun("a", k, np.sin(phase), np.tile(np.cos(phase), (outputs, 1))) for k in range(inputs)]
+    figure = loops_figure(runs, [f"u{k}" for k in range(inputs)], [f"y{o}" for o in range(outputs)])
+    assert len(figure.axes) == outputs * inputs
+    assert legend_texts(figure) == ["a"]
+
+
+def test_curves_of_many_compensators_are_split_by_compensator() -> None:
+    frequencies = {"frequency_hz": [20.0, 50.0, 100.0, 150.0]}
+    report = report_of(reference=SINE_UM, sweep=frequencies, compensators=[PAPER, NONE])
+    assert list(legible_parts(report.traces)) == ["_1_paper", "_2_none"]
+    assert list(figures_of(report)) == ["loops_1_paper", "errors_1_paper", "loops_2_none", "errors_2_none"]
+
+
+def test_legend_tells_a_value_unless_the_label_does() -> None:
+    named = [NONE | {"label": "none at 150 Hz"}, PAPER | {"label": "paper at 50 Hz"}]
+    sources = [source | {"only_at_hz": [50.0]} for source in named]
+    report = report_of(
+        reference=SINE_UM, sweep={"frequency_hz": [50.0, 100.0]}, compensators=[*sources, NONE]
+    )
+    labels = dict.fromkeys(legend_labels(report, report.traces))
+    assert list(labels) == ["none at 150 Hz, 50 Hz", "paper at 50 Hz", "none, 50 Hz", "none, 100 Hz"]
+
+
+def test_sweep_draws_the_rows_and_marks_the_identification() -> None:
+    report = report_of(drive=SINE_V, sweep=FIVE, models=[MODEL, OTHER_MODEL])
+    panels = figures_of(report)["sweep"].axes
+    rows = [
+        r for r in report.rows if r.compensator == "other" and (r.excited_axis, r.measured_axis) == ("y", "x")
+    ]
+    curves = [line for line in panels[1].lines if line.get_marker() != "|"]
+    ticks = [line for line in panels[1].lines if line.get_marker() == "|"]
+    assert curves[1].get_ydata().tolist() == [row.rms_um for row in rows]
+    assert [tick.get_xdata()[0] for tick in ticks] == [50.0, 80.0]
+    at_80 = next(row.rms_um for row in rows if row.frequency_hz == 80.0)
+    assert ticks[1].get_ydata()[0] == pytest.approx(at_80)
+    assert ticks[1].get_color() == curves[1].get_color()
+
+
+def test_sweep_has_no_tick_outside_its_range() -> None:
+    curve = SweepCurve("a", np.array([1.0, 10.0]), np.array([[[1.0, 2.0]]]), mark=50.0)
+    figure = sweep_figure([curve], [["x"]], "rms error")
+    assert legend_texts(figure) == ["a"]
+    assert len(figure.axes[0].lines) == 1
+
+
+def test_sweep_of_an_uncertain_actuator_has_bands() -> None:
+    report = report_of(
+        reference=SINE_UM, sweep=FIVE, compensators=[NONE], uncertainty={"draws": 3, "weights": 0.05}
+    )
+    figure = figures_of(report)["sweep"]
+    (area,) = figure.axes[0].collections
+    band = next(b for b in report.bands if b.metric == "rms_um" and b.excited_axis == b.measured_axis == "x")
+    drawn = area.get_paths()[0].vertices
+    heights = drawn[np.isclose(drawn[:, 0], band.frequency_hz), 1]
+    assert sorted({heights.min(), heights.max()}) == pytest.approx([band.p5_um, band.p95_um])
+    assert legend_texts(figure)[-1] == "5 to 95 % of drawn actuators"
+
+
+def test_path_shows_every_radius_and_its_legend_the_worst_distance_of_the_largest() -> None:
+    report = circles()
+    figure = figures_of(report)["path"]
+    plane = figure.axes[0]
+    sizes = [np.hypot(*line.get_xydata().T).max() for line in plane.lines if line.get_color() == "#222222"]
+    assert sizes == pytest.approx([15.0, 40.0], rel=1e-3)
+    assert len(plane.lines) == 2 * 2 + 2
+    row = next(r for r in report.rows if r.compensator == "paper" and r.amplitude_um == 40.0)
+    assert (
+        legend_texts(figure)[0]
+        == f"paper (worst {row.euclidean_max_um:.2f} µm, true {row.euclidean_max_true_um:.2f} µm)"
+    )
+
+
+def test_errors_of_a_path_keep_their_worst_sample() -> None:
+    report = circles()
+    errors = figures_of(report)["errors"].axes
+    rows = [r for r in report.rows if r.compensator == "none" and r.amplitude_um == 40.0]
+    largest = [np.abs(axes.lines[1].get_ydata()).max() for axes in errors[1::2]]
+    expected = [rows[0].max_um, rows[1].max_um, rows[0].euclidean_max_um, rows[0].euclidean_max_true_um]
+    assert largest == pytest.approx(expected)
+
+
+def test_distance_is_logarithmic_where_one_curve_would_hide_another() -> None:
+    many_passes = PAPER | {"label": "many passes", "iterations": 30}
+    report = report_of(
+        reference=CIRCLE, compensators=[many_passes, NONE], instruments={"sensor": {"bandwidth_hz": "inf"}}
+    )
+    distances = {axes.get_ylabel(): axes.get_yscale() for axes in figures_of(report)["path"].axes}
+    assert distances["distance [µm]"] == "log"
+    assert distances["$e_x$ [µm]"] == "linear"
+    assert {axes.get_yscale() for axes in figures_of(circles())["path"].axes} == {"linear"}
+
+
+def test_models_of_a_path_in_volts_are_compared_with_the_reading() -> None:
+    report = report_of(drive={"kind": "circle", "radius_v": 8.0, "frequency_hz": 50.0}, models=[MODEL])
+    figure = figures_of(report)["path"]
+    worst = max(row.euclidean_max_um or 0.0 for row in report.rows)
+    assert legend_texts(figure) == [
+        f"model (worst {worst:.3f} µm)" if worst < 1 else f"model (worst {worst:.2f} µm)",
+        "sensor's reading",
+    ]
+
+
+def test_labels_are_written_as_they_are() -> None:
+    odd = [NONE | {"label": "_none"}, PAPER | {"label": "50 $ and $x"}]
+    texts = legend_texts(figures_of(report_of(reference=SINE_UM, compensators=odd))["loops"])
+    assert texts == [" _none", r"50 \$ and \$x", "ideal"]
+
+
+def test_files_are_the_same_every_time_and_whatever_the_user_s_style(tmp_path: Path) -> None:
+    first = write_figures(circles(), tmp_path / "a")
+    with mpl.rc_context({"font.size": 31.0, "svg.hashsalt": None, "lines.linewidth": 7.0}):
+        second = write_figures(circles(), tmp_path / "b")
+        assert mpl.rcParams["font.size"] == 31.0
+    assert [path.name for path in first] == ["path.svg", "path.png", "errors.svg", "errors.png"]
+    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
+    assert "<dc:date>" not in first[0].read_text()
+
+
+def test_threads_draw_the_same_as_one_alone() -> None:
+    def drawn(report: Report) -> list[dict[str, bytes]]:
+        return [images(figure) for figure in figures_of(report).values()]
+
+    alone = drawn(loops())
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(drawn, [loops(), loops()])) == [alone, alone]
+
+
+def test_a_long_noisy_run_gives_a_small_file() -> None:
+    noise = np.random.default_rng(1).standard_normal
+    runs = [LoopRun(str(n), k, noise(200_000), noise((2, 200_000))) for n in range(6) for k in range(2)]
+    drawn = loops_figure(runs, ["u", "v"], ["x", "y"])
+    assert sum(len(line.get_xdata()) for axes in drawn.axes for line in axes.lines) <= MOST_POINTS + 24
+    assert len(images(drawn)["svg"]) < LARGEST_SVG_BYTES
+
+
+def test_thinning_keeps_the_ends_and_the_peaks() -> None:
+    values = np.random.default_rng(2).standard_normal(12_345)
+    time = np.arange(12_345.0)
+    few_times, few = thin_trace(time, values, 500)
+    assert len(few) <= 500
+    assert (few.min(), few.max()) == (values.min(), values.max())
+    assert np.array_equal(few, values[few_times.astype(int)])
+    x, y = thin_path([time, values], 500)
+    assert len(x) <= 501
+    assert (x[0], x[-1], y[-1]) == (0.0, 12_344.0, values[-1])
+
+
+def test_curves_differ_in_colour_and_in_line_or_marker() -> None:
+    styles = [line_style(number) for number in range(7)]
+    assert len({style["color"] for style in styles}) == 7
+    assert len({(str(style["linestyle"]), style["marker"]) for style in styles}) == 7
+
+
+def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        save_figures(figures_of(loops()), tmp_path / "file")
+
+
+def test_drawing_needs_no_window_and_importing_no_matplotlib() -> None:
+    code = """
+import sys
+import numpy as np
+from hammerstein.figures import LoopRun, loops_figure
+assert "matplotlib" not in sys.modules
+from hammerstein.figures.write import images
+images(loops_figure([LoopRun("a", 0, np.arange(3.0), np.ones((1, 3)))], ["u"], ["y"]))
+assert "matplotlib" in sys.modules
+assert "matplotlib.pyplot" not in sys.modules
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

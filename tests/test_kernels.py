@@ -1,0 +1,178 @@
+"""The turning-point form against the textbook loop, on everything that could break it."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.hysteresis.kernels import BLOCK, first_at_least, respond_textbook, search_guide
+
+RNG_SEED = 11
+
+
+def textbook(model, u, plays=None):
+    """Outputs and plays of the loop over every operator in every sample."""
+    bank = model.bank
+    state = np.zeros_like(bank.r)
+    for k, row in enumerate(plays or []):
+        state[k, : len(row)] = row
+    y = np.empty((model.n_outputs, u.shape[1]))
+    respond_textbook(np.ascontiguousarray(u), bank.r, bank.n, bank.w, state, y)
+    return y, [state[k, :n] for k, n in enumerate(bank.n)]
+
+
+def assert_equal_to_textbook(model, u):
+    """Outputs to 1e-12 of their range, plays to 1e-12 of the input's."""
+    v, state = model.respond(u)
+    expected, plays = textbook(model, u)
+    span = max(float(np.ptp(expected)), float(np.abs(expected).max()), 1e-9)
+    # Weights of both signs cancel in the sum: the rounding is that of the sum of their sizes.
+    scale = max(span, float(np.abs(model.bank.w).sum(axis=(0, 1)).max() * np.abs(u).max()))
+    np.testing.assert_allclose(v, expected, rtol=0, atol=1e-12 * scale)
+    for a, b in zip(model.plays_of(state), plays, strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-12 * (1 + np.abs(u).max()))
+
+
+def one_input(n, smallest=0.0, largest=9.7, outputs=2, spacing="even"):
+    rng = np.random.default_rng(RNG_SEED + n)
+    if spacing == "even":
+        r = np.linspace(smallest, largest, n)
+    elif spacing == "logarithmic":
+        r = np.geomspace(max(smallest, 1e-7), largest, n)
+    else:
+        r = np.sort(rng.uniform(smallest, largest, n))
+        r[0] = smallest
+    w = rng.uniform(-0.2, 1.0, (outputs, n)) * 10 / n
+    return PrandtlIshlinskii([[Pair(r, w[o])] for o in range(outputs)])
+
+
+def random_walk(rng, samples):
+    return np.clip(np.cumsum(rng.normal(0, 0.5, samples)), -11, 11)
+
+
+def noise(rng, samples):
+    return rng.uniform(-11, 11, samples)
+
+
+def plateaus(rng, samples):
+    return np.repeat(rng.uniform(-10, 10, samples // 5 + 1), 5)[:samples]
+
+
+def repeated_extremes(rng, samples):
+    """Turns at few voltages again and again, so that new turns meet old ones exactly."""
+    return rng.integers(-4, 5, samples) * 2.5
+
+
+def shrinking(rng, samples):
+    """A decaying oscillation: no turn wipes out another, the memory grows as deep as it can."""
+    return 10 * 0.995 ** np.arange(samples) * (-1.0) ** np.arange(samples)
+
+
+def growing(rng, samples):
+    """The reverse: every turn wipes out all the memory."""
+    return shrinking(rng, samples)[::-1]
+
+
+def noisy_sine(rng, samples):
+    return 10 * np.sin(np.arange(samples) / 30) + rng.normal(0, 0.02, samples)
+
+
+def tiny(rng, samples):
+    """Never leaves the smallest dead zone."""
+    return rng.uniform(-1e-3, 1e-3, samples)
+
+
+SIGNALS = [random_walk, noise, plateaus, repeated_extremes, shrinking, growing, noisy_sine, tiny]
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+@pytest.mark.parametrize("smallest", [0.0, 0.07])
+@pytest.mark.parametrize("n", [1, 2, 15, 150])
+def test_turning_points_equal_the_textbook_loop(n, smallest, signal):
+    u = signal(np.random.default_rng(RNG_SEED), 3000)[None]
+    assert_equal_to_textbook(one_input(n, smallest), u)
+
+
+@pytest.mark.parametrize("signal", [noise, random_walk, noisy_sine, shrinking])
+@pytest.mark.parametrize("n", [1500, 10000])
+def test_many_operators_equal_the_textbook_loop(n, signal):
+    u = signal(np.random.default_rng(RNG_SEED), 600)[None]
+    assert_equal_to_textbook(one_input(n, 0.01), u)
+
+
+@pytest.mark.parametrize("signal", [noise, random_walk, repeated_extremes])
+@pytest.mark.parametrize("spacing", ["logarithmic", "random"])
+def test_uneven_grids_equal_the_textbook_loop(spacing, signal):
+    u = signal(np.random.default_rng(RNG_SEED), 3000)[None]
+    assert_equal_to_textbook(one_input(200, 1e-6, spacing=spacing), u)
+
+
+def test_ragged_thresholds_and_several_inputs_equal_the_textbook_loop():
+    rng = np.random.default_rng(RNG_SEED)
+    lengths = [[3, 0, 40], [1, 7, 5]]
+    model = PrandtlIshlinskii(
+        [[Pair(np.sort(rng.uniform(0, 8, n)), rng.normal(size=n)) for n in row] for row in lengths]
+    )
+    u = np.stack(
+        [random_walk(rng, 3 * BLOCK + 17), noise(rng, 3 * BLOCK + 17), plateaus(rng, 3 * BLOCK + 17)]
+    )
+    assert_equal_to_textbook(model, u)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.data())
+def test_any_small_case_equals_the_textbook_loop(data):
+    """Thresholds and voltages on one coarse grid meet each other exactly, all the time."""
+    grid = st.integers(-12, 12).map(lambda i: i / 4)
+    r = sorted({abs(value) for value in data.draw(st.lists(grid, min_size=1, max_size=8))})
+    w = data.draw(st.lists(st.floats(-2, 2), min_size=len(r), max_size=len(r)))
+    u = data.draw(st.lists(st.one_of(grid, st.floats(-4, 4)), min_size=1, max_size=40))
+    assert_equal_to_textbook(PrandtlIshlinskii([[Pair(r, w)]]), np.array([u]))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.integers(1, 60))
+def test_states_convert_both_ways(seed, before, after):
+    """Turning points to plays, on with the textbook loop; its plays to turning points, and on."""
+    rng = np.random.default_rng(seed)
+    model = one_input(12, float(rng.choice([0.0, 0.07])))
+    first, second = noise(rng, before)[None], noise(rng, after)[None]
+    _, state = model.respond(first)
+    by_textbook, plays = textbook(model, second, model.plays_of(state))
+    scale = 1e-12 * 12 * np.abs(model.bank.w).sum()
+    np.testing.assert_allclose(model.respond(second, state)[0], by_textbook, rtol=0, atol=scale)
+    on = model.respond(first, model.state_of(plays))[0]
+    np.testing.assert_allclose(on, textbook(model, first, plays)[0], rtol=0, atol=scale)
+
+
+def test_no_rounding_grows_in_a_long_run():
+    """A million samples of noise end where the same last samples end after one full swing."""
+    model = one_input(15, 0.07)
+    rng = np.random.default_rng(RNG_SEED)
+    swing, last = np.array([[-30.0, 30.0, -20.0]]), noise(rng, 50)[None]
+    _, worn = model.respond(noise(rng, 1_000_000)[None])
+    v, _ = model.respond(np.concatenate([swing, last], axis=1), worn)
+    fresh, _ = model.respond(np.concatenate([swing, last], axis=1))
+    np.testing.assert_array_equal(v[:, 2:], fresh[:, 2:])
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [
+        [0.0],
+        [0.0, 1e-300],
+        [5.0],
+        np.linspace(0, 9.7, 15),
+        np.geomspace(1e-12, 10, 500),
+        np.concatenate([1.0 + np.arange(200) * 2.0**-50, [50.0]]),
+    ],
+)
+def test_the_search_finds_the_first_threshold_at_or_above_a_level(grid):
+    grid = np.asarray(grid)
+    guide, scale = search_guide(grid[None], np.array([len(grid)]))
+    between = np.random.default_rng(RNG_SEED).uniform(0, grid[-1], 300)
+    levels = np.concatenate([[0.0], grid, np.nextafter(grid, 0), np.nextafter(grid[:-1], np.inf), between])
+    for level in levels:
+        found = first_at_least(level, grid, guide[0], scale[0])
+        assert found == np.searchsorted(grid, level)

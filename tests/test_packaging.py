@@ -1,0 +1,80 @@
+"""What is shipped: packages, data files, dependencies, and the commands of the README."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "hammerstein"
+
+
+@pytest.fixture(scope="module")
+def settings() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def modules() -> list[Path]:
+    return [path for path in PACKAGE.rglob("*.py") if "__pycache__" not in path.parts]
+
+
+def test_every_package_is_shipped(settings: dict[str, Any]) -> None:
+    folders = {path.parent.relative_to(ROOT) for path in modules()}
+    assert {".".join(folder.parts) for folder in folders} == set(settings["tool"]["setuptools"]["packages"])
+
+
+def test_every_data_file_is_shipped(settings: dict[str, Any]) -> None:
+    patterns = settings["tool"]["setuptools"]["package-data"]["hammerstein"]
+    files = [
+        PurePosixPath(path.relative_to(PACKAGE))
+        for path in PACKAGE.rglob("*")
+        if path.is_file() and path.suffix != ".py" and "__pycache__" not in path.parts
+    ]
+    assert PurePosixPath("py.typed") in files
+    assert [file for file in files if not any(file.match(pattern) for pattern in patterns)] == []
+
+
+def test_every_import_is_a_dependency(settings: dict[str, Any]) -> None:
+    project = settings["project"]
+    lines = project["dependencies"] + project["optional-dependencies"]["parquet"]
+    declared = {re.split(r"[^\w-]", line)[0].lower() for line in lines}
+    used = {name for path in modules() for name in imported(ast.parse(path.read_text()))}
+    foreign = used - sys.stdlib_module_names - {"hammerstein", "__future__"}
+    assert foreign - {"pytest"} == declared  # pytest_plugin is only loaded by pytest
+
+
+def imported(tree: ast.Module) -> set[str]:
+    """Top-level names of the modules that a module imports anywhere."""
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module.split(".")[0])
+    return names
+
+
+def test_the_commands_that_are_installed_exist() -> None:
+    points = metadata.distribution("hammerstein-control").entry_points
+    names = {(point.group, point.name) for point in points}
+    assert {("console_scripts", "hammerstein"), ("pytest11", "hammerstein")} <= names
+    assert all(point.load() is not None for point in points)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "python -m pip install . && hammerstein run scenarios",
+        "python -m pip install '.[test]' && python -m pytest",
+    ],
+)
+def test_the_readme_gives_the_commands_on_lines_of_their_own(command: str) -> None:
+    lines = [line.strip() for line in (ROOT / "README.md").read_text().splitlines()]
+    assert lines.count(command) >= 1  # .ci/run reads them there

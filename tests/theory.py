@@ -1,0 +1,62 @@
+"""What the theory of Prandtl-Ishlinskii models says, in plain NumPy; imports nothing of ours.
+
+The printed table is equations 12 and 13 of the paper: V and um/V.
+"""
+
+import numpy as np
+
+R_V = np.array([0.07, 0.32, 0.74, 1.3, 2.0, 2.8, 3.67, 4.61, 5.54, 6.5, 7.34, 8.1, 8.8, 9.3, 9.7])
+W_XX = [4.3, -0.395, 0.117, 0.657, 0.207, 0.252, 0.605, 0.15, 0.265, 0.229, 0.207, 0.381, 0.411, 0.256, 2.28]
+W_XY = [0.277, -0.0738, -0.162, 0.234, -0.312, 0.211, -0.0417, 0.0386, -0.0875, 0.145, -0.131, 0.0836]
+W_XY += [-0.096, 0.073, 0.0268]
+W_YX = [0.184, -0.0369, -0.0664, 0.0615, 0.0857, -0.0809, 0.0419, 0.0377, -0.0697, 0.062, 0.0328, 0.0639]
+W_YX += [-0.175, 0.233, 0.165]
+W_YY = [3.63, 0.0786, 0.00917, 0.255, 0.349, 0.424, 0.107, 0.18, 0.288, 0.204, 0.252, 0.144, 0.697]
+W_YY += [-0.151, 0.97]
+W_UM_PER_V = np.array([[W_XX, W_XY], [W_YX, W_YY]])  # (output, input, operator)
+
+
+def play(u, r, start=0.0):
+    """Equation 1, sample by sample: p[k] = max(u[k] - r, min(u[k] + r, p[k-1]))."""
+    outputs, last = np.empty(len(u)), start
+    for k, voltage in enumerate(u):
+        last = max(voltage - r, min(voltage + r, last))
+        outputs[k] = last
+    return outputs
+
+
+def prandtl_ishlinskii(u, thresholds, weights):
+    """Equation 4: v_l = sum over j, i of w_lji play(u_j; r_lji); thresholds, weights: [l][j] -> list."""
+    return np.array(
+        [
+            sum(
+                (
+                    w * play(u[j], r)
+                    for j in range(len(u))
+                    for r, w in zip(thresholds[o][j], weights[o][j], strict=True)
+                ),
+                np.zeros(len(u[0])),
+            )
+            for o in range(len(thresholds))
+        ]
+    )
+
+
+def loop_amplitude(r, w, amplitude):
+    """Half height of the settled loop: every play of threshold r < A swings between -(A - r) and A - r."""
+    return sum(wi * (amplitude - ri) for ri, wi in zip(r, w, strict=True) if ri < amplitude)
+
+
+def loop_area(r, w, amplitude):
+    """Area of the settled loop: a play's loop is a parallelogram of width 2 r and height 2 (A - r)."""
+    return sum(4 * wi * ri * (amplitude - ri) for ri, wi in zip(r, w, strict=True) if ri < amplitude)
+
+
+def rising_branch(r, w, amplitude, u):
+    """Rise above the lower tip: a play stands still until the voltage has risen by 2 r."""
+    return sum(wi * np.maximum(0.0, u + amplitude - 2 * ri) for ri, wi in zip(r, w, strict=True))
+
+
+def polygon_area(x, y):
+    """Area within a closed polygon (shoelace formula), positive whichever way it runs."""
+    return abs(0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
