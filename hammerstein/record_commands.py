@@ -88,3 +88,36 @@ def loops(
         figure = loops_of_records(records, [loop_table(record) for record in records])
         for path in save_figures({"loops": figure} if figure else {}, out / Path(files[0]).stem):
             typer.echo(str(path), err=as_json)
+
+
+def compensate(
+    model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
+    reference: Annotated[Path, typer.Argument(help="CSV: time_s, then one column an axis, in um.")],
+    law: Annotated[str, typer.Option(help="As in a scenario.")] = "hammerstein_inverse",
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the voltages go.")] = Path("drive.csv"),
+    filter_hz: Annotated[float | None, typer.Option(help="Bandwidth of the reference filter.")] = None,
+    preview_s: Annotated[float | None, typer.Option(help="How far ahead the reference is known.")] = None,
+    softening_v: Annotated[float | None, typer.Option(help="Voltage that spreads the jump.")] = None,
+    gain: Annotated[str | None, typer.Option(help="Of inverse_multiplicative: auto or identity.")] = None,
+    clip: Annotated[bool, typer.Option("--clip", help="Accept a path partly out of reach.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Turn a reference into the voltages to send, with the predicted response."""
+    from hammerstein.compensate import compensate as compensated
+    from hammerstein.files import write_atomic
+    from hammerstein.tables import compensation_table, show
+
+    options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
+    found = compensated(model, reference, law, options, clip)
+    write_atomic(out, found.to_csv())
+    if as_json:
+        typer.echo(json.dumps({"drive": str(out), **found.summary()}))
+        return
+    show(compensation_table(found))
+    if text := found.law.statement():
+        typer.echo(text)
+    if found.resampled:
+        typer.echo(
+            "The file was interpolated linearly onto the drive's sample time; corners may need filter_hz."
+        )
+    typer.echo(f"voltages in {out}")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hammerstein.claims_page import Line
+from hammerstein.compensate import Compensation
 from hammerstein.identification.loops import Loop
 from hammerstein.model import HammersteinModel
 from hammerstein.report import Report
@@ -74,6 +75,25 @@ def claims_table(reports: Sequence[Report]) -> Table:
             simulated = "\n".join(f"{name} {value}" for name, value in line.simulated)
             row = (line.id, line.statement, line.reason, line.paper, simulated, line.ratio, line.wanted)
             table.add_row(*row, line.verdict)
+    return table
+
+
+def compensation_table(found: Compensation) -> Table:
+    """One line an axis: reach, reference, predicted error."""
+    summary = found.summary()
+    names = (
+        "reach_alone_um",
+        "reach_together_um",
+        "reference_max_um",
+        "predicted_rms_um",
+        "predicted_max_um",
+    )
+    table = _table("Predicted response", ("axis", "largest_v", "unreached", *names))
+    inputs = list(found.model.inputs)
+    for o, (axis, figures) in enumerate(summary["axes"].items()):
+        voltage = f"{summary['largest_v'][inputs[o]]:.4g}" if o < len(inputs) else ""
+        unreached = str(summary["unreached_samples"][inputs[o]]) if o < len(inputs) else ""
+        table.add_row(axis, voltage, unreached, *(f"{figures[name]:.4g}" for name in names))
     return table
 
 

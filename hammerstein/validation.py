@@ -33,11 +33,13 @@ def _mistake(finding: dict[str, Any], names: list[str]) -> Mistake:
         tags = context["expected_tags"]
         near = suggestion(context["tag"], [t.strip(" '") for t in tags.split(",")])
         return Mistake(
-            f"{where}.{context['discriminator'].strip('_()')}".replace("'", ""),
+            f"{where}.{context['discriminator'].strip('_()')}".replace("'", "").lstrip("."),
             f"{context['tag']!r} is not one of {tags}{near}",
         )
     if kind == "union_tag_not_found":
-        return Mistake(f"{where}.{finding['ctx']['discriminator']}".replace("'", ""), "is missing")
+        return Mistake(
+            f"{where}.{finding['ctx']['discriminator']}".replace("'", "").lstrip("."), "is missing"
+        )
     if kind == "json_invalid":
         return Mistake(where or "line", f"is not JSON: {finding['ctx']['error']}")
     text = message.removeprefix("Value error, ").replace("Input should be", "must be")

@@ -67,7 +67,7 @@ def test_one_input_driven_at_a_time() -> None:
 
 def test_only_excited_lines_within_the_band_are_told() -> None:
     t = np.arange(400)
-    odd = sum(np.cos(2 * np.pi * k * t / 200 + k * k) for k in range(1, 60, 2))
+    odd = np.sum([np.cos(2 * np.pi * k * t / 200 + k * k) for k in range(1, 60, 2)], axis=0)
     g = frequency_response(odd[None], 3.0 * odd[None], T, period_samples=200, band_hz=(950.0, 2500.0))
     assert np.allclose(g.frequency_hz * 200 * T, np.arange(11, 26, 2))
     assert np.allclose(g.response, 3.0)
@@ -208,7 +208,7 @@ def test_the_result_is_read_only_and_the_callers_arrays_are_not() -> None:
 
 @pytest.mark.parametrize(("level", "percent"), [(100, 5.63), (200, 4.47), (300, 4.21)])
 def test_measured_mirror(level: int, percent: float) -> None:
-    """The figures of an independent calculation: error rms of the test realisations, mean of three outputs."""
+    """Error rms of the test realisations, mean of three outputs: figures of an independent calculation."""
     if not DATA.is_dir():
         pytest.skip("the measured records of the CubeSpec mirror are not on this machine")
     (u, y), (ut, yt) = (mirror(level, part) for part in ("train", "test"))

@@ -189,14 +189,15 @@ def test_variance_weighs_noisy_lines_down() -> None:
 
 def test_too_small_an_order_is_refined_to_a_minimum() -> None:
     """The slope of the sum of squares over B and D vanishes: the fit is a least-squares one."""
-    rng = np.random.default_rng(8)
+    rng = np.random.default_rng(21)
     system = random_system(rng, 10, 2, 2)
     g = exact(system, everywhere())
     texts: list[str] = []
     block = fit_state_space(g, 6, tolerance=1e-9, max_iterations=200, progress=texts.append)
     reached = output_error_percent(block, g)
     lines = weigh(g, "power")
-    assert np.mean(reached**2) < 0.9 * lines.percent(lines.cost(subspace(lines, 6, 7))) ** 2
+    starts = [lines.percent(lines.cost(subspace(lines, 6, rows))) for rows in (7, 17)]
+    assert np.sqrt(np.mean(reached**2)) < 0.95 * min(starts)
     for name, row in (("B", 0), ("B", 5), ("D", 1), ("C", 1), ("A", 2)):
         for sign in (1.0, -1.0):
             matrix = getattr(block, name).copy()
@@ -305,13 +306,13 @@ def test_measured_mirror(level: int, limit: float) -> None:
         pytest.skip("the measured records of the CubeSpec mirror are not on this machine")
     u, y = mirror(level, "train")
     g = frequency_response(u, y, 1 / 6400.0, period_samples=8192)
-    block = fit_state_space(g, 28, max_iterations=8)
+    block = fit_state_space(g, 28, max_iterations=3)
     assert np.abs(np.linalg.eigvals(block.A)).max() < 1.0
     error, size = np.zeros(3), np.zeros(3)
     for x, truth in zip(*mirror(level, "test"), strict=True):
         steady = signal.dlsim((block.A, block.B, block.C, block.D, 1 / 6400.0), x.T)[1].T[:, 8192:]
-        error += np.sum((truth[:, 8192:] - steady) ** 2, axis=1)
-        size += np.sum(truth[:, 8192:] ** 2, axis=1)
+        error += np.sum((truth - np.tile(steady, 2)) ** 2, axis=1)
+        size += np.sum(truth**2, axis=1)
     assert 100.0 * np.mean(np.sqrt(error / size)) < limit
 
 

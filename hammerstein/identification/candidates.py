@@ -229,15 +229,14 @@ def build_state_space(task: Task) -> Built:
     task.progress("fitting the linear dynamics")
     block, gain = fit_linear(task.records, settings.order, task.progress)
     alone = task.candidate(_gain_model(gain), _state_space(block))
-    task.progress("fitting the static block behind them")
-    first = _coupled(task, block)
-    task.progress("fitting the linear dynamics behind the static block")
-    again = refit_linear(task.records, task.starts, first.chosen.hysteresis, settings.order, task.progress)
-    second = _coupled(task, again)
-    trials = [
-        (blocks, task.candidate(blocks.chosen.hysteresis, _state_space(g)))
-        for blocks, g in ((first, block), (second, again))
-    ]
+    task.progress("fitting the static block in front of them")
+    trials = [_hammerstein(task, block)]
+    without = score(alone, task.records, task.starts).mean_percent
+    if score(trials[0][1], task.records, task.starts).mean_percent <= (1.0 - FELT) * without:
+        task.progress("fitting the linear dynamics behind the static block")
+        hysteresis = trials[0][0].chosen.hysteresis
+        again = refit_linear(task.records, task.starts, hysteresis, settings.order, task.progress)
+        trials.append(_hammerstein(task, again))
     blocks, best = min(trials, key=lambda trial: score(trial[1], task.records, task.starts).mean_percent)
     candidates: dict[Kind, Candidate] = {
         **static.candidates,
@@ -245,6 +244,12 @@ def build_state_space(task: Task) -> Built:
         "hammerstein": best,
     }
     return Built(candidates, "hammerstein", blocks)
+
+
+def _hammerstein(task: Task, block: LinearBlock) -> tuple[Blocks, Candidate]:
+    """Static block in front of a linear one."""
+    blocks = _coupled(task, block)
+    return blocks, task.candidate(blocks.chosen.hysteresis, _state_space(block))
 
 
 def _coupled(task: Task, block: LinearBlock) -> Blocks:

@@ -269,7 +269,7 @@ def _separable_lines(blocks: _Blocks, band_hz: tuple[float, float] | None) -> ND
         raise IdentificationError(
             f"{_named(together)} not moved independently at {np.sum(~separable)} of {lines.size} lines "
             f"({blocks.U.shape[2]} spectra for {m} inputs), so the records cannot tell their effects apart: "
-            "drive one input at a time, or all with unrelated signals, in at least as many experiments as inputs"
+            "drive one input at a time, or all with unrelated signals, in as many experiments as inputs"
         )
     return np.asarray(lines[separable])
 

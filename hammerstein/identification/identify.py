@@ -31,7 +31,7 @@ from hammerstein.identification.preparation import prepare, refuse_swapped
 from hammerstein.identification.records import Record
 from hammerstein.identification.second_order import FirstGuess, search_axes
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.starts import StartMode, cautious_start, judged_starts, shortened
+from hammerstein.identification.starts import StartMode, cautious_start, closed, judged_starts, shortened
 from hammerstein.identification.static_block import direct_pairs, fit_static, half_swing
 from hammerstein.identification.verdict import (
     axis_statements,
@@ -195,9 +195,9 @@ def _task(
     few, begun = shortened(records, starts, CURVE_SAMPLES)
     delay = guess.delay_samples if guess else settings.delay_samples
     if delay is None:
-        tell("searching the delay")
         delay = 0
-        if settings.dynamics == "none":
+        if settings.dynamics == "none" and not all(closed(record) for record in records):
+            tell("searching the delay")  # single loops cannot tell it from hysteresis
             delay, _ = static_delay(few, settings.thresholds(few, DELAY_OPERATORS), begun)
     task = Task(records, starts, (), delay, settings, tell)
     curve: tuple[CurvePoint, ...] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -35,13 +36,15 @@ class _Blocks:
         free = np.zeros(self.model.A.shape, dtype=bool)
         for part in self.parts:
             free[part, part] = True
-        return np.nonzero(free)
+        rows, columns = np.nonzero(free)
+        return rows, columns
 
     def resolvents(self, z: Complex) -> Iterator[tuple[slice, Complex]]:
         """(z - A)^-1 (F, s, s), block by block."""
         for part in self.parts:
             block = self.model.A[part, part]
-            yield part, np.linalg.inv(z[:, None, None] * np.eye(len(block)) - block)
+            shifted = z[:, None, None] * np.eye(len(block)) - block
+            yield part, np.asarray(np.linalg.inv(shifted), dtype=np.complex128)
 
     def cost(self, lines: WeightedLines) -> float:
         """Sum of squares that the model leaves of the target."""
@@ -125,11 +128,13 @@ def split(model: Matrices) -> _Blocks:
         return _Blocks(model, (slice(0, n),))
     parts = tuple(slice(i, min(i + 2, n)) for i in range(0, n, 2))
     A = np.zeros((n, n))
-    B, C = np.linalg.solve(basis, model.B), model.C @ basis
+    B = np.asarray(np.linalg.solve(basis, model.B), dtype=np.float64)
+    C = model.C @ basis
     full = np.linalg.solve(basis, model.A @ basis)
     for part in parts:
         A[part, part] = full[part, part]
-        balance = np.sqrt(max(np.linalg.norm(C[:, part]), 1e-150) / max(np.linalg.norm(B[part]), 1e-150))
+        seen, driven = float(np.linalg.norm(C[:, part])), float(np.linalg.norm(B[part]))
+        balance = math.sqrt(max(seen, 1e-150) / max(driven, 1e-150))
         B[part] *= balance
         C[:, part] /= balance
     return _Blocks(Matrices(A, B, C, model.D), parts)

@@ -125,10 +125,18 @@ class Settings:
         p, m = len(records[0].y_um), len(records[0].u_v)
         if self.thresholds_v is not None:
             return _given(self.thresholds_v, p, m)
+        rows = self._placed(records, operators)
+        if self.dynamics == "state_space":
+            for r in (r for row in rows for r in row if r.size):
+                r[0] = 0.0  # so that the static block can be a mere gain in front of the linear one
+        return rows
+
+    def _placed(self, records: Sequence[Record], operators: int | None) -> list[list[Array]]:
+        p, m = len(records[0].y_um), len(records[0].u_v)
         chosen = operators if self.operators == "auto" else self.operators
         if isinstance(chosen, int):
             row = input_grids(records, chosen, self.partition)
-            return [list(row) for _ in range(p)]
+            return [[r.copy() for r in row] for _ in range(p)]
         counts = np.asarray(chosen)
         if counts.shape != (p, m):
             raise InputError("operators", f"have shape {counts.shape}; give one number, or ({p}, {m})")

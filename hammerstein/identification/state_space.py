@@ -86,10 +86,9 @@ def fit_state_space(
         raise InputError("weighting", f"{weighting!r} is not known; choose 'power' or 'variance'")
     lines = weigh(response, weighting)
     report = progress or (lambda text: None)
-    trials = [_refine(lines, start, TRIAL, tolerance, report) for start in _starts(lines, order, report)]
-    model = min(trials, key=lines.cost)
-    if max_iterations > TRIAL:
-        model = _refine(lines, model, max_iterations, tolerance, report, done=TRIAL)
+    trial = min(TRIAL, max_iterations)
+    trials = [_refine(lines, start, trial, tolerance, report) for start in _starts(lines, order, report)]
+    model = _refine(lines, min(trials, key=lines.cost), max_iterations, tolerance, report, done=trial)
     return LinearBlock(*lines.physical(model), response.sample_time_s)
 
 
@@ -125,7 +124,7 @@ def output_error_percent(block: LinearBlock, response: FrequencyResponse) -> Arr
 
 
 def _starts(lines: WeightedLines, order: int, report: Callable[[str], None]) -> list[Matrices]:
-    """Subspace models with few block rows (best where the order is large) and with many (where it is small)."""
+    """Subspace models with few block rows (best for large orders) and with many (best for small ones)."""
     F, p, m = lines.target.shape
     fewest = math.ceil(order / p) + 1
     most = 2 * F * m // (m + p)

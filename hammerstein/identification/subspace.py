@@ -65,7 +65,7 @@ def _mean_left(lines: WeightedLines) -> Array:
 
 def _orthogonal_part(lines: WeightedLines, q: int) -> Array:
     """Triangular factor of the responses' extended rows after those of the inputs are projected out."""
-    F, p, m = lines.target.shape
+    p, m = lines.target.shape[1:]
     mean_left = _mean_left(lines)
     line_weight = np.sqrt(np.mean((lines.left / mean_left) ** 2, axis=1))
     rows = np.empty((0, q * (m + p)))
@@ -84,7 +84,7 @@ def _orthogonal_part(lines: WeightedLines, q: int) -> Array:
 
 def _input_matrices(lines: WeightedLines, A: Array, C: Array) -> tuple[Array, Array]:
     """B and D that fit best to the response, input by input."""
-    n, (F, p, m) = len(A), lines.target.shape
+    n, (p, m) = len(A), lines.target.shape[1:]
     rows = np.empty((0, n + p + m))
     size = np.sqrt(np.mean(np.abs(lines.right) ** 2, axis=(1, 2)))
     for k in lines.chunks():

@@ -47,7 +47,7 @@ class Matrices(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WeightedLines:
-    """Data of the least-squares problem
+    """Data of the least-squares problem.
 
         minimise over A, B, C, D:   sum over k of | left_k (C (z_k - A)^-1 B + D - target_k) right_k |^2
 
@@ -55,8 +55,10 @@ class WeightedLines:
     target : (F, p, m) measured response, inputs and outputs scaled to unit size
     left : (F, p) weight of each output
     right : (F, m, m) factor of the input power: with it the sum is that of output errors in the experiment
-    floor : part of the sum that no linear model can remove, relative to the whole output
+    floor : what noise and distortion add to the sum, whatever the model
     total : the sum that the model G = 0 leaves, floor included
+    input_scale, output_scale : (m,), (p,) units of ``target``
+    warp : factor a of the warping
     """
 
     z: Complex
@@ -93,7 +95,7 @@ class WeightedLines:
         """
         a, eye = self.warp, np.eye(len(model.A))
         mixed = eye + a * model.A
-        A = np.linalg.solve(mixed, model.A + a * eye)
+        A = np.asarray(np.linalg.solve(mixed, model.A + a * eye), dtype=np.float64)
         B = np.linalg.solve(mixed, model.B) / self.input_scale
         C = self.output_scale[:, None] * (model.C @ (eye - a * A))
         D = self.output_scale[:, None] * (model.D / self.input_scale - a * model.C @ B)

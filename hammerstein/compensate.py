@@ -1,0 +1,177 @@
+"""From a reference file to the voltages that a person can send."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+
+from hammerstein.compensators.law import Law
+from hammerstein.compensators.reach import Reach, reach
+from hammerstein.compensators.specs import Compensator, NoCompensation
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.instruments import Instruments, Sensor
+from hammerstein.model import HammersteinModel
+from hammerstein.plant import Plant
+from hammerstein.signals import read_signal
+from hammerstein.validation import mistakes_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation:
+    """A drive for real hardware, and what the model says of it.
+
+    time_s : (sample,) on the drive's sample time; reference_um, predicted_um : (output, sample)
+    drive_v : (input, sample) rounded to the converter's steps and within its range
+    unreached : (input, sample) where the voltage stands at the range
+    resampled : whether the file was interpolated onto the drive's sample time
+    """
+
+    model: HammersteinModel
+    law: Law[Any]
+    reach: Reach
+    time_s: Array
+    reference_um: Array
+    drive_v: Array
+    predicted_um: Array
+    unreached: NDArray[np.bool_]
+    resampled: bool
+
+    @property
+    def error_um(self) -> Array:
+        """Predicted minus reference (output, sample) [um]."""
+        return self.predicted_um - self.reference_um
+
+    def unreached_samples(self) -> dict[str, int]:
+        """Samples at the range, by input."""
+        counts = self.unreached.sum(axis=1)
+        return {name: int(n) for name, n in zip(self.model.inputs, counts, strict=True)}
+
+    def summary(self) -> dict[str, Any]:
+        """Give reach, predicted error and what was not reached, as plain JSON."""
+        axes = {
+            name: {
+                "reach_alone_um": float(self.reach.alone_um[o]),
+                "reach_together_um": float(self.reach.together_um[o]),
+                "reference_max_um": float(np.abs(self.reference_um[o]).max()),
+                "predicted_rms_um": float(np.sqrt(np.mean(self.error_um[o] ** 2))),
+                "predicted_max_um": float(np.abs(self.error_um[o]).max()),
+            }
+            for o, name in enumerate(self.model.outputs)
+        }
+        largest = {
+            n: float(np.abs(row).max()) for n, row in zip(self.model.inputs, self.drive_v, strict=True)
+        }
+        return {"axes": axes, "largest_v": largest, "unreached_samples": self.unreached_samples()}
+
+    def to_csv(self) -> str:
+        """Text of the drive file: time, voltages to send, reference, predicted position."""
+        import pandas as pd
+
+        columns = {"time_s": self.time_s}
+        columns |= {f"drive_{n}_v": row for n, row in zip(self.model.inputs, self.drive_v, strict=True)}
+        for word, rows in (("reference", self.reference_um), ("predicted", self.predicted_um)):
+            columns |= {f"{word}_{n}_um": row for n, row in zip(self.model.outputs, rows, strict=True)}
+        return str(pd.DataFrame(columns).to_csv(index=False, lineterminator="\n"))
+
+
+def compensate(
+    model_path: str,
+    reference_path: Path,
+    law: str,
+    options: Mapping[str, Any],
+    clip: bool = False,
+) -> Compensation:
+    """Voltages for a reference file (``time_s`` and one column an axis, in um).
+
+    Parameters
+    ----------
+    model_path : model file, or name of a packaged actuator
+    reference_path : CSV file
+    law, options : a law and its options, by their names in a scenario
+    clip : accept a path that is partly out of reach
+
+    Raises
+    ------
+    InputError : a file or an option is wrong
+    SimulationError : the law cannot work, or the path is out of reach
+    """
+    model = HammersteinModel.load(model_path)
+    drive = model.instruments.drive
+    reachable = reach(model.hysteresis, drive.range_v)
+    time_s, reference, resampled = _on_grid(reference_path, model, drive.sample_time_s)
+    spec = _spec(model_path, law, options)
+    built = spec.build(model, drive.range_v, drive.sample_time_s)
+    requested = built.drive_for(reference)
+    unreached = np.abs(requested) >= drive.range_v
+    if unreached.any() and not clip:
+        raise SimulationError(_out_of_reach(reference_path, model, time_s, unreached, reachable))
+    plant = Plant(model, Instruments(drive=drive, sensor=_no_sensor()))
+    response = plant.respond(requested, [0], reference)
+    return Compensation(
+        model=model,
+        law=built,
+        reach=reachable,
+        time_s=time_s,
+        reference_um=reference,
+        drive_v=response.drive_v,
+        predicted_um=response.position_um,
+        unreached=unreached,
+        resampled=resampled,
+    )
+
+
+def _no_sensor() -> Sensor:
+    return Sensor(range_um=math.inf, resolution_um=0.0, bandwidth_hz=math.inf, noise_um=0.0)
+
+
+def _on_grid(path: Path, model: HammersteinModel, sample_time_s: float) -> tuple[Array, Array, bool]:
+    """Times (sample,), reference (output, sample) on the drive's grid, and whether it was resampled."""
+    times, values = read_signal(path)
+    if len(values) != len(model.outputs):
+        raise InputError(
+            str(path), f"has {len(values)} columns beside time_s; the model has {len(model.outputs)} outputs"
+        )
+    samples = math.floor(times[-1] / sample_time_s + 1e-6) + 1
+    grid = np.arange(samples) * sample_time_s
+    same = samples == len(times) and bool(np.abs(times - grid).max() < 1e-3 * sample_time_s)
+    if samples < 2:
+        raise InputError(str(path), f"is shorter than two samples of {sample_time_s:g} s")
+    reference = values if same else np.stack([np.interp(grid, times, row) for row in values])
+    return grid, np.ascontiguousarray(reference), not same
+
+
+def _spec(model_path: str, law: str, options: Mapping[str, Any]) -> Compensator:
+    given = {name: value for name, value in options.items() if value is not None}
+    try:
+        return TypeAdapter(Compensator).validate_python(
+            {"label": law or "law", "law": law, "model": model_path, **given}
+        )
+    except ValidationError as error:
+        raise InputError("compensate", mistakes_of(error, NoCompensation)) from None
+
+
+def _out_of_reach(
+    path: Path, model: HammersteinModel, time_s: Array, unreached: NDArray[np.bool_], reachable: Reach
+) -> str:
+    places = []
+    for name, row in zip(model.inputs, unreached, strict=True):
+        if row.any():
+            first = int(np.argmax(row))
+            places.append(
+                f"input {name} in {int(row.sum())} of {len(row)} samples, first at {time_s[first]:.6g} s"
+            )
+    box = ", ".join(f"{n} +-{y:.4g} um" for n, y in zip(model.outputs, reachable.together_um, strict=True))
+    return (
+        f"{path}: the path is partly out of reach: {'; '.join(places)} stand at the drive's range of "
+        f"{model.instruments.drive.range_v:g} V. Slow paths are reached within {box} together. Use a "
+        "smaller or slower path, or --clip to accept it."
+    )

@@ -1,0 +1,115 @@
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from hammerstein.cli import main
+from hammerstein.compensators.reach import reach
+from hammerstein.errors import InputError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.model import HammersteinModel
+from hammerstein.signals import smooth_step
+
+T = 50e-6
+
+
+def _call(*arguments):
+    with pytest.raises(SystemExit) as caught:
+        main([str(a) for a in arguments])
+    return caught.value.code or 0
+
+
+def _circle(path, x=30.0, y=30.0, sample_time_s=T, samples=1200):
+    t = np.arange(samples) * sample_time_s
+    start, angle = smooth_step(t / 0.02), 2 * np.pi * 50.0 * t
+    frame = pd.DataFrame({"time_s": t, "x": x * start * np.cos(angle), "y": y * start * np.sin(angle)})
+    frame.to_csv(path, index=False)
+    return frame
+
+
+def test_drive_sent_to_the_actuator_gives_the_path(tmp_path):
+    reference = _circle(tmp_path / "path.csv")
+    out = tmp_path / "drive.csv"
+    assert _call("compensate", "duo_bimorph", tmp_path / "path.csv", "--out", out) == 0
+    table = pd.read_csv(out)
+    drive = table[["drive_x_v", "drive_y_v"]].to_numpy().T
+    assert np.abs(drive).max() < 10.0
+    # What is sent is on the converter's steps; what is predicted is where an independent run ends up.
+    np.testing.assert_allclose(np.round(drive / (20 / 2**16)), drive / (20 / 2**16), atol=1e-6)
+    model = HammersteinModel.load("duo_bimorph")
+    from hammerstein.dynamics import discretise
+
+    position, _ = discretise(model.dynamics, T).respond(model.hysteresis.respond(drive)[0])
+    np.testing.assert_allclose(position, table[["predicted_x_um", "predicted_y_um"]].to_numpy().T, atol=1e-9)
+    assert np.abs(position - reference[["x", "y"]].to_numpy().T).max() < 0.01
+
+
+def test_summary_is_one_object(tmp_path, capsys):
+    _circle(tmp_path / "path.csv")
+    options = ("--law", "exact_inverse", "--out", tmp_path / "d.csv", "--json")
+    assert _call("compensate", "duo_bimorph_static", tmp_path / "path.csv", *options) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["axes"]["x"]["predicted_max_um"] < 0.01
+    assert content["unreached_samples"] == {"x": 0, "y": 0}
+    assert content["axes"]["y"]["reach_together_um"] < content["axes"]["y"]["reach_alone_um"]
+
+
+def test_path_on_another_grid_is_interpolated(tmp_path, capsys):
+    _circle(tmp_path / "path.csv", sample_time_s=130e-6, samples=500)
+    assert _call("compensate", "duo_bimorph", tmp_path / "path.csv", "--out", tmp_path / "d.csv") == 0
+    assert "interpolated" in capsys.readouterr().out
+    times = pd.read_csv(tmp_path / "d.csv")["time_s"].to_numpy()
+    np.testing.assert_allclose(np.diff(times), T, rtol=1e-9)
+
+
+def test_partly_out_of_reach_is_refused_unless_asked_for(tmp_path, capsys):
+    _circle(tmp_path / "far.csv", x=57.0, y=52.0)
+    out = tmp_path / "d.csv"
+    assert _call("compensate", "duo_bimorph", tmp_path / "far.csv", "--out", out) == 3
+    error = capsys.readouterr().err
+    assert "input y in" in error
+    assert "reached within x +-54" in error
+    assert not out.exists()
+    assert _call("compensate", "duo_bimorph", tmp_path / "far.csv", "--out", out, "--clip", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["unreached_samples"]["y"] > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--law", "exact_invers"), "did you mean exact_inverse?"),
+        (("--law", "exact_inverse", "--filter-hz", "100"), "filter_hz"),
+        (("--filter-hz", "-1"), "greater than 0"),
+        (("--law", "inverse_multiplicative", "--gain", "big"), "'identity' or 'auto'"),
+    ],
+)
+def test_wrong_options(tmp_path, capsys, arguments, message):
+    _circle(tmp_path / "path.csv")
+    assert _call("compensate", "duo_bimorph", tmp_path / "path.csv", *arguments) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_wrong_number_of_axes(tmp_path, capsys):
+    (tmp_path / "one.csv").write_text("time_s,x\n0,0\n0.1,1\n")
+    assert _call("compensate", "duo_bimorph", tmp_path / "one.csv") == 2
+    assert "1 columns beside time_s; the model has 2 outputs" in capsys.readouterr().err
+
+
+def test_reach_of_the_published_actuator():
+    table = HammersteinModel.load("duo_bimorph_static").hysteresis
+    found = reach(table, 10.0)
+    np.testing.assert_allclose(found.corners_um, [[58.39759, 1.410769], [2.07906, 50.5665722]], atol=1e-6)
+    # Every corner of the box is reached by a slow drive within the range, and no larger box is.
+    inverse = np.linalg.inv(found.corners_um)
+    signs = np.array([[1, 1, -1, -1], [1, -1, 1, -1]])
+    assert np.abs(inverse @ (found.together_um[:, None] * signs)).max() == pytest.approx(1.0)
+    assert np.abs(inverse @ np.diag(found.alone_um)).max(axis=0) == pytest.approx([1.0, 1.0])
+
+
+def test_reach_refuses_what_cannot_be_held():
+    both = PrandtlIshlinskii(((Pair.linear(1.0),), (Pair.linear(2.0),)))
+    with pytest.raises(InputError, match="held independently"):
+        reach(both, 10.0)
+    with pytest.raises(InputError, match="infinite"):
+        reach(both, np.inf)

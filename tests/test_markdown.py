@@ -1,0 +1,294 @@
+"""The page of a report: a stranger reads it, so its sentences and tables must be those of the rows."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hammerstein.answer import answer
+from hammerstein.conditions import number
+from hammerstein.experiment import run
+from hammerstein.markdown import GLOSSARY, escaped, render
+from hammerstein.number_tables import MOST_FREQUENCIES, number_tables
+from hammerstein.report import Report
+from hammerstein.rows import Row
+from hammerstein.scenario import Scenario
+
+SINE_V = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}
+SINE_UM = {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 50.0}
+CIRCLE = {"kind": "circle", "radius_um": 40.0, "frequency_hz": 50.0}
+PAPER = {"label": "paper", "law": "inverse_multiplicative", "identification": {}}
+NONE = {"label": "none", "law": "none", "identification": {}}
+MODEL = {"label": "model", "identification": {"frequency_hz": 80.0}}
+TEN = {"frequency_hz": [10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0]}
+SIX = {"frequency_hz": TEN["frequency_hz"][:6]}
+
+
+def report_of(**content: Any) -> Report:
+    return run(
+        Scenario.model_validate({"question": "How good?", "actuator": "duo_bimorph_static"} | content), "test"
+    )
+
+
+@cache
+def circle() -> Report:
+    return report_of(reference=CIRCLE, compensators=[PAPER, NONE])
+
+
+@cache
+def sine() -> Report:
+    return report_of(reference=SINE_UM, compensators=[PAPER, NONE])
+
+
+@cache
+def swept() -> Report:
+    return report_of(reference=SINE_UM, sweep=SIX, compensators=[PAPER, NONE])
+
+
+def with_rms(report: Report, rms_of: Any) -> Report:
+    """The same report with rms errors given by label and frequency, cross-couplings a tenth of them."""
+
+    def changed(row: Row) -> Row:
+        share = 1.0 if row.excited_axis == row.measured_axis else 0.1
+        return replace(row, rms_um=share * rms_of(row.compensator, row.frequency_hz))
+
+    return replace(report, rows=tuple(changed(row) for row in report.rows), statements=())
+
+
+def cells(line: str) -> list[str]:
+    return [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+
+
+def test_page_opens_with_the_question_and_the_paper_s_figure() -> None:
+    report = report_of(drive=SINE_V, paper_figure="Fig. 5")
+    lines = render(report).splitlines()
+    assert lines[0] == "# test"
+    assert lines[2] == "**How good?**"
+    assert lines[4].startswith("In the paper: Fig. 5 (*Multivariable classical")
+
+
+def test_equal_reports_give_equal_pages() -> None:
+    again = report_of(reference=CIRCLE, compensators=[PAPER, NONE])
+    assert render(again, ["path.png"]) == render(circle(), ["path.png"])
+
+
+def test_answer_gives_the_worst_distances_with_their_part_of_the_radius() -> None:
+    report = circle()
+    rows = [
+        replace(row, euclidean_max_um=2.0 if row.compensator == "paper" else 10.0, euclidean_max_true_um=1.5)
+        for row in report.rows
+    ]
+    text = answer(replace(report, rows=tuple(rows)), quote=str.upper)
+    assert text.startswith(
+        "The worst distance of the reading from the reference is 2.00 um (5 %) with PAPER and "
+        "10.0 um (25 %) with NONE. The worst distance of the true position from the reference is "
+        "1.50 um (3.8 %) with PAPER"
+    )
+
+
+def test_answer_tells_the_errors_of_a_single_frequency() -> None:
+    text = answer(with_rms(sine(), lambda label, _: 3.0 if label == "paper" else 0.5))
+    assert text == (
+        "The rms error of the direct transfers is 0.500 um with none and 3.00 um with paper. "
+        "The rms error of the cross-couplings is 0.0500 um with none and 0.300 um with paper. "
+        "The drive's range cut no voltage. Every run had settled."
+    )
+
+
+def test_answer_tells_who_is_best_where_and_the_course_of_the_best() -> None:
+    def rms(label: str, frequency_hz: float) -> float:
+        return 1.0 + abs(frequency_hz - 20.0) if label == "paper" else 15.0
+
+    text = answer(with_rms(swept(), rms))
+    assert text.startswith(
+        "The rms error of the direct transfers is smallest with paper from 10 Hz to 30 Hz and none from "
+        "40 Hz to 60 Hz. With paper it is 11.0 um at 10 Hz, 1.00 um at 20 Hz (smallest) and 41.0 um at 60 Hz "
+        "(largest). The rms error of the cross-couplings is smallest with"
+    )
+
+
+def test_answer_counts_where_the_best_changes_too_often() -> None:
+    text = answer(with_rms(swept(), lambda label, f: float((f % 20.0 == 0.0) == (label == "paper")) + 1.0))
+    assert "smallest with paper in 3 of 6 runs and none in 3 of 6 runs." in text
+
+
+def test_answer_describes_loops_where_there_is_nothing_to_compare_with() -> None:
+    perfect = {"bandwidth_hz": float("inf"), "noise_um": 0.0, "resolution_um": 0.0}
+    found = re.match(
+        r"At 50 Hz, 10 V x moves (\S+) um from end to end, with a loop (\S+) % wide; "
+        r"y moves (\S+) um from end to end, with a loop (\S+) % wide; the largest cross-coupling is (\S+) um",
+        answer(report_of(drive=SINE_V, instruments={"sensor": perfect})),
+    )
+    assert found is not None
+    # closed forms of the published table: 2 sum w (A - r), and the opening at zero voltage over it
+    assert [float(figure) for figure in found.groups()] == pytest.approx(
+        [2 * 58.40, 16.7, 2 * 50.57, 15.2, 2 * 2.08], rel=0.01
+    )
+
+
+def test_answer_says_what_was_cut_and_what_had_not_settled() -> None:
+    cut = report_of(drive=SINE_V, instruments={"drive": {"range_v": 8.0}})
+    assert "The drive's range cut the voltage in 2 of 2 runs." in answer(cut)
+    hurried = report_of(drive=SINE_V, actuator="duo_bimorph", measure={"settle_cycles": 0, "settle_s": 0.0})
+    assert "In 2 of 2 runs the loop had not settled." in answer(hurried)
+    assert "settled" not in answer(report_of(drive=SINE_V, measure={"measured_cycles": 1}))
+
+
+def test_tables_hold_the_rows() -> None:
+    report = sine()
+    reading, true, loops = number_tables(report)
+    row = next(
+        r for r in report.rows if (r.compensator, r.excited_axis, r.measured_axis) == ("none", "y", "x")
+    )
+    assert reading.header == (
+        "compensator",
+        "frequency [Hz]",
+        "amplitude [um]",
+        "x to x",
+        "x to y",
+        "y to x",
+        "y to y",
+    )
+    assert reading.lines[1][:3] == ("none", "50", "40")
+    assert reading.lines[1][5] == f"{number(row.rms_um)} / {number(row.max_um)}"
+    assert true.lines[1][5] == f"{number(row.rms_true_um)} / {number(row.max_true_um)}"
+    assert "reading" in reading.title
+    assert "true position" in true.title
+    line = next(line for line in loops.lines if line[0] == "none" and line[3] == "y to x")
+    assert line[4:] == (
+        number(row.height_um),
+        number(row.width_um),
+        number(row.width_percent),
+        number(row.gain),
+        f"{row.phase_deg:.1f}",
+    )
+
+
+def test_table_of_a_path_holds_distance_radius_and_the_paper_s_epsilon() -> None:
+    report = circle()
+    reading, true = number_tables(report)
+    row = next(r for r in report.rows if r.compensator == "none")
+    assert reading.header[-4:] == ("distance, rms", "distance, worst", "radius, worst", "epsilon (see below)")
+    assert reading.lines[1][-4:] == tuple(
+        number(value)
+        for value in (row.euclidean_rms_um, row.euclidean_max_um, row.radial_max_um, row.epsilon_max_um)
+    )
+    assert true.header[-1] == "radius, worst"
+    assert true.lines[1][-1] == number(row.radial_max_true_um)
+
+
+def test_a_long_sweep_is_shown_at_its_ends_and_where_models_were_identified() -> None:
+    report = report_of(drive=SINE_V, sweep=TEN, models=[MODEL])
+    table = next(iter(number_tables(report)))
+    shown = [float(line[1]) for line in table.lines]
+    assert len(shown) == MOST_FREQUENCIES
+    assert {10.0, 80.0, 100.0} <= set(shown)
+    assert table.remark == "Shown are 6 of 10 frequencies; all are in `rms.csv`."
+    assert table.remark in render(report)
+
+
+def test_a_loop_that_several_models_share_is_shown_once() -> None:
+    report = report_of(drive=SINE_V, models=[MODEL, MODEL | {"label": "other"}])
+    *_, loops = number_tables(report)
+    assert loops.header[0] == "frequency [Hz]"
+    assert len(loops.lines) == 4
+
+
+def test_spread_of_an_uncertain_actuator_is_shown() -> None:
+    report = report_of(reference=CIRCLE, compensators=[NONE], uncertainty={"draws": 3, "weights": 0.05})
+    band = next(b for b in report.bands if b.metric == "euclidean_max_true_um")
+    *_, spread = number_tables(report)
+    assert spread.lines[0][-1] == f"{number(band.median_um)} ({number(band.p5_um)} to {number(band.p95_um)})"
+
+
+def test_every_column_of_a_row_is_explained() -> None:
+    assert set(GLOSSARY) == {field.name for field in fields(Row)}
+
+
+def test_only_columns_that_are_filled_are_explained() -> None:
+    page = render(sine())
+    assert "| `gain` |" in page
+    assert "epsilon" not in page
+    assert "It cannot be what the paper plots" in render(circle())
+
+
+def test_figures_are_embedded_by_relative_path_in_reading_order() -> None:
+    page = render(circle(), ["errors.png", "path.png"])
+    links = re.findall(r"\[!\[[^]]+\]\(([^)]+)\)\]\(([^)]+)\)", page)
+    assert links == [("path.png", "path.svg"), ("errors.png", "errors.svg")]
+    assert "## Figures" not in render(circle(), [])
+
+
+def test_captions_speak_of_what_is_there() -> None:
+    alone, modelled = report_of(drive=SINE_V), report_of(drive=SINE_V, models=[MODEL])
+    assert "broken lines are the models" in render(modelled, ["loops.png"])
+    assert "models" not in render(alone, ["loops.png"]).split("## Numbers")[0]
+    assert "wide grey line is the ideal" in render(sine(), ["loops_1_paper.png"])
+
+
+def test_how_it_was_run_is_told_without_clock_and_place(tmp_path: Path) -> None:
+    table = tmp_path / "scan.csv"
+    table.write_text("time_s,x,y\n0,0,0\n0.01,5,3\n0.02,0,0\n")
+    report = report_of(
+        reference={"kind": "file", "path": str(table)},
+        compensators=[PAPER | {"iterations": 3}],
+        instruments={"sensor": {"noise_um": 0.02}},
+        seed=7,
+    )
+    page = render(report, ["path.png"])
+    assert str(tmp_path) not in page
+    for told in (
+        "`path = scan.csv`",
+        "`noise_um = 0.02`",
+        "`bandwidth_hz = 2000`",
+        "`range_v = 10`",
+        "Seed of the noise: 7",
+        report.digest,
+        report.model_digest,
+    ):
+        assert told in page
+    (line,) = [line for line in page.splitlines() if line.startswith("| paper |") and "identified" in line]
+    assert cells(line)[1].startswith("The paper's compensator without inversion")
+    assert cells(line)[2] == "iterations = 3"
+    assert "frequency_hz = 50" in cells(line)[3]
+
+
+def test_a_model_file_is_named_without_its_folder() -> None:
+    source = {"label": "given", "law": "exact_inverse", "model": "duo_bimorph_static"}
+    assert "| file duo_bimorph_static |" in render(report_of(reference=CIRCLE, compensators=[source]))
+
+
+def test_claims_of_the_paper_are_a_table() -> None:
+    claim = {
+        "id": "C1",
+        "statement": "The loop of x is 2 x 58 um high",
+        "paper": 116.0,
+        "unit": "um",
+        "quantity": {"metric": "height_um", "excited_axis": "x", "measured_axis": "x"},
+        "agreement": {"within": 0.02},
+    }
+    page = render(report_of(drive=SINE_V, claims=[claim, claim | {"id": "C2", "paper": 200.0}]))
+    first, second = (cells(line) for line in page.splitlines() if line.startswith("| C"))
+    assert first[:3] == ["C1", "The loop of x is 2 x 58 um high", "116 um"]
+    assert float(first[4]) == pytest.approx(116.8 / 116.0, abs=0.01)
+    assert (first[6], second[6]) == ("met", "not met")
+
+
+def test_words_of_the_user_do_not_break_the_page() -> None:
+    odd = NONE | {"label": "a|b *c* <d> _e"}
+    page = render(report_of(reference=CIRCLE, compensators=[odd], question="Is 2 * 3 < 7 | really?"))
+    assert r"**Is 2 \* 3 \< 7 \| really?**" in page
+    for block in re.findall(r"(?:^\|.*\n)+", page, flags=re.M):
+        assert len({len(cells(line)) for line in block.splitlines()}) == 1
+    assert escaped("a_b [um]") == "a_b [um]"
+    assert escaped("[a](b)") == r"[a]\(b)"
+
+
+def test_many_statements_are_cut_short() -> None:
+    page = render(replace(sine(), statements=tuple(f"statement {i}" for i in range(40))))
+    assert "* statement 14\n* 25 more statements are in `report.json`." in page
