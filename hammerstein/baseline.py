@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
@@ -18,9 +18,10 @@ from hammerstein.rows import KEY
 from hammerstein.validation import mistakes_of
 
 FORMAT = "hammerstein-baseline/1"
+CLAIMED = "value"  # the number of a claim
 
-Key = tuple[str | float | None, ...]
-"""What tells one row from the others: the values of ``report.KEY``, in that order."""
+Key = tuple[tuple[str, str | float], ...]
+"""What tells one row from the others: names and values, in order of the names."""
 Numbers = Mapping[Key, Mapping[str, float]]
 
 
@@ -29,7 +30,7 @@ class RowFile(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    key: dict[str, str | FiniteFloat | None]
+    key: dict[str, str | FiniteFloat]
     numbers: dict[str, FiniteFloat]
 
 
@@ -84,7 +85,7 @@ class Baseline:
 
     def to_json(self) -> str:
         """Text of the baseline file: one row a line, full precision, sorted keys, no clock and no host."""
-        rows = [{"key": dict(zip(KEY, k, strict=True)), "numbers": dict(n)} for k, n in self.rows.items()]
+        rows = [{"key": dict(key), "numbers": dict(numbers)} for key, numbers in self.rows.items()]
         lines = ",\n".join("  " + json.dumps(row, sort_keys=True, allow_nan=False) for row in rows)
         return (
             f'{{\n "format": {json.dumps(FORMAT)},\n "model_digest": {json.dumps(self.model_digest)},\n'
@@ -101,24 +102,48 @@ class Baseline:
 
 
 def numbers_of(report: Report) -> Numbers:
-    """Numbers of a report by row; InputError where two rows cannot be told apart."""
-    return _by_key(((row.key(), row.numbers()) for row in report.rows), report.name)
+    """All numbers of a report: its rows with their bands, and what the actuators answer to its claims.
+
+    Raises InputError where two rows cannot be told apart.
+    """
+    bands: dict[Key, dict[str, float]] = {}
+    for band in report.bands:
+        numbers = bands.setdefault(key_of({name: getattr(band, name) for name in KEY}), {})
+        numbers |= {f"{band.metric}.{part}": getattr(band, f"{part}_um") for part in ("p5", "median", "p95")}
+    rows = [(row.key(), row.numbers() | bands.get(key_of(row.key()), {})) for row in report.rows]
+    claims = [
+        ({"claim": verdict.id, "actuator": answer.actuator}, {CLAIMED: answer.value})
+        for verdict in report.verdicts
+        for answer in verdict.answers
+        if math.isfinite(answer.value)  # an actuator that has no such row answers nothing
+    ]
+    return _by_key([*rows, *claims], report.name)
+
+
+def key_of(names: Mapping[str, str | float | None]) -> Key:
+    """Key of a row; what is empty tells nothing.
+
+    >>> key_of({"measured_axis": "y", "frequency_hz": 50.0, "amplitude_v": None})
+    (('frequency_hz', 50.0), ('measured_axis', 'y'))
+    """
+    return tuple(sorted((name, value) for name, value in names.items() if value is not None and value != ""))
 
 
 def words_of(key: Key) -> str:
     """Key of a row as words, for messages.
 
-    >>> words_of(("exact", "all", "y", 50.0, None, 30.0))
-    'compensator exact, excited_axis all, measured_axis y, frequency_hz 50, amplitude_um 30'
+    >>> words_of((("compensator", "exact"), ("frequency_hz", 50.0)))
+    'compensator exact, frequency_hz 50'
     """
-    named = [(name, value) for name, value in zip(KEY, key, strict=True) if value not in (None, "")]
-    return ", ".join(f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in named)
+    return ", ".join(f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in key)
 
 
-def _by_key(rows: Any, source: str) -> Numbers:
+def _by_key(
+    rows: Iterable[tuple[Mapping[str, str | float | None], Mapping[str, float]]], source: str
+) -> Numbers:
     found: dict[Key, Mapping[str, float]] = {}
     for names, numbers in rows:
-        key = tuple(names.get(name) for name in KEY)
+        key = key_of(names)
         if key in found:
             raise InputError(
                 source, f"two rows are both {words_of(key)}; give every label and every swept value once"

@@ -11,12 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import JsonValue
 
 from hammerstein.cycles import settled_cycle
-from hammerstein.dynamics import StaticDynamics
+from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.closed_form import closed_form
+from hammerstein.identification.creep import fit_creep
 from hammerstein.identification.records import Record
 from hammerstein.instruments import Drive
 from hammerstein.model import HammersteinModel
@@ -25,6 +27,10 @@ from hammerstein.signals import Multisine, Sine
 from hammerstein.sources import ClosedFormSpec, JointFitSpec
 
 Array = NDArray[np.float64]
+
+CREEP_SAMPLES = 12_000
+CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
+"""Slow steps of the creep record, in parts of the amplitude; each lasts a sixth of it."""
 
 
 def identify_by_experiment(plant: Plant, spec: ClosedFormSpec | JointFitSpec, seed: int) -> HammersteinModel:
@@ -77,14 +83,39 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
         operators=spec.operators,
         partition=spec.partition,
         dynamics="second_order",
-        creep_modes=spec.creep_modes,
         sensor_bandwidth_hz=_finite(plant.instruments.sensor.bandwidth_hz),
         error_curve=False,
     )
     name = f"joint fit, {spec.operators} operators"
     model, _ = identify(_records(plant, spec, seeds), settings, name=name, instruments=plant.instruments)
-    provenance = {"actuator": plant.model.name, "identification": spec.model_dump(mode="json")}
-    return replace(model, inputs=plant.model.inputs, outputs=plant.model.outputs, provenance=provenance)
+    provenance: JsonValue = {
+        "actuator": plant.model.name,
+        "identification": spec.model_dump(mode="json"),
+    }
+    named = replace(model, inputs=plant.model.inputs, outputs=plant.model.outputs, provenance=provenance)
+    return _with_creep(plant, spec, named, seeds) if spec.creep_modes else named
+
+
+def _with_creep(
+    plant: Plant, spec: JointFitSpec, model: HammersteinModel, seeds: list[int]
+) -> HammersteinModel:
+    """Add the creep of every axis, from one slow record of slow steps on all inputs.
+
+    The resonances are far above the slow record's sample rate: the static block stands for them.
+    """
+    bench = _at_sample_time(plant, spec.creep_record_s / CREEP_SAMPLES)
+    steps = np.repeat(CREEP_LEVELS, CREEP_SAMPLES // len(CREEP_LEVELS))
+    m = plant.model.hysteresis.n_inputs
+    voltage = spec.amplitude_v * np.stack([np.roll(steps, k * len(steps) // (3 * m)) for k in range(m)])
+    response = bench.respond(voltage, [*seeds, m])
+    v, _ = model.hysteresis.respond(response.drive_v)
+    dynamics = model.dynamics
+    assert isinstance(dynamics, AxesDynamics)  # what a joint fit gives
+    axes = []
+    for axis, said, read in zip(dynamics.axes, v, response.reading_um, strict=True):
+        modes = fit_creep(said, read, bench.sample_time_s, spec.creep_modes)
+        axes.append(axis.model_copy(update={"creep": modes}))
+    return replace(model, dynamics=dynamics.model_copy(update={"axes": tuple(axes)}))
 
 
 def _records(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> list[Record]:
@@ -96,7 +127,8 @@ def _records(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> list[Record]
             amplitude=spec.amplitude_v, lowest_hz=5.0, highest_hz=max(spec.frequencies_hz), seed=seeds[0]
         )
     ]
-    time_s = np.arange(round(spec.record_s / plant.sample_time_s)) * plant.sample_time_s
+    samples = round(spec.record_s / plant.sample_time_s)
+    time_s = np.linspace(0.0, (samples - 1) * plant.sample_time_s, samples)
     one = np.concatenate([np.zeros(20), *(burst.sample(time_s, 1)[0] for burst in bursts)])
     m = plant.model.hysteresis.n_inputs
     voltage = np.kron(np.eye(m), one)

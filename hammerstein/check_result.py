@@ -20,7 +20,7 @@ SHOWN = 20  # lines of a table; who has moved more than that wants the worst, no
 MISSING = "missing"
 _AXES = ("excited_axis", "measured_axis")  # shown as one column
 _COLUMNS = (
-    *(name for name in KEY if name not in _AXES),
+    *("claim", "actuator", *(name for name in KEY if name not in _AXES)),
     *("axis", "metric", "baseline", "now", "change", "allowed"),
 )
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -167,10 +167,10 @@ def _table(findings: Sequence[Finding]) -> list[str]:
     if not inside:
         return []
     rows = [_cells(finding) for finding in inside[:SHOWN]]
-    columns = [column for column in _COLUMNS if any(row[column] for row in rows)]
-    widths = {c: max(len(c), *(len(row[c]) for row in rows)) for c in columns}
+    columns = [column for column in _COLUMNS if any(row.get(column) for row in rows)]
+    widths = {c: max(len(c), *(len(row.get(c, "")) for row in rows)) for c in columns}
     lines = ["  " + "  ".join(c.ljust(widths[c]) for c in columns).rstrip()]
-    lines += ["  " + "  ".join(row[c].ljust(widths[c]) for c in columns).rstrip() for row in rows]
+    lines += ["  " + "  ".join(row.get(c, "").ljust(widths[c]) for c in columns).rstrip() for row in rows]
     if len(inside) > SHOWN:
         lines.append(f"  and {len(inside) - SHOWN} more; these are the worst")
     return lines
@@ -178,10 +178,9 @@ def _table(findings: Sequence[Finding]) -> list[str]:
 
 def _cells(finding: Finding) -> dict[str, str]:
     """Cells of one finding by column."""
-    key = dict(zip(KEY, finding.key, strict=True))
-    excited, measured = (key.pop(name) for name in _AXES)
-    cells = {name: "" if value is None else _plain(value) for name, value in key.items()}
-    cells["axis"] = str(measured) if excited in ("all", measured) else f"{excited} -> {measured}"
+    cells = {name: _plain(value) for name, value in finding.key}
+    excited, measured = (cells.pop(name, "") for name in _AXES)
+    cells["axis"] = measured if excited in ("all", measured) else f"{excited} -> {measured}"
     cells |= {"metric": finding.metric or "(row)", "change": "", "allowed": ""}
     before, now = finding.baseline, finding.now
     if isinstance(before, (int, float)) and isinstance(now, (int, float)):
@@ -225,7 +224,7 @@ def _as_dict(check: ScenarioCheck) -> dict[str, Any]:
         "findings": [
             {
                 "kind": finding.kind.name.lower(),
-                "row": dict(zip(KEY, finding.key, strict=True)) if finding.key else None,
+                "row": dict(finding.key) or None,
                 "metric": finding.metric or None,
                 "baseline": _json(finding.baseline),
                 "now": _json(finding.now),

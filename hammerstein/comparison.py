@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from enum import StrEnum
 
-from hammerstein.baseline import Baseline, Key, Numbers, numbers_of
+from hammerstein.baseline import CLAIMED, Baseline, Key, Numbers, numbers_of
 from hammerstein.errors import InputError, Mistake
 from hammerstein.report import Report
 from hammerstein.rows import KEY, Row
@@ -24,7 +24,7 @@ DEFAULT = Tolerance(relative=1e-3, absolute=1e-6)
 COUNT = Tolerance(relative=0.0, absolute=0.0)
 DEFAULTS: Mapping[str, Tolerance] = {"saturated_samples": COUNT}
 
-METRICS = tuple(field.name for field in fields(Row) if field.name not in KEY)
+METRICS = (*(field.name for field in fields(Row) if field.name not in KEY), CLAIMED)
 
 # Without height a loop has no relative width, and what is zero has no phase: last bits over last bits.
 RATIO_OF = {"width_percent": "height_um", "phase_deg": "gain"}
@@ -160,7 +160,7 @@ def _numbers(
     key: Key, now: Mapping[str, float], stored: Mapping[str, float], tolerances: Mapping[str, Tolerance]
 ) -> Iterator[Finding]:
     for metric, before in stored.items():
-        tolerance = tolerances.get(metric, DEFAULT)
+        tolerance = tolerances.get(metric.partition(".")[0], DEFAULT)  # that of a metric is that of its band
         if metric not in now:
             yield Finding(Kind.MISSING_NUMBER, key, metric, baseline=before)
         elif not _is_void(metric, (now, stored), tolerances) and not (

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from hammerstein.compensators.law import Law
-from hammerstein.compensators.reach import Reach, reach
+from hammerstein.compensators.reach import Reach, Shortfall, reach, require_reach, shortfall
 from hammerstein.compensators.specs import Compensator, NoCompensation
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.instruments import Instruments, Sensor
 from hammerstein.model import HammersteinModel
-from hammerstein.plant import Plant
 from hammerstein.signals import read_signal
 from hammerstein.validation import mistakes_of
 
@@ -29,9 +27,10 @@ Array = NDArray[np.float64]
 class Compensation:
     """A drive for real hardware, and what the model says of it.
 
-    time_s : (sample,) on the drive's sample time; reference_um, predicted_um : (output, sample)
+    time_s : (sample,) on the drive's sample time; reference_um : (output, sample)
     drive_v : (input, sample) rounded to the converter's steps and within its range
-    unreached : (input, sample) where the voltage stands at the range
+    reach : what slow paths can reach
+    shortfall : predicted position and error, and where the voltage stands at the range
     resampled : whether the file was interpolated onto the drive's sample time
     """
 
@@ -41,18 +40,12 @@ class Compensation:
     time_s: Array
     reference_um: Array
     drive_v: Array
-    predicted_um: Array
-    unreached: NDArray[np.bool_]
+    shortfall: Shortfall
     resampled: bool
-
-    @property
-    def error_um(self) -> Array:
-        """Predicted minus reference (output, sample) [um]."""
-        return self.predicted_um - self.reference_um
 
     def unreached_samples(self) -> dict[str, int]:
         """Samples at the range, by input."""
-        counts = self.unreached.sum(axis=1)
+        counts = self.shortfall.at_range.sum(axis=1)
         return {name: int(n) for name, n in zip(self.model.inputs, counts, strict=True)}
 
     def summary(self) -> dict[str, Any]:
@@ -62,8 +55,8 @@ class Compensation:
                 "reach_alone_um": float(self.reach.alone_um[o]),
                 "reach_together_um": float(self.reach.together_um[o]),
                 "reference_max_um": float(np.abs(self.reference_um[o]).max()),
-                "predicted_rms_um": float(np.sqrt(np.mean(self.error_um[o] ** 2))),
-                "predicted_max_um": float(np.abs(self.error_um[o]).max()),
+                "predicted_rms_um": float(np.sqrt(np.mean(self.shortfall.error_um[o] ** 2))),
+                "predicted_max_um": float(np.abs(self.shortfall.error_um[o]).max()),
             }
             for o, name in enumerate(self.model.outputs)
         }
@@ -78,7 +71,7 @@ class Compensation:
 
         columns = {"time_s": self.time_s}
         columns |= {f"drive_{n}_v": row for n, row in zip(self.model.inputs, self.drive_v, strict=True)}
-        for word, rows in (("reference", self.reference_um), ("predicted", self.predicted_um)):
+        for word, rows in (("reference", self.reference_um), ("predicted", self.shortfall.predicted_um)):
             columns |= {f"{word}_{n}_um": row for n, row in zip(self.model.outputs, rows, strict=True)}
         return str(pd.DataFrame(columns).to_csv(index=False, lineterminator="\n"))
 
@@ -106,31 +99,18 @@ def compensate(
     """
     model = HammersteinModel.load(model_path)
     drive = model.instruments.drive
-    reachable = reach(model.hysteresis, drive.range_v)
     time_s, reference, resampled = _on_grid(reference_path, model, drive.sample_time_s)
-    spec = _spec(model_path, law, options)
-    built = spec.build(model, drive.range_v, drive.sample_time_s)
-    requested = built.drive_for(reference)
-    unreached = np.abs(requested) >= drive.range_v
-    if unreached.any() and not clip:
-        raise SimulationError(_out_of_reach(reference_path, model, time_s, unreached, reachable))
-    plant = Plant(model, Instruments(drive=drive, sensor=_no_sensor()))
-    response = plant.respond(requested, [0], reference)
-    return Compensation(
-        model=model,
-        law=built,
-        reach=reachable,
-        time_s=time_s,
-        reference_um=reference,
-        drive_v=response.drive_v,
-        predicted_um=response.position_um,
-        unreached=unreached,
-        resampled=resampled,
-    )
-
-
-def _no_sensor() -> Sensor:
-    return Sensor(range_um=math.inf, resolution_um=0.0, bandwidth_hz=math.inf, noise_um=0.0)
+    built = _spec(model_path, law, options).build(model, drive.range_v, drive.sample_time_s)
+    held, _ = drive.apply(built.drive_for(reference))
+    predicted = shortfall(model, built, reference, held, drive.range_v, drive.sample_time_s)
+    reachable = reach(model, drive.range_v, run_anyway=True)
+    if not clip:
+        try:
+            require_reach(predicted, model.inputs, model.outputs)
+        except SimulationError as error:
+            slow = reachable.statement(model.outputs)
+            raise SimulationError(f"{reference_path}: {error} {slow} Or accept it with --clip.") from None
+    return Compensation(model, built, reachable, time_s, reference, held, predicted, resampled)
 
 
 def _on_grid(path: Path, model: HammersteinModel, sample_time_s: float) -> tuple[Array, Array, bool]:
@@ -157,21 +137,3 @@ def _spec(model_path: str, law: str, options: Mapping[str, Any]) -> Compensator:
         )
     except ValidationError as error:
         raise InputError("compensate", mistakes_of(error, NoCompensation)) from None
-
-
-def _out_of_reach(
-    path: Path, model: HammersteinModel, time_s: Array, unreached: NDArray[np.bool_], reachable: Reach
-) -> str:
-    places = []
-    for name, row in zip(model.inputs, unreached, strict=True):
-        if row.any():
-            first = int(np.argmax(row))
-            places.append(
-                f"input {name} in {int(row.sum())} of {len(row)} samples, first at {time_s[first]:.6g} s"
-            )
-    box = ", ".join(f"{n} +-{y:.4g} um" for n, y in zip(model.outputs, reachable.together_um, strict=True))
-    return (
-        f"{path}: the path is partly out of reach: {'; '.join(places)} stand at the drive's range of "
-        f"{model.instruments.drive.range_v:g} V. Slow paths are reached within {box} together. Use a "
-        "smaller or slower path, or --clip to accept it."
-    )

@@ -29,7 +29,7 @@ def natural_frequency_hz(bandwidth_hz: float, damping_ratio: float) -> float:
     From |G(jw)|^2 = 1 / ((1-q)^2 + 4 z^2 q) = 10^-0.3 with q = (w/w_n)^2.
 
     >>> round(natural_frequency_hz(430.0, 0.12), 1)
-    279.8
+    279.7
     """
     a = 1.0 - 2.0 * damping_ratio**2
     q = a + math.sqrt(a * a + 10.0**0.3 - 1.0)

@@ -26,7 +26,7 @@ class Drive(BaseModel):
 
     def apply(self, u_v: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Voltages that leave the converter (input, sample), and where the range cut them."""
-        saturated = np.abs(u_v) > self.range_v
+        saturated = np.abs(u_v) > self.range_v * (1.0 + 1e-9)  # a sine up to the range is not cut
         held = np.clip(u_v, -self.range_v, self.range_v)
         return _rounded(held, self.resolution_v), saturated
 

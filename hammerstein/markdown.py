@@ -83,6 +83,7 @@ GLOSSARY = {
     "sqrt(|theta|) with theta = (x_r + y_r)^2 - (x + y)^2 [um]. It turns a small error into a large value "
     "where x_r + y_r is large: at 50 um, an error of 0.1 um gives several um. It cannot be what the paper "
     "plots; judge a path by the error of each axis, the distance and the radius",
+    "drift_true_um": "mean error of the true position over the last cycle less that over the first [um]",
     "height_um": "loop from its lowest to its highest point, twice the amplitude; of a cross-coupling, its "
     "whole range [um]",
     "width_um": "opening of the loop in the middle of its input's range [um]",

@@ -51,10 +51,11 @@ def rows_of(setup: SetUp, case: Case) -> Result:
     targets = _targets(setup, case, response)
     axes = range(len(response.position_um))
     keys = [_case_figures(setup, case, response, window, axis) for axis in axes]
+    cycle = _whole_cycle(setup, case)
     rows = []
     for target in targets or NO_TARGET:
         errors: list[dict[str, Any]] = (
-            [{}] * len(axes) if target is None else _errors(response, target, window.first)
+            [{}] * len(axes) if target is None else _errors(response, target, window.first, cycle)
         )
         label = case.label if target is None else target.label
         rows += [Row(compensator=label, **key, **error) for key, error in zip(keys, errors, strict=True)]
@@ -113,11 +114,20 @@ def _case_figures(setup: SetUp, case: Case, response: Response, window: Window, 
     }
 
 
-def _errors(response: Response, target: Target, first: int) -> list[dict[str, Any]]:
+def _whole_cycle(setup: SetUp, case: Case) -> int | None:
+    """Samples of a cycle, where several equal ones of a whole number of samples are measured."""
+    samples = case.signal.period_s / setup.plant.sample_time_s
+    whole = abs(samples - round(samples)) < 1e-6
+    several = case.signal.repeats and setup.scenario.measure.measured_cycles > 1
+    return round(samples) if whole and several else None
+
+
+def _errors(response: Response, target: Target, first: int, cycle: int | None) -> list[dict[str, Any]]:
     """Errors of reading and true position, axis by axis, and as a distance."""
     error = (response.reading_um - target.reading_um)[:, first:]
     true = (response.position_um - target.position_um)[:, first:]
     distance, true_distance = metrics.euclidean(error), metrics.euclidean(true)
+    drift = None if cycle is None else metrics.drift(true, cycle)
     together = {
         "euclidean_rms_um": metrics.rms(distance),
         "euclidean_max_um": metrics.worst(distance),
@@ -130,13 +140,14 @@ def _errors(response: Response, target: Target, first: int) -> list[dict[str, An
             "max_um": metrics.worst(error[axis]),
             "rms_true_um": metrics.rms(true[axis]),
             "max_true_um": metrics.worst(true[axis]),
+            "drift_true_um": None if drift is None else float(drift[axis]),
             **together,
         }
         for axis in range(len(error))
     ]
 
 
-def _path_figures(response: Response, start: int) -> dict[str, float]:
+def _path_figures(response: Response, start: int) -> dict[str, Any]:
     """Radial error and the paper's epsilon of a path in the plane."""
     if response.reference_um is None or len(response.reference_um) != 2:
         return {}
@@ -148,7 +159,7 @@ def _path_figures(response: Response, start: int) -> dict[str, float]:
     }
 
 
-def _loop(setup: SetUp, case: Case, response: Response, window: Window, axis: int) -> dict[str, float]:
+def _loop(setup: SetUp, case: Case, response: Response, window: Window, axis: int) -> dict[str, Any]:
     """Loop of the reading against the one signal that is driven."""
     if case.axis is None or not isinstance(case.signal, OneFrequency) or not case.signal.periodic:
         return {}

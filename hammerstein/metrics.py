@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +47,16 @@ def epsilon(reference: Array, position: Array) -> Array:
     return np.asarray(np.sign(theta) * np.sqrt(np.abs(theta)))
 
 
+def drift(error: Array, samples_a_cycle: int) -> Array:
+    """Mean error of the last cycle minus that of the first (axis,), from the error (axis, sample).
+
+    >>> drift(np.array([[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]]), 2)
+    array([4.])
+    """
+    first, last = error[:, :samples_a_cycle], error[:, -samples_a_cycle:]
+    return np.asarray(last.mean(axis=1) - first.mean(axis=1))
+
+
 @dataclass(frozen=True)
 class LoopFigures:
     """A settled loop: what the eye reads from it.
@@ -64,9 +73,9 @@ class LoopFigures:
     phase_deg: float
 
     @property
-    def width_percent(self) -> float:
-        """Width over height, h/H in the paper (section 5.2); NaN for a loop without height."""
-        return 100.0 * self.width_um / self.height_um if self.height_um > 0.0 else math.nan
+    def width_percent(self) -> float | None:
+        """Width over height, h/H in the paper (section 5.2); None for a loop without height."""
+        return 100.0 * self.width_um / self.height_um if self.height_um > 0.0 else None
 
 
 def loop_figures(

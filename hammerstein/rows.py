@@ -30,6 +30,7 @@ class Row:
     radial_max_um: float | None = None
     radial_max_true_um: float | None = None
     epsilon_max_um: float | None = None
+    drift_true_um: float | None = None
     height_um: float | None = None
     width_um: float | None = None
     width_percent: float | None = None

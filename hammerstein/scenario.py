@@ -67,7 +67,7 @@ class Tolerance(BaseModel):
     model_config = _STRICT
 
     relative: float = Field(default=1e-3, ge=0.0)
-    absolute: float = Field(default=1e-3, ge=0.0)
+    absolute: float = Field(default=1e-6, ge=0.0)
 
 
 class Scenario(BaseModel):

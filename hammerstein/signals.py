@@ -97,6 +97,7 @@ class OnAxes(OneFrequency, ABC):
         default="each", description='number of the axis from 1, "each" in turn, or "all" together'
     )
     amplitude: PositiveFloat
+    offset: float = Field(default=0.0, description="added to the wave on the axes that are driven")
     phase_deg: float = 0.0
 
     @abstractmethod
@@ -104,7 +105,7 @@ class OnAxes(OneFrequency, ABC):
         """Wave of unit amplitude over cycles."""
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
-        wave = self.amplitude * self._wave(self.frequency_hz * time_s + self.phase_deg / 360.0)
+        wave = self.offset + self.amplitude * self._wave(self.frequency_hz * time_s + self.phase_deg / 360.0)
         values = np.zeros((n_axes, len(time_s)))
         if self.axis == "all":
             values[:] = wave
@@ -315,7 +316,7 @@ def _require_two_axes(n_axes: int, kind: str) -> None:
 
 def _named(unit: str) -> ConfigDict:
     """Names with a unit for the fields whose unit depends on what the signal is for."""
-    sized = {"amplitude", "radius"}
+    sized = {"amplitude", "offset", "radius"}
     return ConfigDict(
         frozen=True,
         extra="forbid",

@@ -38,18 +38,18 @@ class ClosedFormSpec(BaseModel):
 class JointFitSpec(BaseModel):
     """Identify hysteresis and dynamics together by least squares through the linear block and the sensor.
 
-    Each input in turn is driven by sines at the given frequencies, then by a multisine; with creep, a slow
-    square wave comes last. The sensor's bandwidth is taken from its data sheet.
+    Each input in turn is driven by sines at the given frequencies, then by a multisine; with creep, slow
+    steps on all inputs come last. The sensor's bandwidth is taken from its data sheet.
     """
 
     model_config = _STRICT
 
     method: Literal["hammerstein"]
     amplitude_v: PositiveFloat = 10.0
-    operators: PositiveInt = 24
-    partition: Literal["time", "voltage"] = "voltage"
-    frequencies_hz: Frequencies = (10.0, 25.0, 50.0, 100.0, 200.0, 300.0, 420.0)
-    record_s: PositiveFloat = Field(default=0.2, description="length of each sine, and of the multisine")
+    operators: PositiveInt = 15
+    partition: Literal["time", "voltage"] = "time"
+    frequencies_hz: Frequencies = (50.0,)
+    record_s: PositiveFloat = Field(default=0.1, description="length of each sine, and of the multisine")
     creep_modes: int = Field(default=0, ge=0, le=5)
     creep_record_s: PositiveFloat = Field(default=600.0, description="length of the slow record")
 

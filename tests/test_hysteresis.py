@@ -200,6 +200,27 @@ def test_a_signal_cut_in_two_gives_the_same_bits_through_json(case, data):
     np.testing.assert_array_equal(np.concatenate([first, second], axis=1), whole)
 
 
+@settings(max_examples=200, deadline=None)
+@given(st.data())
+def test_step_equals_respond_where_rounding_decides(data):
+    """Voltages a few last bits apart: whether the input turned must not depend on how it is asked."""
+    near = st.builds(
+        lambda v, i, unit: v + i * unit,
+        st.sampled_from([-3.3, 0.1, 2.7, 5.1]),
+        st.integers(-6, 6),
+        st.sampled_from([1e-16, 4.4e-16, 1e-15]),
+    )
+    corners = data.draw(st.lists(near, min_size=2, max_size=6))
+    steps = data.draw(st.lists(st.integers(-3, 3), min_size=5 * len(corners), max_size=5 * len(corners)))
+    u = np.repeat(corners, 5) + 2.2e-16 * np.array(steps)
+    smallest = data.draw(st.sampled_from([0.0, 1e-16, 0.1]))
+    model = PrandtlIshlinskii([[Pair([smallest, 1.0, 2.0], [2.0, -0.7, 0.3])], [Pair([1.0], [1.1])]])
+    whole, state = model.respond([u])[0], model.rest()
+    for t, sample in enumerate(u):
+        v, state = model.step([sample], state)
+        np.testing.assert_array_equal(v, whole[:, t])
+
+
 def test_blocks_of_any_length_give_the_bits_of_one_piece():
     model = published()
     rng = np.random.default_rng(RNG_SEED)

@@ -17,7 +17,7 @@ STILL = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class ExactState:
-    """Memory of the exact inverse, as in the table of ``exact_kernel``.
+    """Memory of the exact inverse, as in the table of ``exact_pieces``.
 
     stack : (m, n_max+2, 3+m) the stacks of segments behind the smallest plays
     hand : (m, 3) height of each stack, the last q asked for [V], ramp of the jump from -1 to 1
@@ -84,7 +84,8 @@ class ExactInverse(Law[ExactState]):
     >>> from hammerstein.dynamics import StaticDynamics
     >>> from hammerstein.hysteresis import Pair, PrandtlIshlinskii
     >>> plant = PrandtlIshlinskii([[Pair([0.1, 1.0], [4.0, 2.0])]])
-    >>> law = ExactInverse(HammersteinModel("one axis", plant, StaticDynamics(n_outputs=1), 10.0, ("u",), ("y",)), 10.0)
+    >>> model = HammersteinModel("one axis", plant, StaticDynamics(n_outputs=1), 10.0, ("u",), ("y",))
+    >>> law = ExactInverse(model, 10.0)
     >>> drive_v, _ = law.respond([[0.0, 10.0, 8.0]])
     >>> plant.respond(drive_v)[0].round(9)
     array([[ 0., 10.,  8.]])
@@ -103,13 +104,13 @@ class ExactInverse(Law[ExactState]):
         self.square, self.smallest_v = completed(hysteresis, model.amplitude_v)
         if (self.smallest_v >= range_v).any():
             k = int(np.argmax(self.smallest_v >= range_v))
-            message = f"{self.smallest_v[k]:g} V of input {k + 1} is beyond the range of {range_v:g} V; nothing moves"
-            raise InputError("smallest threshold", message)
+            message = f"of input {k + 1}, {self.smallest_v[k]:g} V, is beyond the range of {range_v:g} V"
+            raise InputError("smallest threshold", f"{message}: nothing moves")
         self._table = self._new_table()
 
     def _new_table(self) -> Array:
-        """Table of ``exact_kernel`` with the model in it."""
-        from hammerstein.compensators import exact_kernel as at
+        """Table of ``exact_pieces`` with the model in it."""
+        from hammerstein.compensators import exact_pieces as at
 
         m, bank = self.n_inputs, self.square.bank
         operators = bank.r.shape[1]
@@ -123,6 +124,10 @@ class ExactInverse(Law[ExactState]):
         about[:, at.STILL] = STILL * (1.0 + float(bank.r[np.isfinite(bank.r)].max()))
         about[:, at.GAIN : at.GAIN + m] = np.abs([bank.slope[k, n] for k, n in enumerate(bank.n)])
         return table
+
+    def statement(self) -> str:
+        """Say whether there is an inverse, and how far the drive jumps at a reversal."""
+        return self.invertibility.statement()
 
     def rest(self) -> ExactState:
         """Actuator never driven: one segment an input, nothing engaged."""
@@ -148,7 +153,8 @@ class ExactInverse(Law[ExactState]):
             of what is returned is that distance afterwards
         recovery : how that distance is taken away; needed if there is such a block
         """
-        from hammerstein.compensators import exact_kernel as at
+        from hammerstein.compensators import exact_pieces as at
+        from hammerstein.compensators.exact_kernel import respond_exact
 
         p, drive = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1]))
         back = recovery or Recovery(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((p, 0)))
@@ -156,5 +162,5 @@ class ExactInverse(Law[ExactState]):
         _, rows, columns = start.stack.shape
         stack, hand = table[at.STACK, :, :rows, :columns], table[at.HERE, :, at.HAND, : at.RAMP + 1]
         stack[:], hand[:] = start.stack, start.hand
-        at.respond_exact(v_um, self.n_inputs - p, *back, left, table, drive)
+        respond_exact(v_um, self.n_inputs - p, *back, left, table, drive)
         return drive, ExactState(stack.copy(), hand.copy()), left

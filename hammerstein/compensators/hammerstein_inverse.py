@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from hammerstein.compensators.exact_inverse import ExactInverse, ExactState, Recovery
 from hammerstein.compensators.law import Array, Law, checked_reference
-from hammerstein.compensators.linear_inverse import LinearInverse, linear_inverse
+from hammerstein.compensators.linear_inverse import linear_inverse
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
@@ -50,9 +50,9 @@ class HammersteinInverse(Law[PathState]):
     On a stream the drive leaves later by ``preview_samples``; ``drive_for`` aligns a path known ahead.
     With less preview than that (``preview_s``), the rest is a delay of the position, ``delay_samples``.
 
-    The filter F is a linear-phase low-pass: 1 within 0.1 % up to 0.7 ``filter_hz``, 1/2 at ``filter_hz``, below
-    0.1 % from 1.3 ``filter_hz`` on. A path with corners or jumps needs one: at frequencies far above the
-    resonance the inverse asks for more than any drive can give (``linear.large_gain_hz``).
+    The filter F is a linear-phase low-pass: 1 within 0.1 % up to 0.7 ``filter_hz``, 1/2 at ``filter_hz``,
+    below 0.1 % from 1.3 ``filter_hz`` on. A path with corners or jumps needs one: far above the resonance
+    the inverse asks for more than any drive can give (``linear.large_gain_hz``).
 
     A path known ahead may start away from rest. Before its first and after its last sample it is continued by
     its point reflection; the modes of G^-1 start so that the drive does not ring (creep starts from rest).
@@ -180,8 +180,8 @@ class HammersteinInverse(Law[PathState]):
         if samples <= needed:
             raise InputError(
                 "reference",
-                f"has {samples} samples, but the law looks {needed} samples ahead; give a longer reference or "
-                "a filter of more bandwidth (filter_hz)",
+                f"has {samples} samples, but the law looks {needed} samples ahead; give a longer reference "
+                "or a filter of more bandwidth (filter_hz)",
             )
         before, after = len(self.taps) // 2, needed
         ends = np.pad(reference, ((0, 0), (before, after)), mode="reflect", reflect_type="odd")
@@ -249,12 +249,14 @@ def _low_pass_taps(filter_hz: float | None, sample_time_s: float) -> Array:
 
 
 def _recovery(block: LinearBlock) -> Recovery:
-    """Linear-quadratic gain that brings the block back to its path, over a horizon that leaves creep alone."""
+    """Linear-quadratic gain that brings the block back to its path; its horizon is too short for creep."""
     a, b = block.A, block.B
-    cost = block.C.T @ block.C
-    value = cost
-    gain = np.zeros((b.shape[1], len(a)))
+    cost: Array = block.C.T @ block.C
+    value: Array = cost
+    gain: Array = np.zeros((b.shape[1], len(a)))
     for _ in range(HORIZON if len(a) else 0):
-        gain = np.linalg.solve(EFFORT * np.eye(b.shape[1]) + b.T @ value @ b, b.T @ value @ a)
-        value = cost + a.T @ value @ (a - b @ gain)
+        gain = np.asarray(
+            np.linalg.solve(EFFORT * np.eye(b.shape[1]) + b.T @ value @ b, b.T @ value @ a), dtype=np.float64
+        )
+        value = np.asarray(cost + a.T @ value @ (a - b @ gain), dtype=np.float64)
     return Recovery(np.ascontiguousarray(a), np.ascontiguousarray(b), np.ascontiguousarray(gain))

@@ -45,8 +45,8 @@ class Invertibility:
         if self.invertible:
             jumps = ", ".join(f"{jump:.3g}" for jump in self.jump_v)
             return (
-                f"The model has an inverse for every reference: the determinants of its {total} slope matrices "
-                f"have one sign. The drive jumps by {jumps} V at a reversal of input 1, 2, ..."
+                f"The model has an inverse for every reference: the determinants of its {total} slope "
+                f"matrices have one sign. The drive jumps by {jumps} V where input 1, 2, ... turns."
             )
         other = min(self.positive, self.negative)
         places = "; ".join(
@@ -55,8 +55,8 @@ class Invertibility:
         )
         slopes = np.array2string(self.slopes_um_per_v, precision=4, separator=", ").replace("\n", "")
         return (
-            f"The model has no inverse: of its {total} slope matrices {other} have a determinant of the other "
-            f"sign and {self.singular} are singular, first at {places}: {slopes} um/V."
+            f"The model has no inverse: of its {total} slope matrices {other} have a determinant of the "
+            f"other sign and {self.singular} are singular, first at {places}: {slopes} um/V."
         )
 
 
@@ -156,8 +156,8 @@ def completed(hysteresis: PrandtlIshlinskii, amplitude_v: float) -> tuple[Prandt
     if p > m:
         raise InputError(
             "exact_inverse",
-            f"the model has {m} inputs for {p} outputs: {m} voltages cannot hold {p} positions at will; leave "
-            "out outputs or add inputs",
+            f"the model has {m} inputs for {p} outputs: {m} voltages cannot hold {p} positions at will; "
+            "leave out outputs or add inputs",
         )
     idle = [k + 1 for k in range(m) if all(len(row[k].thresholds_v) == 0 for row in hysteresis.pairs)]
     if idle:
@@ -179,8 +179,8 @@ def require_inverse(found: Invertibility, law: str, run_anyway: bool) -> None:
     """Raise SimulationError with the reason unless there is an inverse or the caller insists."""
     if not (found.invertible or run_anyway):
         raise SimulationError(
-            f"{found.statement()} {law} needs one sign. Phase lag identified as hysteresis does this: identify "
-            "at a lower frequency, through the linear block, or with bounded partial sums; or set "
+            f"{found.statement()} {law} needs one sign. Phase lag identified as hysteresis does this: "
+            "identify at a lower frequency, through the linear block, or with bounded partial sums; or set "
             "run_anyway = true."
         )
 

@@ -7,6 +7,10 @@ from numba import njit
 
 from hammerstein.hysteresis.kernels import advance
 
+# A step below this is no movement: two samples at equal distance from a peak differ in their last bits, and
+# these differ from one machine to another; they must not decide when the jump at a reversal comes.
+STILL_V = 1e-9
+
 
 @njit(cache=True, nogil=True)
 def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
@@ -56,9 +60,7 @@ def respond_inverse_play(v, r, limit, last, sign, u):  # type: ignore[no-untyped
     """
     for k in range(v.shape[0]):
         for t in range(v.shape[1]):
-            if v[k, t] > last[k]:
-                sign[k] = 1.0
-            elif v[k, t] < last[k]:
-                sign[k] = -1.0
-            last[k] = v[k, t]
+            if abs(v[k, t] - last[k]) > STILL_V:
+                sign[k] = 1.0 if v[k, t] > last[k] else -1.0
+                last[k] = v[k, t]
             u[k, t] = min(max(v[k, t] + sign[k] * r[k], -limit), limit)

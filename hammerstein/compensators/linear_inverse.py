@@ -82,7 +82,8 @@ class LinearInverse:
     def statement(self) -> str:
         """Say how far ahead it looks, and at which frequencies it asks for much drive."""
         ahead = self.preview_samples
-        text = f"The inverse of the dynamics looks {ahead} samples ahead ({ahead * self.block.sample_time_s:.3g} s)"
+        seconds = ahead * self.block.sample_time_s
+        text = f"The inverse of the dynamics looks {ahead} samples ahead ({seconds:.3g} s)"
         outside = self.zeros[np.abs(self.zeros) > 1.0]
         if len(outside):
             slowest = float(np.abs(outside).min())
@@ -142,8 +143,8 @@ def _require_stable(block: LinearBlock) -> None:
     poles = np.abs(np.linalg.eigvals(block.A)) if len(block.A) else np.zeros(1)
     if poles.max() >= 1.0:
         raise SimulationError(
-            f"The linear block is not stable (a pole at |z| = {poles.max():.6g}): no drive computed ahead can hold "
-            "it. Close a loop around it first, or identify it again."
+            f"The linear block is not stable (a pole at |z| = {poles.max():.6g}): no drive computed ahead "
+            "can hold it. Close a loop around it first, or identify it again."
         )
 
 
@@ -171,9 +172,9 @@ def _first_reaction(block: LinearBlock) -> tuple[Counts, Array, Array]:
     if np.linalg.cond(scaled) > 1.0 / NEGLIGIBLE:
         delays = ", ".join(str(d) for d in ahead)
         raise SimulationError(
-            f"The outputs of the linear block first react, after {delays} samples, to the same combination of "
-            "inputs: it has no inverse by simple advances. Identify one delay for each axis (input_delay_s), or "
-            "reduce the model's order."
+            f"The outputs of the linear block first react, after {delays} samples, to the same combination "
+            "of inputs: it has no inverse by simple advances. Identify one delay for all axes "
+            "(input_delay_s), or reduce the model's order."
         )
     return ahead, first, free
 
@@ -208,9 +209,9 @@ def _backward(a: Array, b: Array, lift: Array, c: Array, block: LinearBlock) -> 
     needed = math.ceil(-2.0 * math.log(TAIL) / math.log(radius)) if radius > 1.0 + 1e-12 else math.inf
     if needed > LONGEST_PREVIEW:
         raise SimulationError(
-            f"The linear block has a zero at |z| = {radius:.9g}, on the unit circle or just outside: its inverse "
-            f"would need more than {LONGEST_PREVIEW * block.sample_time_s:.3g} s of preview. Reduce the order of "
-            "the model, or compensate without its dynamics."
+            f"The linear block has a zero at |z| = {radius:.9g}, on the unit circle or just outside: its "
+            f"inverse would need more than {LONGEST_PREVIEW * block.sample_time_s:.3g} s of preview. Reduce "
+            "the order of the model, or compensate without its dynamics."
         )
     inverse = np.linalg.inv(a)
     rows = []
@@ -231,6 +232,6 @@ def _require_accurate(inverse: LinearInverse) -> None:
     error = float(np.abs(both - np.eye(inverse.block.n_outputs)).max())
     if not error < 1e-5:
         raise SimulationError(
-            f"The inverse of the linear block loses itself in rounding (error {error:.2g}): the model's matrices "
-            "are badly scaled or its order is too high. Reduce the order."
+            f"The inverse of the linear block loses itself in rounding (error {error:.2g}): the model's "
+            "matrices are badly scaled or its order is too high. Reduce the order."
         )

@@ -188,8 +188,9 @@ def _stack(figure: Figure, places: Sequence[Any]) -> list[Axes]:
 def _draw_plane(
     axes: Axes, runs: Sequence[PathRun], pens: dict[str, Any], names: Sequence[str], most: int
 ) -> None:
+    """One period of each path: broken lines drawn over themselves would look whole."""
     for run in runs:
-        x, y = thin_path(list(run.output_um[:, run.first(run.shown_s)]), most)
+        x, y = thin_path(list(run.output_um[:, run.first(run.period_s)]), most)
         axes.plot(x, y, **pens[run.label])
     for run in {run.group: run for run in runs if run.target_um is not None}.values():
         assert run.target_um is not None

@@ -165,7 +165,7 @@ def legend_above(figure: Figure, entries: dict[str, Artist], title: str = "") ->
         ncols=columns,
         title="\n".join(textwrap.wrap(title, LONGEST_TITLE)) or None,
     )
-    legend.get_title().set_fontweight("bold")
+    legend.get_title().set(fontweight="bold", multialignment="center")
 
 
 def few_ticks(axes: Axes) -> None:

@@ -240,10 +240,21 @@ def _save(lines, count, ends, xs, ds, end, x, d, below):  # type: ignore[no-unty
 @njit(cache=True, nogil=True)
 def _finite(u, start, stop):  # type: ignore[no-untyped-def]
     """Whether all samples from start to stop are finite."""
+    if np.isfinite(_sum(u, start, stop)):
+        return True
     bad = 0
-    for t in range(start, stop):
+    for t in range(start, stop):  # a sum of finite samples may overflow
         bad += not np.isfinite(u[at(t)])
     return bad == 0
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc"})
+def _sum(u, start, stop):  # type: ignore[no-untyped-def]
+    """Sum in any order, for a question that does not depend on its last digits."""
+    total = 0.0
+    for t in range(start, stop):
+        total += u[at(t)]
+    return total
 
 
 @njit(cache=True, nogil=True)
@@ -267,10 +278,10 @@ def _respond_block(  # type: ignore[no-untyped-def]
         x0, turn, unit, reach = _branch(direction, base, r, end, x, d)
         top = base + 1
         way = u[at(t)] - x0
-        last = unit * way
+        level = unit * way
         limit = reach
         if base > 0:
-            k = max(k, first_at_least(max(last, 0.0), r, guide, scale))
+            k = max(k, first_at_least(max(level, 0.0), r, guide, scale))
             limit = min(r[at(k)], reach)
         for o in range(len(outputs)):
             value = _line(way, turn, k, o, base, lines, tip, outputs)
@@ -288,23 +299,22 @@ def _respond_block(  # type: ignore[no-untyped-def]
                 limit = r[at(k)]
                 for o in range(len(outputs)):
                     y[at(o), at(t)] += _line(way, turn, k, o, base, lines, tip, outputs)
-                last = level
                 t += 1
-            elif level < last:
+            elif direction * u[at(t)] < direction * u[at(t - 1)]:
                 break
             else:
-                first = t
-                last = level
+                first, now = t, direction * u[at(t)]
                 t += 1
                 while t < stop:
-                    level = unit * (u[at(t)] - x0)
-                    if level < last or level > limit:
+                    last, now = now, direction * u[at(t)]
+                    if now < last or unit * (u[at(t)] - x0) > limit:
                         break
-                    last = level
                     t += 1
-                for o in range(len(outputs)):
+                for o in range(len(outputs)):  # ``_line``, with what is constant taken out of the loop
+                    slope, moment = lines[at(k), at(o)], turn * lines[at(k), at(len(outputs) + o)]
+                    begin = tip[at(base), at(o)]
                     for i in range(first, t):
-                        y[at(o), at(i)] += _line(u[at(i)] - x0, turn, k, o, base, lines, tip, outputs)
+                        y[at(o), at(i)] += begin + (slope * (u[at(i)] - x0) - moment)
         x[at(top)], d[at(top)], end[at(top)] = u[at(t - 1)], direction, k
         if t > turned + 1:
             for o in range(len(outputs)):

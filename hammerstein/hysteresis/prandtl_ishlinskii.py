@@ -325,6 +325,9 @@ class PrandtlIshlinskii:
     def respond(self, u_v: ArrayLike, start: PlayState | None = None) -> tuple[Array, PlayState]:
         """Outputs for a whole signal.
 
+        A signal too long for the memory is worked off in blocks, each from the state after the one before;
+        the numbers are those of one piece to the last bit.
+
         Parameters
         ----------
         u_v : (input, sample) voltages [V], finite
@@ -339,6 +342,15 @@ class PrandtlIshlinskii:
         ------
         InputError : wrong number of inputs
         SimulationError : a voltage that is not finite
+
+        Examples
+        --------
+        >>> model = PrandtlIshlinskii([[Pair([0.5], [2.0])]])
+        >>> state = model.rest()
+        >>> for block in ([[0.0, 2.0]], [[1.0, -2.0]]):
+        ...     v, state = model.respond(block, state)
+        >>> v
+        array([[ 3., -3.]])
         """
         from hammerstein.hysteresis.kernels import respond_turning_points
 

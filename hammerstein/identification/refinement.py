@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -170,47 +170,30 @@ def _normal_equations(lines: WeightedLines, blocks: _Blocks) -> tuple[Array, Arr
 
         dA_ij: Z_ai X_j,    dB_ij: Z_ai R_j,    dC_aj: X_j,    dD_aj: R_j
 
-    so C and D of one output meet no other output, and each output is a small problem of its own.
+    so C and D of one output meet no other output.
     """
+    from hammerstein.identification.gram_kernel import add_normal_equations
+
     (n, m), p = blocks.model.B.shape, len(blocks.model.C)
-    own = n + m
-    shared = len(blocks.pattern()[0]) + n * m
-    hessian = np.zeros((shared + p * own, shared + p * own))
-    gradient = np.zeros(shared + p * own)
-    for a, jacobian, error in _jacobians(lines, blocks):
-        columns = np.r_[0:shared, shared + a * own : shared + (a + 1) * own]
-        hessian[np.ix_(columns, columns)] += jacobian.T @ jacobian
-        gradient[columns] += jacobian.T @ error
-    return hessian, gradient
-
-
-def _jacobians(lines: WeightedLines, blocks: _Blocks) -> Iterator[tuple[int, Array, Array]]:
-    """Jacobian and error of each output on each chunk of lines, real parts above imaginary parts."""
-    n, (_, B, C, D) = len(blocks.model.A), blocks.model
     rows, columns = blocks.pattern()
+    rows = np.concatenate([rows, np.repeat(np.arange(n), m)])
+    columns = np.concatenate([columns, np.tile(np.arange(n, n + m), n)])
+    size = len(rows) + p * (n + m)
+    hessian, gradient = np.zeros((size, size)), np.zeros(size)
     for k in lines.chunks():
-        z, right = lines.z[k], lines.right[k]
-        inputs = np.concatenate([np.empty((len(z), n, right.shape[2]), complex), right], axis=1)
-        observed = np.empty((len(z), len(C), n), complex)
-        for part, resolvent in blocks.resolvents(z):
-            inputs[:, part] = resolvent @ (B[part] @ right)
-            observed[:, :, part] = C[:, part] @ resolvent
-        error = np.hstack([C, D]) @ inputs - lines.target[k] @ right
-        own = np.ascontiguousarray(inputs.swapaxes(1, 2))  # line, column of R, state or input
-        paired = np.take(own, columns, axis=2)
-        for a in range(len(C)):
-            weight = lines.left[k, a, None, None]
-            seen = weight * observed[:, a, None, :]
-            by_input = (seen[..., None] * own[:, :, None, n:]).reshape(*own.shape[:2], -1)
-            jacobian = [np.take(seen, rows, axis=2) * paired, by_input, weight * own]
-            yield a, _real(jacobian), _real([weight * error[:, a, :, None]])[:, 0]
+        observed, inputs = _sides(blocks, lines.z[k], lines.right[k])
+        error = np.hstack([blocks.model.C, blocks.model.D]) @ inputs - lines.target[k] @ lines.right[k]
+        add_normal_equations(observed, inputs, error, lines.left[k], rows, columns, hessian, gradient)
+    return hessian + np.triu(hessian, 1).T, gradient
 
 
-def _real(parts: Sequence[Complex]) -> Array:
-    """Stack parts (F, m, column) side by side, real rows above imaginary ones."""
-    ends = np.cumsum([part.shape[2] for part in parts])
-    stack = np.empty((2, *parts[0].shape[:2], ends[-1]))
-    for part, end in zip(parts, ends, strict=True):
-        place = slice(end - part.shape[2], end)
-        stack[0, ..., place], stack[1, ..., place] = part.real, part.imag
-    return stack.reshape(-1, stack.shape[3])
+def _sides(blocks: _Blocks, z: Complex, right: Complex) -> tuple[Complex, Complex]:
+    """Z (F, p, n), and X above R (F, n + m, m)."""
+    (n, m), p = blocks.model.B.shape, len(blocks.model.C)
+    observed = np.empty((len(z), p, n), dtype=np.complex128)
+    inputs = np.empty((len(z), n + m, m), dtype=np.complex128)
+    inputs[:, n:] = right
+    for part, resolvent in blocks.resolvents(z):
+        observed[:, :, part] = blocks.model.C[:, part] @ resolvent
+        inputs[:, part] = resolvent @ (blocks.model.B[part] @ right)
+    return observed, inputs

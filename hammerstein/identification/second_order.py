@@ -47,6 +47,8 @@ LARGEST_CHANGE = 0.5
 MOST_STEPS = 25
 ENOUGH = 1e-7
 """Relative gain of a step under which the search has arrived."""
+TINY = 1e-300
+WORSE_DELAYS = 2
 SEARCH_SAMPLES = 10_000
 SEARCH_OPERATORS = 3
 GUESS_SAMPLES = 30_000
@@ -298,13 +300,25 @@ def search_axes(
     if delay_samples is not None or len({record.sample_time_s for record in records}) > 1:
         return FirstGuess(np.array(begins), delay, np.empty((0, len(tasks))))
     tell("searching the delay")
-    points = [
-        [refine(replace(quick, delay_samples=d), x) for quick, x in zip(tasks, begins, strict=True)]
-        for d in range(most_delay + 1)
-    ]
+    points = _delay_search(tasks, begins, most_delay)
     rms = np.array([[point.rms for point in row] for row in points])
     found = shortest_delay(rms)
     return FirstGuess(np.array([point.x for point in points[found]]), found, rms)
+
+
+def _delay_search(tasks: Sequence[Task], begins: Sequence[Array], most_delay: int) -> list[list[Point]]:
+    """Axes fitted anew for each delay, until two longer ones in a row are worse than the best."""
+    points: list[list[Point]] = []
+    errors: list[float] = []
+    for d in range(most_delay + 1):
+        points.append(
+            [refine(replace(task, delay_samples=d), x) for task, x in zip(tasks, begins, strict=True)]
+        )
+        first = [point.rms for point in points[0]]
+        errors.append(sum(point.rms / max(rms, TINY) for point, rms in zip(points[-1], first, strict=True)))
+        if d - int(np.argmin(errors)) >= WORSE_DELAYS:
+            break
+    return points
 
 
 @dataclass(frozen=True, eq=False)
