@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import JsonValue
+from pydantic import JsonValue, TypeAdapter
 
+from hammerstein.cache import kept
 from hammerstein.cycles import settled_cycle
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.errors import IdentificationError
@@ -24,7 +25,7 @@ from hammerstein.instruments import Drive
 from hammerstein.model import HammersteinModel
 from hammerstein.plant import Plant
 from hammerstein.signals import Multisine, Sine
-from hammerstein.sources import ClosedFormSpec, JointFitSpec
+from hammerstein.sources import ClosedFormSpec, IdentificationSpec, JointFitSpec
 
 Array = NDArray[np.float64]
 
@@ -36,6 +37,8 @@ CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
 def identify_by_experiment(plant: Plant, spec: ClosedFormSpec | JointFitSpec, seed: int) -> HammersteinModel:
     """Model of a simulated actuator, found by driving it one input at a time (paper, section 3.3).
 
+    The result is kept on disk (``cache``): the same experiment on the same actuator is not done twice.
+
     Parameters
     ----------
     plant : the actuator on its bench
@@ -46,10 +49,19 @@ def identify_by_experiment(plant: Plant, spec: ClosedFormSpec | JointFitSpec, se
     ------
     IdentificationError : the data do not determine the model, or the drive cuts the voltage
     """
-    seeds = [seed, zlib.crc32(spec.model_dump_json().encode())]
+    actuator = replace(plant.model, instruments=plant.instruments)
+    return HammersteinModel.from_json(kept(_identified)(actuator.to_json(), spec.model_dump_json(), seed))
+
+
+def _identified(actuator_json: str, spec_json: str, seed: int) -> str:
+    """Text of the model file that comes out; texts in and out, so that it can be kept."""
+    actuator = HammersteinModel.from_json(actuator_json)
+    plant = Plant(actuator, actuator.instruments)
+    spec: ClosedFormSpec | JointFitSpec = TypeAdapter(IdentificationSpec).validate_json(spec_json)
+    seeds = [seed, zlib.crc32(spec_json.encode())]
     if isinstance(spec, JointFitSpec):
-        return _joint_fit(plant, spec, seeds)
-    return _closed_form(plant, spec, seeds)
+        return _joint_fit(_at_sample_time(plant, spec.sample_time_s), spec, seeds).to_json()
+    return _closed_form(plant, spec, seeds).to_json()
 
 
 def _closed_form(plant: Plant, spec: ClosedFormSpec, seeds: list[int]) -> HammersteinModel:

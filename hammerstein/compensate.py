@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
+from hammerstein.compensators.feedback import Feedback
 from hammerstein.compensators.law import Law
 from hammerstein.compensators.reach import Reach, Shortfall, reach, require_reach, shortfall
 from hammerstein.compensators.specs import Compensator, NoCompensation
@@ -101,6 +102,8 @@ def compensate(
     drive = model.instruments.drive
     time_s, reference, resampled = _on_grid(reference_path, model, drive.sample_time_s)
     built = _spec(model_path, law, options).build(model, drive.range_v, drive.sample_time_s)
+    if isinstance(built, Feedback):
+        raise InputError("--law", "feedback needs the sensor's readings: it has no drive to send ahead")
     held, _ = drive.apply(built.drive_for(reference))
     predicted = shortfall(model, built, reference, held, drive.range_v, drive.sample_time_s)
     reachable = reach(model, drive.range_v, run_anyway=True)

@@ -76,6 +76,8 @@ GLOSSARY = {
     "euclidean_max_um": "largest distance between reading and reference over all axes [um]",
     "euclidean_rms_true_um": "root mean square of that distance for the true position [um]",
     "euclidean_max_true_um": "largest such distance for the true position [um]",
+    "euclidean_max_unsaturated_um": "largest such distance over the samples at which no voltage is cut, nor "
+    "was in the 10 ms before [um]",
     "radial_max_um": "largest error of the radius of a path, distance from the origin less that of the "
     "reference, from the reading [um]",
     "radial_max_true_um": "the same for the true position [um]",

@@ -20,6 +20,7 @@ from hammerstein.signals import OneFrequency
 
 Array = NDArray[np.float64]
 
+RECOVERY_S = 0.01  # a cut voltage leaves a resonance ringing
 SETTLED_FRACTION = 1e-3  # cycles may differ by this part of the range, beside the sensor's noise
 
 
@@ -128,7 +129,9 @@ def _errors(response: Response, target: Target, first: int, cycle: int | None) -
     true = (response.position_um - target.position_um)[:, first:]
     distance, true_distance = metrics.euclidean(error), metrics.euclidean(true)
     drift = None if cycle is None else metrics.drift(true, cycle)
+    free = unsaturated(response.saturated[:, first:], response.sample_time_s)
     together = {
+        "euclidean_max_unsaturated_um": metrics.worst(true_distance[free]) if free.any() else None,
         "euclidean_rms_um": metrics.rms(distance),
         "euclidean_max_um": metrics.worst(distance),
         "euclidean_rms_true_um": metrics.rms(true_distance),
@@ -145,6 +148,13 @@ def _errors(response: Response, target: Target, first: int, cycle: int | None) -
         }
         for axis in range(len(error))
     ]
+
+
+def unsaturated(saturated: NDArray[np.bool_], sample_time_s: float) -> NDArray[np.bool_]:
+    """Samples (sample,) at which no voltage is cut, nor was within the last ``RECOVERY_S``."""
+    cut = saturated.any(axis=0).astype(np.float64)
+    recovery = np.ones(round(RECOVERY_S / sample_time_s) + 1)
+    return np.asarray(np.convolve(cut, recovery)[: len(cut)] < 0.5)
 
 
 def _path_figures(response: Response, start: int) -> dict[str, Any]:

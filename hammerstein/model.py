@@ -77,15 +77,19 @@ class HammersteinModel:
         Raises InputError with every mistake in the file.
         """
         source = _place_of(str(path))
-        text = read_limited(source, what="model file")
+        return cls.from_json(read_limited(source, what="model file"), str(path))
+
+    @classmethod
+    def from_json(cls, text: str, source: str = "model") -> HammersteinModel:
+        """Model from the text of a model file; InputError with every mistake in it."""
         try:
             file = ModelFile.model_validate_json(text)
         except ValidationError as error:
-            raise InputError(str(path), mistakes_of(error, ModelFile)) from None
+            raise InputError(source, mistakes_of(error, ModelFile)) from None
         try:
             return file.model()
         except InputError as error:
-            raise InputError(str(path), error.mistakes) from None
+            raise InputError(source, error.mistakes) from None
 
     def save(self, path: str | Path) -> None:
         """Write the model file; nothing is left half-written."""

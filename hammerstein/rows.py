@@ -27,6 +27,7 @@ class Row:
     euclidean_max_um: float | None = None
     euclidean_rms_true_um: float | None = None
     euclidean_max_true_um: float | None = None
+    euclidean_max_unsaturated_um: float | None = None
     radial_max_um: float | None = None
     radial_max_true_um: float | None = None
     epsilon_max_um: float | None = None

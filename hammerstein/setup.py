@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.compensators.feedback import Feedback, closed_loop
 from hammerstein.compensators.law import Law
 from hammerstein.compensators.specs import Compensator
 from hammerstein.errors import InputError, Mistake, SimulationError
@@ -25,6 +26,7 @@ from hammerstein.signals import Excitation, OnAxes, Reference
 from hammerstein.sources import ModelSource
 
 Array = NDArray[np.float64]
+AnyLaw = Law[Any] | Feedback
 Progress = Callable[[str, int, int], None]
 
 REACH_POINTS = 5000  # enough to find the largest value of a path
@@ -70,7 +72,7 @@ class SetUp:
     scenario: Scenario
     plant: Plant
     models: dict[str, HammersteinModel]
-    laws: dict[str, Law[Any]]
+    laws: dict[str, AnyLaw]
 
     def cases(self) -> Iterator[Case]:
         """Every case, in the order of the report."""
@@ -92,7 +94,34 @@ class SetUp:
         seed = case.seed(scenario.seed)
         if scenario.drive is not None:
             return plant.respond(values, seed)
-        return plant.respond(self.laws[case.label].drive_for(values), seed, reference_um=values)
+        return follow(plant, self.laws[case.label], values, seed)
+
+
+def follow(plant: Plant, law: AnyLaw, reference_um: Array, seed: list[int]) -> Response:
+    """Response of an actuator whose voltages come from a law, from rest."""
+    if not isinstance(law, Feedback):
+        return plant.respond(law.drive_for(reference_um), seed, reference_um=reference_um)
+    noise = np.random.default_rng(seed).standard_normal(reference_um.shape)
+    instruments = plant.instruments
+    wires = closed_loop(
+        law,
+        reference_um,
+        plant.model.hysteresis,
+        plant.block,
+        instruments.drive,
+        instruments.sensor,
+        noise,
+    )
+    return Response(
+        sample_time_s=plant.sample_time_s,
+        reference_um=reference_um,
+        requested_v=wires.requested_v,
+        drive_v=wires.drive_v,
+        hysteresis_um=wires.hysteresis_um,
+        position_um=wires.position_um,
+        reading_um=wires.reading_um,
+        saturated=wires.saturated,
+    )
 
 
 def scenario_axes(scenario: Scenario, model: HammersteinModel) -> tuple[str, ...]:
@@ -124,13 +153,13 @@ def prepare(scenario: Scenario, source: str = "scenario", progress: Progress | N
     plant = Plant(model, Instruments.model_validate(merged))
     _check_signal(scenario, plant, source)
     models = _models(scenario, plant, progress)
-    laws: dict[str, Law[Any]] = {}
+    laws: dict[str, AnyLaw] = {}
     for compensator in scenario.compensators:
         laws[compensator.label] = _law(compensator, models[compensator.label], plant)
     return SetUp(scenario, plant, models, laws)
 
 
-def _law(compensator: Compensator, model: HammersteinModel, plant: Plant) -> Law[Any]:
+def _law(compensator: Compensator, model: HammersteinModel, plant: Plant) -> AnyLaw:
     try:
         return compensator.build(model, plant.instruments.drive.range_v, plant.sample_time_s)
     except (InputError, SimulationError) as error:

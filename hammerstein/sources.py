@@ -50,6 +50,9 @@ class JointFitSpec(BaseModel):
     partition: Literal["time", "voltage"] = "time"
     frequencies_hz: Frequencies = (50.0,)
     record_s: PositiveFloat = Field(default=0.1, description="length of each sine, and of the multisine")
+    sample_time_s: PositiveFloat | None = Field(
+        default=None, description="sample time of this experiment, where it is not that of the run"
+    )
     creep_modes: int = Field(default=0, ge=0, le=5)
     creep_record_s: PositiveFloat = Field(default=600.0, description="length of the slow record")
 

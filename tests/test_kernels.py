@@ -174,5 +174,5 @@ def test_the_search_finds_the_first_threshold_at_or_above_a_level(grid):
     between = np.random.default_rng(RNG_SEED).uniform(0, grid[-1], 300)
     levels = np.concatenate([[0.0], grid, np.nextafter(grid, 0), np.nextafter(grid[:-1], np.inf), between])
     for level in levels:
-        found = first_at_least(level, grid, guide[0], scale[0])
+        found = first_at_least(level, level * scale[0], grid, guide[0])
         assert found == np.searchsorted(grid, level)

@@ -102,10 +102,6 @@ class ExactInverse(Law[ExactState]):
         self.invertibility = invertibility(hysteresis, range_v, model.amplitude_v)
         require_inverse(self.invertibility, "exact_inverse", run_anyway)
         self.square, self.smallest_v = completed(hysteresis, model.amplitude_v)
-        if (self.smallest_v >= range_v).any():
-            k = int(np.argmax(self.smallest_v >= range_v))
-            message = f"of input {k + 1}, {self.smallest_v[k]:g} V, is beyond the range of {range_v:g} V"
-            raise InputError("smallest threshold", f"{message}: nothing moves")
         self._table = self._new_table()
 
     def _new_table(self) -> Array:

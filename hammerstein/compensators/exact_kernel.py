@@ -15,8 +15,8 @@ itself, so no error accumulates. At a corner the input of least index goes first
 An input that would leave its range stands still at the range, and takes one equation with it.
 
 Sources: Katzenelson, Bell System Technical Journal 44 (1965) 1605-1620; Fujisawa and Kuh, SIAM Journal on
-Applied Mathematics 22 (1972) 307-328 (one sign suffices); Murty, Linear Algebra and its Applications 9
-(1974) 133-140 (least index).
+Applied Mathematics 22 (1972) 307-328 (one sign suffices); Murty, Opsearch 11 (1974) 123-130 (least
+index).
 """
 
 from __future__ import annotations
@@ -43,7 +43,6 @@ from hammerstein.compensators.exact_pieces import (
     NEAR,
     NOW,
     PLAY,
-    Q,
     QUALITY,
     RAMP,
     SIGMA,
@@ -51,8 +50,9 @@ from hammerstein.compensators.exact_pieces import (
     STACK,
     STILL,
     TOTAL,
-    U,
     WANTED,
+    Q,
+    U,
     X,
     Y,
     first_piece,
@@ -175,13 +175,10 @@ def walk(ready, virtual, w):  # type: ignore[no-untyped-def]
         exact = exact and not lags
         whole = whole and moved and not lags
     if whole:
-        # The pieces of the walk are those of the memory w, and so are the Jacobian and its inverse.
+        # The pieces of the walk are those of the memory now, and so are the Jacobian and its inverse.
         for k in range(m):
-            w[HERE, k, NOW, DEPTH], w[HERE, k, NOW, NEAR], w[HERE, k, NOW, MISSED] = (
-                0.0,
-                w[HERE, k, NOW, Q],
-                0.0,
-            )
+            w[HERE, k, NOW, NEAR] = w[HERE, k, NOW, Q]
+            w[HERE, k, NOW, DEPTH] = w[HERE, k, NOW, MISSED] = 0.0
         return w[HERE, 0, NOW, QUALITY] == 2.0
     ready = prepare(w)
     for o in range(m):
@@ -221,11 +218,8 @@ def _to_target(w):  # type: ignore[no-untyped-def]
         first, share = _first_to_leave(w)
         if first == m:
             for k in range(m):
-                low, high = (
-                    min(w[HERE, k, NOW, NEAR], w[HERE, k, NOW, FAR]),
-                    max(w[HERE, k, NOW, NEAR], w[HERE, k, NOW, FAR]),
-                )
-                w[HERE, k, NOW, Q] = min(max(w[HERE, k, NOW, AIM], low), high)
+                near, far = w[HERE, k, NOW, NEAR], w[HERE, k, NOW, FAR]
+                w[HERE, k, NOW, Q] = min(max(w[HERE, k, NOW, AIM], min(near, far)), max(near, far))
             return True
         onwards = w[HERE, first, NOW, SIGMA] * (w[HERE, first, NOW, AIM] - w[HERE, first, NOW, Q]) > 0.0
         for k in range(m):
@@ -243,13 +237,9 @@ def _first_to_leave(w):  # type: ignore[no-untyped-def]
     """Input that leaves its piece first on the way to the aim, or m if none, and the share until then."""
     first, share = w.shape[1], 1.0
     for k in range(w.shape[1]):
-        sigma = w[HERE, k, NOW, SIGMA]
-        along = sigma * (w[HERE, k, NOW, AIM] - w[HERE, k, NOW, Q])
-        room = (
-            sigma * (w[HERE, k, NOW, FAR] - w[HERE, k, NOW, Q])
-            if along > 0.0
-            else sigma * (w[HERE, k, NOW, Q] - w[HERE, k, NOW, NEAR])
-        )
+        sigma, q = w[HERE, k, NOW, SIGMA], w[HERE, k, NOW, Q]
+        along = sigma * (w[HERE, k, NOW, AIM] - q)
+        room = sigma * (w[HERE, k, NOW, FAR] - q if along > 0.0 else q - w[HERE, k, NOW, NEAR])
         way = abs(along)
         if way > room + w[HERE, k, ABOUT, STILL] and max(room, 0.0) < share * way:
             first, share = k, max(room, 0.0) / way
@@ -280,9 +270,8 @@ def _fix_one(virtual, w):  # type: ignore[no-untyped-def]
         if not taken and size > most:
             row, most = o, size
     w[HERE, worst, NOW, FIXED] = row
-    w[HERE, worst, NOW, AT] = (
-        w[HERE, worst, ABOUT, BOUND] if w[HERE, worst, NOW, Q] > 0.0 else -w[HERE, worst, ABOUT, BOUND]
-    )
+    bound = w[HERE, worst, ABOUT, BOUND]
+    w[HERE, worst, NOW, AT] = bound if w[HERE, worst, NOW, Q] > 0.0 else -bound
     return True
 
 
@@ -302,7 +291,7 @@ def _commit(w, k):  # type: ignore[no-untyped-def]
         if w[HERE, k, HAND, RAMP] != w[HERE, k, NOW, SIGMA]:
             u = q + w[HERE, k, HAND, RAMP] * w[HERE, k, ABOUT, PLAY]
             q = max(u - w[HERE, k, ABOUT, PLAY], min(u + w[HERE, k, ABOUT, PLAY], last))
-            lags = q != w[HERE, k, HAND, WANTED]
+            lags = True
     moved = abs(q - last) > w[HERE, k, ABOUT, STILL]
     if moved:
         while w[HERE, k, NOW, SIGMA] * (q - w[HERE, k, NOW, NEAR]) < 0.0:

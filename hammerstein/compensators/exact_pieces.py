@@ -15,6 +15,7 @@ k is the input (or the row o of the model); what has one entry a row o stands in
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
 
 SINGULAR, POOR = 1e-14, 1e3
@@ -48,9 +49,11 @@ def first_piece(w, k, direction):  # type: ignore[no-untyped-def]
     w[HERE, k, NOW, DEPTH] = 0.0
     w[HERE, k, NOW, Q] = w[HERE, k, NOW, NEAR] = w[STACK, k, top, X]
     if d == direction:
-        w[HERE, k, NOW, PREFIX], w[HERE, k, NOW, OWNER] = w[STACK, k, top, END], top - 1
+        w[HERE, k, NOW, PREFIX] = w[STACK, k, top, END]
+        w[HERE, k, NOW, OWNER] = top - 1
     else:
-        w[HERE, k, NOW, PREFIX], w[HERE, k, NOW, OWNER] = 1.0, top if w[STACK, k, top, END] > 1.0 else top - 1
+        w[HERE, k, NOW, PREFIX] = 1.0
+        w[HERE, k, NOW, OWNER] = top if w[STACK, k, top, END] > 1.0 else top - 1
     _describe(w, k)
     return d != 0.0
 
@@ -62,9 +65,8 @@ def _describe(w, k):  # type: ignore[no-untyped-def]
     i, j, direction = int(w[HERE, k, NOW, OWNER]), int(w[HERE, k, NOW, PREFIX]), w[HERE, k, NOW, SIGMA]
     w[HERE, k, NOW, FAR] = direction * np.inf
     if i >= 0:
-        w[HERE, k, NOW, FAR] = (
-            w[STACK, k, i, X] + direction * (1.0 - direction * w[STACK, k, i, D]) * w[GRID, k, j, R]
-        )
+        gap = (1.0 - direction * w[STACK, k, i, D]) * w[GRID, k, j, R]
+        w[HERE, k, NOW, FAR] = w[STACK, k, i, X] + direction * gap
     for o in range(m):
         w[HERE, o, JACOBIAN, k] = w[GRID, k, j, SLOPE + o]
         below = _below(w, m, k, i, j, o)
@@ -92,9 +94,8 @@ def next_piece(w, k):  # type: ignore[no-untyped-def]
     w[HERE, k, NOW, DEPTH] = depth + 1
     w[HERE, k, NOW, Q] = w[HERE, k, NOW, NEAR] = w[HERE, k, NOW, FAR]
     # A segment of the same direction is caught up with as a whole: its memory is wiped out.
-    w[HERE, k, NOW, PREFIX] = (
-        w[STACK, k, i, END] if w[STACK, k, i, D] == w[HERE, k, NOW, SIGMA] else w[HERE, k, NOW, PREFIX] + 1.0
-    )
+    same = w[STACK, k, i, D] == w[HERE, k, NOW, SIGMA]
+    w[HERE, k, NOW, PREFIX] = w[STACK, k, i, END] if same else w[HERE, k, NOW, PREFIX] + 1.0
     if w[HERE, k, NOW, PREFIX] == w[STACK, k, i, END]:
         w[HERE, k, NOW, OWNER] = i - 1
     _describe(w, k)
@@ -132,16 +133,14 @@ def push(w, k):  # type: ignore[no-untyped-def]
 def output(w, o):  # type: ignore[no-untyped-def]
     """Output of the memory in row o."""
     m = w.shape[1]
-    output = 0.0
+    total = 0.0
     for k in range(m):
         top = int(w[HERE, k, HAND, COUNT]) - 1
         j = int(w[STACK, k, top, END])
-        line = (
-            w[GRID, k, j, SLOPE + o] * w[STACK, k, top, X]
-            - w[STACK, k, top, D] * w[GRID, k, j, SLOPE + m + o]
-        )
-        output += line + w[STACK, k, top, BELOW + o]
-    return output
+        line = w[GRID, k, j, SLOPE + o] * w[STACK, k, top, X]
+        line -= w[STACK, k, top, D] * w[GRID, k, j, SLOPE + m + o]
+        total += line + w[STACK, k, top, BELOW + o]
+    return total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -181,10 +180,9 @@ def _invert(w):  # type: ignore[no-untyped-def]
             return 0.0
         if best != j:
             for c in range(2 * m):
-                w[HERE, j, SCRATCH, c], w[HERE, best, SCRATCH, c] = (
-                    w[HERE, best, SCRATCH, c],
-                    w[HERE, j, SCRATCH, c],
-                )
+                held = w[HERE, j, SCRATCH, c]
+                w[HERE, j, SCRATCH, c] = w[HERE, best, SCRATCH, c]
+                w[HERE, best, SCRATCH, c] = held
         for i in range(m):
             if i != j and w[HERE, i, SCRATCH, j] != 0.0:
                 factor = w[HERE, i, SCRATCH, j] / w[HERE, j, SCRATCH, j]

@@ -78,7 +78,7 @@ def invertibility(
 
     Raises
     ------
-    InputError : more outputs than inputs, or an input that moves no output
+    InputError : more outputs than inputs, an input that moves no output, or one that the range cannot move
     SimulationError : too many slope matrices to examine
 
     Examples
@@ -87,6 +87,10 @@ def invertibility(
     False
     """
     square, smallest = completed(hysteresis, amplitude_v or _usual_amplitude(hysteresis, range_v))
+    if (smallest >= range_v).any():
+        k = int(np.argmax(smallest))
+        message = f"of input {k + 1}, {smallest[k]:g} V, is beyond the range of {range_v:g} V: nothing moves"
+        raise InputError("smallest threshold", message)
     reached = _within(square, range_v - smallest)
     dominant = _dominant_sign(reached)
     if dominant:

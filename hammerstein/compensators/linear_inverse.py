@@ -113,7 +113,8 @@ def linear_inverse(
         preview would be too long
 
     Source: Devasia, Chen and Paden, IEEE Transactions on Automatic Control 41 (1996) 930-942 (stable
-    inversion); Zou and Devasia, Journal of Dynamic Systems 121 (1999) 526-532 (preview).
+    inversion); Zou and Devasia, Journal of Dynamic Systems, Measurement, and Control
+    121 (1999) 625-630 (preview).
 
     Examples
     --------

@@ -5,11 +5,14 @@ To add a law, add one class here and name it in ``Compensator``.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+import numpy as np
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, TypeAdapter, model_validator
 
+from hammerstein.compensators.feedback import Feedback
 from hammerstein.compensators.law import Law
+from hammerstein.compensators.tuning import Gains
 from hammerstein.model import HammersteinModel
 from hammerstein.sources import ModelSource
 
@@ -99,11 +102,55 @@ class HammersteinInverseSpec(ModelSource):
         return HammersteinInverse(model, range_v, sample_time_s, *options)
 
 
+FeedforwardSpec = Annotated[
+    NoCompensation | ExactInverseSpec | HammersteinInverseSpec, Field(discriminator="law")
+]
+
+
+class FeedbackSpec(ModelSource):
+    """A PI or PID law with the sensor, alone or on top of a feedforward law."""
+
+    law: Literal["feedback"]
+    feedforward: Literal["none", "exact_inverse", "hammerstein_inverse"] | None = Field(
+        default=None, description="law whose drive is added, built from the same model"
+    )
+    derivative: bool = Field(default=False, description="compute a derivative gain too")
+    proportional: tuple[float, ...] | None = Field(default=None, description="gain of each output")
+    integral_per_s: tuple[float, ...] | None = None
+    derivative_s: tuple[float, ...] | None = None
+
+    @model_validator(mode="after")
+    def _gains_come_together(self) -> Self:
+        given = [self.proportional, self.integral_per_s, self.derivative_s]
+        if any(gain is not None for gain in given) and (given[0] is None or given[1] is None):
+            raise ValueError("give proportional and integral_per_s together, or none of the gains")
+        return self
+
+    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Feedback:
+        """Give the law for a model, a drive range and a sample time."""
+        added = None
+        if self.feedforward is not None:
+            options = {"label": self.label, "law": self.feedforward, "model": self.model or "identified"}
+            spec: FeedforwardSpec = TypeAdapter(FeedforwardSpec).validate_python(options)
+            added = spec.build(model, range_v, sample_time_s)
+        bandwidth = model.instruments.sensor.bandwidth_hz
+        return Feedback(
+            model, range_v, sample_time_s, bandwidth, self._gains(), self.derivative, feedforward=added
+        )
+
+    def _gains(self) -> Gains | None:
+        if self.proportional is None or self.integral_per_s is None:
+            return None
+        derivative = self.derivative_s or (0.0,) * len(self.proportional)
+        return Gains(np.array(self.proportional), np.array(self.integral_per_s), np.array(derivative))
+
+
 Compensator = Annotated[
     NoCompensation
     | InverseMultiplicativeSpec
     | DecoupledInverseSpec
     | ExactInverseSpec
-    | HammersteinInverseSpec,
+    | HammersteinInverseSpec
+    | FeedbackSpec,
     Field(discriminator="law"),
 ]

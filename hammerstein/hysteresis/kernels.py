@@ -98,9 +98,10 @@ def engaged(gap, factor, r, k, end):  # type: ignore[no-untyped-def]
 def search_guide(
     r: NDArray[np.float64], n: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Where ``first_at_least`` begins its search: guide (m, levels) and scale (m,).
+    """Where ``first_at_least`` begins: guide (m, levels), scale (m,).
 
-    Two steps of level a threshold on average. Guides are a hair early, so that rounding makes none late.
+    Levels go in steps of 1 / scale, two steps a threshold on average. Guides are a hair early, so that
+    rounding makes none late.
     """
     steps = 2 * r.shape[1]
     guide, scale = np.zeros((r.shape[0], steps + 2), np.int64), np.zeros(r.shape[0])
@@ -113,12 +114,12 @@ def search_guide(
 
 
 @njit(cache=True, nogil=True)
-def first_at_least(level, r, guide, scale):  # type: ignore[no-untyped-def]
+def first_at_least(level, where, r, guide):  # type: ignore[no-untyped-def]
     """First operator with r[i] >= level, for a level from 0 to the largest threshold.
 
-    guide : operator where the search begins, for levels from 0 on in steps of 1 / scale
+    where : level times the scale of ``search_guide``; guide : (levels,) of one input
     """
-    i = guide[at(np.int64(level * scale))]
+    i = guide[at(np.int64(where))]
     i += np.int64(r[at(i)] < level)  # without a branch: nobody can predict it in a noisy signal
     last = r.shape[0] - 1
     while r[at(i)] < level:  # rare: thresholds closer together than the steps of the guide
@@ -183,7 +184,7 @@ def respond_turning_points(  # type: ignore[no-untyped-def]
 ):
     """Turning-point form: the same outputs as the textbook loop; the stack is updated in place.
 
-    u : (m, N); r : (m, n_max); guide : (m, levels), scale : (m,), see ``first_at_least``; n : (m,)
+    u : (m, N); r : (m, n_max); guide, scale : see ``search_guide``; n : (m,)
     lines : (m, n_max+1, 2 p) W of each output, then R of each output
     count : (m,); end, x, d : (m, n_max+1); below : (m, n_max+1, p), see ``advance``; y : (p, N), overwritten
     outputs : p zeros in a tuple: a number of outputs that the compiler knows, for it unrolls their loops
@@ -277,11 +278,12 @@ def _respond_block(  # type: ignore[no-untyped-def]
         base, k = _base(u[at(t)], direction, r, top, 0, end, x, d)
         x0, turn, unit, reach = _branch(direction, base, r, end, x, d)
         top = base + 1
+        rate = scale * unit
         way = u[at(t)] - x0
         level = unit * way
         limit = reach
         if base > 0:
-            k = max(k, first_at_least(max(level, 0.0), r, guide, scale))
+            k = max(k, first_at_least(max(level, 0.0), max(rate * way, 0.0), r, guide))
             limit = min(r[at(k)], reach)
         for o in range(len(outputs)):
             value = _line(way, turn, k, o, base, lines, tip, outputs)
@@ -295,7 +297,7 @@ def _respond_block(  # type: ignore[no-untyped-def]
             if level > limit:
                 if level > reach:
                     break
-                k = first_at_least(level, r, guide, scale)
+                k = first_at_least(level, rate * way, r, guide)
                 limit = r[at(k)]
                 for o in range(len(outputs)):
                     y[at(o), at(t)] += _line(way, turn, k, o, base, lines, tip, outputs)

@@ -22,6 +22,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, LinearBlock, StaticDynamics, discretise
 from hammerstein.identification.delay import MOST_DELAY, shortest_delay
@@ -81,6 +82,22 @@ class AxisFit:
 
 
 @dataclass(frozen=True, eq=False)
+class Heard:
+    """A linear block that hears one sum of all columns."""
+
+    weights: Array
+    block: LinearBlock
+
+    def rest(self) -> Array:
+        """State of a block that was never driven."""
+        return self.block.rest()
+
+    def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
+        """Outputs (row, sample) and the state after them."""
+        return self.block.respond(self.weights @ columns, start)
+
+
+@dataclass(frozen=True, eq=False)
 class Task:
     """What stays fixed while one axis is fitted."""
 
@@ -120,17 +137,24 @@ class Task:
         assert path is not None  # an axis always answers
         return path
 
-    def derivative(self, x: Array, i: int, slopes: Array, sample_time_s: float) -> LinearBlock:
-        """Derivative by x_i of the path, hearing all columns through their slopes."""
-        change = STEP * np.eye(len(x))[i]
-        ahead, behind = self.path(x + change, sample_time_s), self.path(x - change, sample_time_s)
-        zero = np.zeros_like(ahead.A)
-        return LinearBlock(
-            np.block([[ahead.A, zero], [zero, behind.A]]),
-            np.vstack([ahead.B, behind.B]) * slopes,
-            np.hstack([ahead.C, -behind.C]) / (2.0 * STEP),
-            (ahead.D - behind.D) / (2.0 * STEP) * slopes,
-            sample_time_s,
+    def derivatives(self, x: Array, slopes: Array, sample_time_s: float) -> Heard:
+        """Derivatives of the output by every x_i, for the static block with these slopes."""
+        blocks = []
+        for change in STEP * np.eye(len(x)):
+            ahead, behind = self.path(x + change, sample_time_s), self.path(x - change, sample_time_s)
+            blocks += [(ahead, 0.5 / STEP), (behind, -0.5 / STEP)]
+        rows = np.kron(np.eye(len(x)), np.ones((1, 2)))
+        signed = [factor * block.C for block, factor in blocks]
+        through = [factor * block.D for block, factor in blocks]
+        return Heard(
+            slopes,
+            LinearBlock(
+                block_diag(*(block.A for block, _ in blocks)),
+                np.vstack([block.B for block, _ in blocks]),
+                rows @ block_diag(*signed),
+                rows @ np.vstack(through),
+                sample_time_s,
+            ),
         )
 
     def moments(self, filters: Callable[[float], Sequence[Filter]], columns: int) -> Moments:
@@ -195,8 +219,7 @@ def _point(task: Task, x: Array, slopes: Array) -> Point:
     n, q = task.columns, len(x)
 
     def filters(time: float) -> list[Filter]:
-        derivatives = [task.derivative(x, i, slopes, time) for i in range(q)]
-        return [SideBySide(task.path(x, time), n), *derivatives]
+        return [SideBySide(task.path(x, time), n), task.derivatives(x, slopes, time)]
 
     moments = task.moments(filters, n + q)
     cross, power = moments.cross[:, 0], float(moments.power[0])

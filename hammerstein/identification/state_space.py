@@ -17,7 +17,7 @@ from hammerstein.identification.weighted_lines import Matrices, WeightedLines, W
 
 Array = NDArray[np.float64]
 
-TRIAL = 4
+TRIAL = 3
 """Steps that each start is given before only the best one goes on."""
 
 
@@ -137,7 +137,7 @@ def _starts(lines: WeightedLines, order: int, report: Callable[[str], None]) -> 
             f"response has {F}: choose a smaller order, or excite more lines"
         )
     models = []
-    for block_rows in sorted({max(fewest, min(q, most)) for q in (order + 1, 3 * order // 2 + 8)}):
+    for block_rows in sorted({max(fewest, min(q, most)) for q in (order + 1, order + 8)}):
         models.append(subspace(lines, order, block_rows))
         report(f"start with {block_rows} block rows: {_left(lines, lines.cost(models[-1]))}")
     return models

@@ -40,13 +40,8 @@ def _operators_outside(u, r, w, plays, y):
         for k in range(u.shape[0]):
             for i in range(0, r.shape[1], 5):
                 ra, rb, rc, rd, re = r[k, i], r[k, i + 1], r[k, i + 2], r[k, i + 3], r[k, i + 4]
-                a, b, c, d, e = (
-                    plays[k, i],
-                    plays[k, i + 1],
-                    plays[k, i + 2],
-                    plays[k, i + 3],
-                    plays[k, i + 4],
-                )
+                p = plays[k, i : i + 5]
+                a, b, c, d, e = p[0], p[1], p[2], p[3], p[4]
                 w0, w1 = w[k, 0, i : i + 5], w[k, 1, i : i + 5]
                 w0a, w0b, w0c, w0d, w0e = w0[0], w0[1], w0[2], w0[3], w0[4]
                 w1a, w1b, w1c, w1d, w1e = w1[0], w1[1], w1[2], w1[3], w1[4]
@@ -59,25 +54,19 @@ def _operators_outside(u, r, w, plays, y):
                     e = max(v - re, min(v + re, e))
                     y[0, t] += w0a * a + w0b * b + w0c * c + w0d * d + w0e * e
                     y[1, t] += w1a * a + w1b * b + w1c * c + w1d * d + w1e * e
-                plays[k, i], plays[k, i + 1], plays[k, i + 2], plays[k, i + 3], plays[k, i + 4] = (
-                    a,
-                    b,
-                    c,
-                    d,
-                    e,
-                )
+                p[0], p[1], p[2], p[3], p[4] = a, b, c, d, e
 
 
+FAST = ", fast-math"
+# Not cached: Numba's cache does not tell a strict function from its fast-math twin.
 COMPILED = {
-    f"{name}{', fast-math' if fast else ''}": njit(
-        loop, fastmath=fast
-    )  # not cached: Numba's cache does not tell the two apart
+    f"{name}{FAST if fast else ''}": njit(loop, fastmath=fast)
     for name, loop in (("time outside", _time_outside), ("operators outside", _operators_outside))
     for fast in (False, True)
 }
 
 
-def best_textbook(model, u) -> tuple[str, Work]:
+def best_textbook(model, u, strict=False) -> tuple[str, Work]:
     """The quickest compiled textbook loop for this model and signal, checked against the model first."""
     bank = model.bank
     assert model.n_outputs == 2
@@ -86,6 +75,8 @@ def best_textbook(model, u) -> tuple[str, Work]:
     expected = model.respond(u)[0]
     works = {}
     for name, loop in COMPILED.items():
+        if strict and FAST in name:
+            continue
 
         def respond(loop=loop):
             y = np.empty((2, u.shape[1]))

@@ -20,11 +20,17 @@ def forward(model, u):
 
 
 def against_textbook(bench, group, n, u, required):
-    """The textbook loop works through a shorter piece of the signal; its time a sample is the same."""
+    """The textbook loop works through a shorter piece of the signal; its time a sample is the same.
+
+    What is required is asked of the quickest loop of all; the quickest one that keeps the order of the sums,
+    as our kernel does, is shown beside it.
+    """
     model = with_operators(n)
-    name, textbook = best_textbook(model, np.ascontiguousarray(u[:, : max(2000, u.shape[1] * 15 // n)]))
+    piece = np.ascontiguousarray(u[:, : max(2000, u.shape[1] * 15 // n)])
     what = f"{n} operators, {u.shape[1]:,} samples"
-    bench.compare(group, what, f"textbook loop ({name})", forward(model, u), textbook, ">=", required)
+    for strict, limit in ((True, None), (False, required)):
+        name, textbook = best_textbook(model, piece, strict)
+        bench.compare(group, what, f"textbook loop, {name}", forward(model, u), textbook, ">=", limit)
 
 
 @pytest.mark.parametrize(("n", "required"), [(15, 3.0), (150, 10.0), (1500, 100.0)])
