@@ -152,9 +152,9 @@ def _errors(response: Response, target: Target, first: int, cycle: int | None) -
 
 def unsaturated(saturated: NDArray[np.bool_], sample_time_s: float) -> NDArray[np.bool_]:
     """Samples (sample,) at which no voltage is cut, nor was within the last ``RECOVERY_S``."""
-    cut = saturated.any(axis=0).astype(np.float64)
+    cut = np.asarray(saturated.any(axis=0), dtype=np.float64)
     recovery = np.ones(round(RECOVERY_S / sample_time_s) + 1)
-    return np.asarray(np.convolve(cut, recovery)[: len(cut)] < 0.5)
+    return np.asarray(np.convolve(cut, recovery)[: cut.size] < 0.5)
 
 
 def _path_figures(response: Response, start: int) -> dict[str, Any]:

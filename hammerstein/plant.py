@@ -71,7 +71,7 @@ class Plant:
         drive_v, saturated = self.instruments.drive.apply(requested_v)
         if reference_um is not None:
             # A law stays within the range itself; where it stands at the range, it wanted more.
-            saturated |= np.abs(requested_v) >= self.instruments.drive.range_v
+            saturated |= np.abs(requested_v) >= self.instruments.drive.range_v * (1.0 - 1e-9)
         hysteresis_um, _ = self.model.hysteresis.respond(drive_v)
         both_um, _ = self.block.respond(hysteresis_um)
         position_um, filtered_um = np.split(both_um, 2)

@@ -176,10 +176,17 @@ def test_a_path_with_corners_needs_the_filter_and_is_followed_with_it():
     error = np.abs(_position(model, drive) - triangle)[:, 800:-100]
     to_corner = np.abs((cycles[:, 800:-100] + 0.25) % 0.5 - 0.25)
     assert np.abs(drive).max() < 10.0
-    assert error[to_corner > 0.2].max() > 0.05 or error.max() < 0.6
     assert error[to_corner < 0.15].max() < 0.05
+    assert error.max() < 0.6  # the corners themselves are rounded
     bare = HammersteinInverse(model, 10.0, T).drive_for(triangle)
     assert (np.abs(bare) == 10.0).sum() > 100
+
+
+def test_a_path_goes_on_straight_beyond_its_ends():
+    model = _model(_axes(280.0))
+    ramp = np.linspace(-20.0, 20.0, 2000)[None]
+    drive = HammersteinInverse(model, 10.0, T, filter_hz=1000.0).drive_for(ramp)
+    assert np.abs(_position(model, drive) - ramp)[:, 1000:].max() < 1e-6
 
 
 def test_start_away_from_rest_neither_rings_nor_lasts():
@@ -195,7 +202,7 @@ def test_start_away_from_rest_neither_rings_nor_lasts():
 def test_after_the_range_the_position_comes_back_at_once():
     model = _model(_axes(280.0, 306.0))
     path = _circle(50.0, 20.0, 2400)
-    path[0, 800:1200] *= 1.0 + 4.0 * np.sin(np.pi * np.arange(400) / 400) ** 4  # beyond reach for a while
+    path[0, 700:1100] *= 1.0 + 4.0 * np.sin(np.pi * np.arange(400) / 400) ** 4  # beyond reach for a while
     law = HammersteinInverse(model, 10.0, T)
     drive = law.drive_for(path)
     error = np.abs(_position(model, drive) - path)

@@ -146,6 +146,19 @@ def test_states_convert_both_ways(seed, before, after):
     np.testing.assert_allclose(on, textbook(model, first, plays)[0], rtol=0, atol=scale)
 
 
+@pytest.mark.parametrize("signal", SIGNALS)
+def test_a_state_holds_its_output(signal):
+    """What lies below the top segment, which laws with feedback go on from."""
+    model = one_input(40, 0.07)
+    for samples in (1, 7, 50, 333):
+        v, s = model.respond(signal(np.random.default_rng(RNG_SEED), samples)[None])
+        for state in (s, model.state_of(model.plays_of(s))):
+            top = state.count[0] - 1
+            k, x, d = state.end[0, top], state.x[0, top], state.d[0, top]
+            held = model.bank.slope[0, k] * x - d * model.bank.moment[0, k] + state.below[0, top]
+            np.testing.assert_allclose(held, v[:, -1], rtol=0, atol=1e-12 * 200)
+
+
 def test_no_rounding_grows_in_a_long_run():
     """A million samples of noise end where the same last samples end after one full swing."""
     model = one_input(15, 0.07)

@@ -9,8 +9,8 @@ new slopes and a change of x together,
 
     y ~ offset + G(x) S c' + sum over i of dx_i (dG/dx_i) S c
 
-which is the Gauss-Newton step of the separable problem (Golub and Pereyra, Inverse Problems 19 (2003) R1).
-The sums over the samples are gathered in one pass, so that the memory does not grow with the record.
+which is the Gauss-Newton step of the separable problem (Golub and Pereyra, Inverse Problems 19 (2003) R1),
+damped after Levenberg and Marquardt. The sums over the samples are gathered in one pass, so that the memory does not grow with the record.
 """
 
 from __future__ import annotations
@@ -45,6 +45,8 @@ Progress = Callable[[str], None]
 
 STEP = 1e-5
 LARGEST_CHANGE = 0.5
+SMALLEST_CHANGE = 1e-6
+FIRST_DAMPING = 1e-3
 MOST_STEPS = 25
 ENOUGH = 1e-7
 """Relative gain of a step under which the search has arrived."""
@@ -152,7 +154,7 @@ class Task:
                 block_diag(*(block.A for block, _ in blocks)),
                 np.vstack([block.B for block, _ in blocks]),
                 rows @ block_diag(*signed),
-                rows @ np.vstack(through),
+                np.asarray(rows @ np.vstack(through)),
                 sample_time_s,
             ),
         )
@@ -182,29 +184,51 @@ def axis_of(x: Array) -> Axis:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """The search at one place: parameters, best slopes there, and the next step."""
+    """The search at one place: parameters, best slopes there, and the problem linearised about them.
+
+    ``curvature`` and ``pull`` are the normal equations of a change of x with the slopes eliminated, and
+    ``drag`` (slope, parameter) is how the slopes follow such a change.
+    """
 
     x: Array
     slopes: Array
     rms: float
-    step: Array
-    errors: Array
+    curvature: Array
+    pull: Array
+    drag: Array
+    freedom: int
+
+    def step(self, damping: float) -> Array:
+        """Change of the parameters (Levenberg-Marquardt)."""
+        scale = np.sqrt(np.maximum(np.diag(self.curvature), np.finfo(float).tiny))
+        scaled = self.curvature / np.outer(scale, scale) + damping * np.eye(len(scale))
+        change = np.linalg.lstsq(scaled, self.pull / scale, rcond=1e-12)[0] / scale
+        return np.asarray(np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE))
+
+    @property
+    def errors(self) -> Array:
+        """Standard errors of the parameters, for independent errors."""
+        spread = np.linalg.pinv(self.curvature, rcond=1e-14, hermitian=True)
+        return np.asarray(self.rms * np.sqrt(np.maximum(np.diag(spread), 0.0)))
 
 
 def refine(task: Task, x: Array) -> Point:
-    """Gauss-Newton steps from x until nothing is gained."""
+    """Levenberg-Marquardt steps from x until nothing is gained."""
     lower, upper = task.limits
     begin = np.clip(x, lower, upper)
     here = _point(task, begin, _alone(task, partial(task.path, begin)).coefficients)
+    damping = FIRST_DAMPING
     for _ in range(MOST_STEPS):
-        step = here.step * min(1.0, LARGEST_CHANGE / max(float(np.abs(here.step).max()), 1e-300))
-        there = _point(task, np.clip(here.x + step, lower, upper), here.slopes)
-        while there.rms > here.rms and np.abs(step).max() > 1e-7:
-            step = 0.25 * step
-            there = _point(task, np.clip(here.x + step, lower, upper), here.slopes)
-        if there.rms >= here.rms * (1.0 - ENOUGH):
-            return there if there.rms < here.rms else here
-        here = there
+        x = np.clip(here.x + here.step(damping), lower, upper)
+        there = _point(task, x, here.slopes - here.drag @ (x - here.x))
+        if there.rms < here.rms:
+            arrived = there.rms >= here.rms * (1.0 - ENOUGH)
+            here, damping = there, 0.1 * damping
+        else:
+            arrived = bool(np.abs(x - here.x).max() < SMALLEST_CHANGE)
+            damping *= 10.0
+        if arrived:
+            break
     return here
 
 
@@ -223,10 +247,18 @@ def _point(task: Task, x: Array, slopes: Array) -> Point:
 
     moments = task.moments(filters, n + q)
     cross, power = moments.cross[:, 0], float(moments.power[0])
-    alone = solve(moments.gram[:n, :n], cross[:n], power, moments.freedom)
-    joint = solve(moments.gram, cross, power, moments.freedom)
-    errors = np.sqrt(np.diag(joint.covariance)[n:])
-    return Point(x, alone.coefficients, alone.residual_rms, joint.coefficients[n:], errors)
+    gram, mixed = moments.gram[:n, :n], moments.gram[:n, n:]
+    found = solve(gram, cross[:n], power, moments.freedom)
+    drag = np.column_stack([solve(gram, column, 0.0, moments.freedom).coefficients for column in mixed.T])
+    return Point(
+        x=x,
+        slopes=found.coefficients,
+        rms=found.residual_rms,
+        curvature=moments.gram[n:, n:] - mixed.T @ drag,
+        pull=cross[n:] - mixed.T @ found.coefficients,
+        drag=drag,
+        freedom=moments.freedom,
+    )
 
 
 def search(task: Task) -> Array:

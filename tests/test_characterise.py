@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+
+from hammerstein.characterise import identify_by_experiment
+from hammerstein.dynamics import discretise
+from hammerstein.errors import IdentificationError
+from hammerstein.instruments import Instruments
+from hammerstein.model import HammersteinModel
+from hammerstein.plant import Plant
+from hammerstein.signals import Lissajous, Triangle
+from hammerstein.sources import ClosedFormSpec, JointFitSpec
+
+T = 50e-6
+JOINT = JointFitSpec(method="hammerstein")
+EQUATION_12 = [0.07, 0.32, 0.74, 1.3, 2, 2.8, 3.67, 4.61, 5.54, 6.5, 7.34, 8.1, 8.8, 9.3, 9.7]
+
+
+def _plant(name, **changes):
+    model = HammersteinModel.load(name)
+    instruments = changes.get("instruments", model.instruments)
+    return Plant(model, instruments)
+
+
+def test_closed_form_finds_the_printed_thresholds_and_loops():
+    plant = _plant("duo_bimorph_static", instruments=Instruments.ideal())
+    model = identify_by_experiment(plant, ClosedFormSpec(frequency_hz=50), 1)
+    for row, printed in zip(model.hysteresis.pairs, plant.model.hysteresis.pairs, strict=True):
+        for pair, own in zip(row, printed, strict=True):
+            np.testing.assert_allclose(pair.thresholds_v, EQUATION_12, atol=0.05)
+            assert pair.amplitude(10.0) == pytest.approx(own.amplitude(10.0), abs=0.02)
+            assert pair.loop_area(10.0) == pytest.approx(own.loop_area(10.0), rel=0.03, abs=0.2)
+
+
+def test_identification_hears_the_sensor_and_not_the_parameters():
+    plant = _plant("duo_bimorph")
+    a, b = (identify_by_experiment(plant, ClosedFormSpec(), seed) for seed in (1, 2))
+    assert a.digest() != b.digest()
+    quiet = Plant(plant.model, Instruments.ideal())
+    c, d = (identify_by_experiment(quiet, ClosedFormSpec(), seed) for seed in (1, 2))
+    assert c.digest() == d.digest()
+
+
+@pytest.mark.parametrize("name", ["duo_bimorph", "duo_bimorph_resonant"])
+def test_joint_fit_finds_resonance_damping_and_an_unseen_record(name):
+    plant = _plant(name)
+    model = identify_by_experiment(plant, JOINT, 1)
+    for found, true in zip(model.dynamics.axes, plant.model.dynamics.axes, strict=True):
+        assert found.resonance_hz == pytest.approx(true.resonance_hz, rel=3e-3)
+        assert found.damping_ratio == pytest.approx(true.damping_ratio, rel=3e-2)
+    time_s = np.arange(8000) * T
+    triangle = Triangle(amplitude=8.0, frequency_hz=30.0, axis="all").sample(time_s, 2) * [[1.0], [0.7]]
+    figure = Lissajous(amplitude=8.0, frequency_x_hz=50.0, frequency_y_hz=100 / 3).sample(time_s, 2)
+    u = np.hstack([triangle, figure])
+    true = plant.respond(u, [1]).position_um
+    predicted, _ = discretise(model.dynamics, T).respond(model.hysteresis.respond(u)[0])
+    assert (np.sqrt(np.mean((predicted - true)[:, 1600:] ** 2, axis=1)) < 0.15).all()
+
+
+def test_creep_is_found_from_a_slow_record():
+    plant = _plant("duo_bimorph_creep")
+    model = identify_by_experiment(plant, JOINT.model_copy(update={"creep_modes": 3}), 1)
+    frequency = np.array([0.002, 0.01, 0.1, 1.0])
+    for found, true in zip(model.dynamics.axes, plant.model.dynamics.axes, strict=True):
+        responses = [
+            1 + sum(m.gain / (1 + 2j * np.pi * frequency * m.time_constant_s) for m in axis.creep)
+            for axis in (found, true)
+        ]
+        np.testing.assert_allclose(responses[0], responses[1], atol=0.003)
+
+
+def test_too_many_operators_for_the_samples():
+    with pytest.raises(IdentificationError, match="too few"):
+        identify_by_experiment(_plant("duo_bimorph"), ClosedFormSpec(frequency_hz=200, operators=60), 1)
+
+
+def test_a_voltage_that_the_drive_cuts_is_refused():
+    with pytest.raises(IdentificationError, match="the drive gives 10 V"):
+        identify_by_experiment(_plant("duo_bimorph"), ClosedFormSpec(amplitude_v=11), 1)

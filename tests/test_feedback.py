@@ -1,0 +1,184 @@
+import json
+
+import control
+import numpy as np
+import pytest
+
+from hammerstein.compensators.exact_inverse import ExactInverse
+from hammerstein.compensators.feedback import Feedback, closed_loop
+from hammerstein.compensators.hammerstein_inverse import HammersteinInverse
+from hammerstein.compensators.tuning import Gains
+from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.instruments import Drive, Instruments, Sensor
+from hammerstein.model import HammersteinModel
+
+T = 50e-6
+SENSOR = Sensor()
+QUIET = Sensor(noise_um=0.0, resolution_um=0.0)
+
+
+def _model(damping=0.12, resonances=(280.0, 306.0), linear=False):
+    direct, cross = Pair([0.05, 0.4, 2.0, 5.0], [4.0, 0.5, 1.0, 1.5]), Pair([0.05, 1.0], [0.3, -0.1])
+    if linear:
+        direct, cross = Pair.linear(5.0), Pair.absent()
+    p = len(resonances)
+    rows = tuple(tuple(direct if o == k else cross for k in range(p)) for o in range(p))
+    dynamics = AxesDynamics(axes=tuple(Axis(resonance_hz=f, damping_ratio=damping) for f in resonances))
+    return HammersteinModel("test", PrandtlIshlinskii(rows), dynamics, 10.0, ("u", "v")[:p], ("x", "y")[:p])
+
+
+@pytest.fixture(scope="module")
+def model():
+    return _model()
+
+
+@pytest.fixture(scope="module")
+def law(model):
+    return Feedback(model, 10.0, T, 2000.0)
+
+
+def _run(law, model, path, sensor=SENSOR, drive=None, seed=3):
+    block = discretise(model.dynamics, law.sample_time_s, sensor.bandwidth_hz)
+    noise = np.random.default_rng(seed).standard_normal(path.shape)
+    return closed_loop(law, path, model.hysteresis, block, drive or Drive(), sensor, noise)
+
+
+def _path(samples=1200, frequency_hz=20.0, radius=20.0):
+    angle = 2.0 * np.pi * frequency_hz * T * np.arange(samples)
+    return radius * np.stack([np.sin(angle), 1.0 - np.cos(angle)])
+
+
+def test_every_wire_is_what_the_blocks_one_by_one_give(law, model):
+    path = _path()
+    run = _run(law, model, path)
+    drive, saturated = Drive().apply(run.requested_v)
+    assert (run.drive_v == drive).all()
+    assert (run.saturated == saturated).all()
+    v, _ = model.hysteresis.respond(run.drive_v)
+    np.testing.assert_allclose(run.hysteresis_um, v, atol=1e-11)
+    block = discretise(model.dynamics, T, SENSOR.bandwidth_hz)
+    position, filtered = np.split(block.respond(run.hysteresis_um)[0], 2)
+    assert (run.position_um == position).all()
+    assert (run.reading_um == SENSOR.read(filtered, np.random.default_rng(3))).all()
+
+
+@pytest.mark.parametrize("forward", [False, True])
+def test_one_step_is_the_loop_to_the_last_bit_and_its_state_can_be_saved(model, forward):
+    feedforward = ExactInverse(model, 10.0) if forward else None
+    law = Feedback(model, 10.0, T, 2000.0, feedforward=feedforward)
+    path = _path(600, radius=40.0)  # reaches the range
+    run = _run(law, model, path)
+    ahead = feedforward.drive_for(path) if forward else np.zeros((2, 600))
+    state = law.rest()
+    for k in range(599):
+        asked, state = law.step(path[:, k], run.reading_um[:, k], state, ahead[:, k + 1])
+        assert (asked == run.requested_v[:, k + 1]).all()
+        if k % 100 == 50:
+            state = law.restore(json.loads(json.dumps(state.as_dict())))
+
+
+def test_integral_action_leaves_no_error_at_rest(law, model):
+    path = np.tile([[15.0], [-20.0]], (1, 6000))
+    run = _run(law, model, path, QUIET, Drive(resolution_v=0.0))
+    np.testing.assert_allclose(run.position_um[:, -1], path[:, -1], atol=1e-3)
+
+
+def test_leaves_the_range_as_soon_as_the_reference_does(law, model):
+    """A wish far beyond reach for 0.2 s winds nothing up."""
+    path = np.zeros((2, 10000))
+    path[0, 1000:5000] = 500.0
+    run = _run(law, model, path, QUIET)
+    at_range = np.abs(run.requested_v[0]) >= 10.0
+    assert at_range[4500:5000].all()
+    assert not at_range[5020:].any()
+    assert np.abs(run.position_um[0, 7000:]).max() < 1.0
+
+
+def test_integral_gain_of_a_lone_resonance_is_twice_damping_times_frequency_over_the_margin():
+    """With an ideal sensor on a fine grid |1 + L| is smallest at w_n, where L = -k / (2 z w_n)."""
+    model = _model(damping=0.02, resonances=(280.0,), linear=True)
+    gains = Feedback(model, 10.0, 1e-6).gains
+    limit = 2.0 * 0.02 * 2.0 * np.pi * 280.0
+    assert gains.integral_per_s[0] == pytest.approx((1.0 - 1.0 / 1.6) * limit, rel=0.12)
+    assert gains.derivative_s[0] == 0.0
+
+
+@pytest.mark.parametrize("derivative", [False, True])
+def test_computed_gains_keep_the_sensitivity(derivative):
+    """Sensitivity and poles of the closed loop, from python-control alone."""
+    model = _model(resonances=(280.0,), linear=True)
+    gains = Feedback(model, 10.0, T, 2000.0, derivative=derivative).gains
+    kp, ki, kd = gains.proportional[0], gains.integral_per_s[0], gains.derivative_s[0]
+    w, lag = 2.0 * np.pi * 280.0, 2.0 * np.pi * 2000.0
+    s, z = control.tf("s"), control.tf([1, 0], [1], T)
+    plant = control.c2d(w**2 / (s**2 + 0.24 * w * s + w**2) * lag / (s + lag), T, "zoh")
+    controller = ki * T * z / (z - 1) + kp + kd / T * (z - 1) / z
+    sensitivity = control.feedback(1, control.minreal(controller * plant / z, verbose=False))
+    assert np.abs(sensitivity.poles()).max() < 1.0
+    peak = np.abs(sensitivity(np.exp(2j * np.pi * np.geomspace(0.1, 9999.0, 4000) * T))).max()
+    assert 1.4 < peak < 1.6 * 1.01
+
+
+def test_derivative_action_follows_faster(model):
+    plain, damped = (Feedback(model, 10.0, T, 2000.0, derivative=d).gains for d in (False, True))
+    assert (damped.integral_per_s > 5.0 * plain.integral_per_s).all()
+    assert (damped.crossover_hz > plain.crossover_hz).all()
+    assert "s derivative, loop gain 1 at" in damped.statement()
+
+
+def test_feedback_takes_out_what_a_wrong_feedforward_leaves(model):
+    wrong = HammersteinInverse(_model(resonances=(260.0, 330.0)), 10.0, T)
+    stiffer = tuple(
+        tuple(Pair(q.thresholds_v, 1.1 * q.weights_um_per_v) for q in row) for row in model.hysteresis.pairs
+    )
+    plant = HammersteinModel(
+        "stiffer", PrandtlIshlinskii(stiffer), model.dynamics, 10.0, ("u", "v"), ("x", "y")
+    )
+    path = _path(6000, frequency_hz=2.0)
+
+    def error(law):
+        return np.abs(_run(law, plant, path).position_um - path)[:, 1000:].max()
+
+    none = Gains(*np.zeros((3, 2)))
+    alone = error(Feedback(model, 10.0, T, 2000.0))
+    forward = error(Feedback(model, 10.0, T, 2000.0, none, feedforward=wrong))
+    both = error(Feedback(model, 10.0, T, 2000.0, feedforward=wrong))
+    assert both < 0.3 * min(alone, forward)
+
+
+def test_a_delayed_feedforward_is_met_with_the_delayed_reference(model):
+    late = HammersteinInverse(model, 10.0, T, preview_s=0.0, filter_hz=1500.0)
+    path = _path(3000)
+    run = _run(Feedback(model, 10.0, T, 2000.0, feedforward=late), model, path, QUIET)
+    delay = late.delay_samples
+    assert np.abs(run.position_um[:, delay:] - path[:, :-delay])[:, 1000:].max() < 0.1
+
+
+def test_a_model_without_dynamics_gives_no_gains(model):
+    static = HammersteinModel(
+        "static", model.hysteresis, StaticDynamics(n_outputs=2), 10.0, model.inputs, model.outputs
+    )
+    with pytest.raises(InputError, match="no dynamics"):
+        Feedback(static, 10.0, T)
+    Feedback(static, 10.0, T, gains=Gains(np.zeros(2), np.full(2, 10.0), np.zeros(2)))
+
+
+def test_gains_of_the_wrong_number_are_refused(model):
+    with pytest.raises(InputError, match="give 2 finite values"):
+        Feedback(model, 10.0, T, gains=Gains(np.zeros(1), np.ones(1), np.zeros(1)))
+
+
+def test_axes_that_do_not_fit_are_refused(law, model):
+    block = discretise(model.dynamics, T, 2000.0)
+    with pytest.raises(InputError, match="same axes"):
+        closed_loop(law, _path(), model.hysteresis, block, Drive(), SENSOR, np.zeros((2, 3)))
+
+
+def test_a_loop_that_diverges_says_so():
+    model = _model(linear=True)
+    ideal = Instruments.ideal()
+    law = Feedback(model, np.inf, T, gains=Gains(np.full(2, 50.0), np.full(2, 1e5), np.zeros(2)))
+    with pytest.raises(SimulationError, match="diverges"):
+        _run(law, model, _path(8000), ideal.sensor, ideal.drive)
