@@ -87,17 +87,20 @@ def largest(rows: Iterable[Row], name: str) -> float | None:
     return max(values) if values else None
 
 
-def number(value: float | None) -> str:
-    """Three digits that count; empty without a value.
+def significant(value: float) -> str:
+    """Write a number with three digits that count, trailing zeros included.
 
-    >>> number(8.0), number(0.04567), number(1234.4), number(None)
-    ('8.00', '0.0457', '1234', '')
+    >>> significant(8.0), significant(0.04567), significant(1234.4)
+    ('8.00', '0.0457', '1234')
     """
-    if value is None or math.isnan(value):
-        return ""
     if value == 0.0:
         return "0"
     return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+
+
+def number(value: float | None) -> str:
+    """Three digits that count; empty without a value."""
+    return "" if value is None or math.isnan(value) else significant(value)
 
 
 def selected_frequencies(frequencies: Sequence[float], marked: Iterable[float], most: int) -> list[float]:

@@ -182,3 +182,15 @@ def test_a_loop_that_diverges_says_so():
     law = Feedback(model, np.inf, T, gains=Gains(np.full(2, 50.0), np.full(2, 1e5), np.zeros(2)))
     with pytest.raises(SimulationError, match="diverges"):
         _run(law, model, _path(8000), ideal.sensor, ideal.drive)
+
+
+def test_the_sensors_own_lag_is_no_error(model):
+    """Readings of a first-order sensor on a ramp: a (t - tau (1 - exp(-t / tau)))."""
+    law = Feedback(model, 10.0, T, 300.0)
+    time, tau = T * np.arange(1, 400), 1.0 / (2.0 * np.pi * 300.0)
+    path = np.outer([2000.0, -1000.0], time)
+    reading = np.outer([2000.0, -1000.0], time - tau * (1.0 - np.exp(-time / tau)))
+    state = law.rest()
+    for k in range(len(time)):
+        asked, state = law.step(path[:, k], reading[:, k], state)
+        assert np.abs(asked).max() < 1e-10

@@ -247,7 +247,7 @@ def test_labels_are_written_as_they_are() -> None:
 def test_files_are_the_same_every_time_and_whatever_the_user_s_style(tmp_path: Path) -> None:
     report = report_of(reference=CIRCLE, compensators=[NONE])
     first = write_figures(report, tmp_path / "a")
-    with mpl.rc_context({"font.size": 31.0, "svg.hashsalt": None, "lines.linewidth": 7.0}):
+    with mpl.rc_context({"font.size": 31.0, "svg.hashsalt": None, "axes.facecolor": "red"}):
         second = write_figures(report, tmp_path / "b")
         assert mpl.rcParams["font.size"] == 31.0
     assert [path.name for path in first] == ["path.svg", "path.png"]

@@ -4,6 +4,11 @@ The paper prints a static block that was identified through the dynamics of the 
 Here the block in front of the dynamics is found, so that the loop measured at 50 Hz and 10 V is the printed
 one: with the printed thresholds and the dynamics fixed, each play operator is passed through dynamics and
 sensor, and the weights follow from linear least squares over one settled cycle.
+
+Looking back through a resonance, the loop hardly tells neighbouring weights apart: plain least squares gives
+slopes that jump up and down between 4.3 and 5.6 um/V. Of all blocks that explain the loop nearly as well, the
+one whose slopes bend least is taken (Phillips-Tikhonov): a small penalty on the second differences of the
+slopes moves the rms residual on x from 0.070 to 0.083 um of a loop 117 um high.
 """
 
 from __future__ import annotations
@@ -22,6 +27,7 @@ from hammerstein.model import HammersteinModel
 Array = NDArray[np.float64]
 
 FREQUENCY_HZ = 50.0
+SMOOTHNESS = 1.0  # weight of a second difference of 1 um/V against an error of 1 um in one of 400 samples
 CYCLES = 12  # the resonances ring for four cycles; the last one is used
 # Slow modes as soft PZT has them (some per cent a decade); the paper gives no numbers, only that creep is
 # felt below 0.05 Hz.
@@ -71,8 +77,17 @@ def _pair_behind(pair: Pair, u: Array, respond, output: int, period: int) -> Pai
         both, _ = respond(v)
         regressors.append(both[outputs + output, -period:])
     wanted = (pair.weights_um_per_v @ plays)[-period:]
-    weights, *_ = np.linalg.lstsq(np.array(regressors).T, wanted, rcond=None)
-    return Pair(pair.thresholds_v, weights)
+    return Pair(pair.thresholds_v, _smoothest(np.array(regressors), wanted))
+
+
+def _smoothest(regressors: Array, wanted: Array) -> Array:
+    """Weights (operator,) whose partial sums explain a loop and bend least."""
+    n = len(regressors)
+    to_weights = np.eye(n) - np.eye(n, k=-1)  # weights are the differences of the slopes
+    bends = np.diff(np.eye(n), 2, axis=0)
+    rows = np.vstack([regressors.T @ to_weights, SMOOTHNESS * bends])
+    slopes, *_ = np.linalg.lstsq(rows, np.concatenate([wanted, np.zeros(n - 2)]), rcond=None)
+    return np.asarray(to_weights @ slopes)
 
 
 def build(folder: Path) -> list[Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -115,7 +116,8 @@ class ExactInverse(Law[ExactState]):
         table[at.GRID, :, : operators + 1, at.SLOPE : at.SLOPE + m] = bank.slope
         table[at.GRID, :, : operators + 1, at.SLOPE + m : at.SLOPE + 2 * m] = bank.moment
         about = table[at.HERE, :, at.ABOUT]
-        about[:, at.PLAY], about[:, at.BOUND] = self.smallest_v, self.range_v - self.smallest_v
+        about[:, at.PLAY] = self.smallest_v
+        about[:, at.BOUND] = [_difference(self.range_v, r) for r in self.smallest_v.tolist()]
         about[:, at.SOFT] = np.where(self.smallest_v > 0.0, self.softening_v, 0.0)
         about[:, at.STILL] = STILL * (1.0 + float(bank.r[np.isfinite(bank.r)].max()))
         about[:, at.GAIN : at.GAIN + m] = np.abs([bank.slope[k, n] for k, n in enumerate(bank.n)])
@@ -160,3 +162,13 @@ class ExactInverse(Law[ExactState]):
         stack[:], hand[:] = start.stack, start.hand
         respond_exact(v_um, self.n_inputs - p, *back, left, table, drive)
         return drive, ExactState(stack.copy(), hand.copy()), left
+
+
+def _difference(whole: float, part: float) -> float:
+    """Give whole - part, rounded such that adding the part gives the whole, the range, again."""
+    rest = whole - part
+    while rest + part < whole:
+        rest = math.nextafter(rest, math.inf)
+    while rest + part > whole:
+        rest = math.nextafter(rest, -math.inf)
+    return rest

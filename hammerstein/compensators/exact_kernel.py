@@ -282,7 +282,9 @@ def _commit(w, k):  # type: ignore[no-untyped-def]
     Returns whether the input moved, and whether its smallest play lags behind a soft jump.
     """
     last = w[STACK, k, int(w[HERE, k, HAND, COUNT]) - 1, X]
-    q = min(max(w[HERE, k, NOW, Q], -w[HERE, k, ABOUT, BOUND]), w[HERE, k, ABOUT, BOUND])
+    q, bound = w[HERE, k, NOW, Q], w[HERE, k, ABOUT, BOUND]
+    if abs(q) > bound - w[HERE, k, ABOUT, STILL]:
+        q = bound if q > 0.0 else -bound
     lags = False
     if w[HERE, k, ABOUT, SOFT] > 0.0:
         step = 2.0 * (q - w[HERE, k, HAND, WANTED]) / w[HERE, k, ABOUT, SOFT]
@@ -292,7 +294,7 @@ def _commit(w, k):  # type: ignore[no-untyped-def]
             u = q + w[HERE, k, HAND, RAMP] * w[HERE, k, ABOUT, PLAY]
             q = max(u - w[HERE, k, ABOUT, PLAY], min(u + w[HERE, k, ABOUT, PLAY], last))
             lags = True
-    moved = abs(q - last) > w[HERE, k, ABOUT, STILL]
+    moved = abs(q - last) > w[HERE, k, ABOUT, STILL] or (q != last and abs(q) == bound)
     if moved:
         while w[HERE, k, NOW, SIGMA] * (q - w[HERE, k, NOW, NEAR]) < 0.0:
             previous_piece(w, k)

@@ -19,7 +19,7 @@ POLE, OLD, NEW, PROPORTIONAL, INTEGRATING, DERIVATIVE = range(6)
 def correct(reference, reading, settings, memory):  # type: ignore[no-untyped-def]
     """One step of the controller: from reference and reading (p,) of a sample to the next correction."""
     for o in range(memory.shape[0]):
-        seen = settings[o, POLE] * memory[o, SEEN] + settings[o, OLD] * memory[o, REFERENCE]
+        seen = settings[o, POLE] * memory[o, SEEN] + settings[o, OLD] * reference[o]
         seen += settings[o, NEW] * reference[o]
         error = seen - reading[o]
         memory[o, INTEGRAL] += settings[o, INTEGRATING] * error

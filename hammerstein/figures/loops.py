@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hammerstein.conditions import significant
 from hammerstein.figures.style import (
     MOST_POINTS,
     PALE,
@@ -20,7 +21,6 @@ from hammerstein.figures.style import (
     new_figure,
     overlay_style,
     plain,
-    significant,
     sparse_markers,
     styled,
     thin_path,

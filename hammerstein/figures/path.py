@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hammerstein.conditions import significant
 from hammerstein.figures.style import (
     COLOURS,
     DARK,
@@ -20,7 +21,6 @@ from hammerstein.figures.style import (
     new_figure,
     plain,
     plain_numbers,
-    significant,
     styled,
     symbol,
     thin_path,

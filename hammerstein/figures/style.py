@@ -175,17 +175,6 @@ def few_ticks(axes: Axes) -> None:
     axes.locator_params(nbins=6, steps=[1, 2, 5, 10])
 
 
-def significant(value: float, digits: int = 3) -> str:
-    """Write a number with this many digits that count, trailing zeros included.
-
-    >>> significant(8.0), significant(0.04567), significant(123.4)
-    ('8.00', '0.0457', '123')
-    """
-    if value == 0.0:
-        return "0"
-    return f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
-
-
 def plain_numbers(axis: Axis) -> None:
     """Ticks of a logarithmic axis as 0.1, 1, 10; between them 2 and 4 if there is room."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator

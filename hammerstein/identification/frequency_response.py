@@ -102,8 +102,8 @@ def frequency_response(
     exactly. As many experiments as inputs are needed, for example orthogonal multisines or one input driven
     at a time.
 
-    Other excitation (``period_samples`` absent): Hann segments overlapping by half, less their mean. The two
-    lowest lines belong to the window and are left out. Segments must be several times longer than the
+    Other excitation (``period_samples`` absent): Hann segments overlapping by half. The two lowest lines hold
+    the offset and are left out. Segments must be several times longer than the
     slowest ringing: a shorter one flattens the resonance.
 
     Parameters
@@ -239,8 +239,7 @@ def _segment_spectra(x: Array, length: int) -> Complex:
     """Spectra (segment, axis, line), scaled so that a line's power is that of a sine in it."""
     window = np.hanning(length + 1)[:-1]
     cut = np.lib.stride_tricks.sliding_window_view(x, length, axis=1)[:, :: max(1, length // 2)]
-    level = cut - cut.mean(axis=2, keepdims=True)
-    return np.asarray(np.fft.rfft(level * window, axis=2).swapaxes(0, 1) / window.sum())
+    return np.asarray(np.fft.rfft(cut * window, axis=2).swapaxes(0, 1) / window.sum())
 
 
 def _separable_lines(blocks: _Blocks, band_hz: tuple[float, float] | None) -> NDArray[np.intp]:

@@ -239,7 +239,9 @@ def _account(
         f"single weights between {record.inputs[k]} and {record.outputs[o]}: only sums of them are told"
         for o, k in blocks.chosen.open
     ]
-    bounds = bound_notes(task.records, blocks.chosen, blocks.free) if settings.method == "invertible" else []
+    bounds = []
+    if settings.method == "invertible":
+        bounds = bound_notes(task.records, blocks.chosen, blocks.free, built.kind == "hammerstein")
     amplitude = float(half_swing(task.records).max())
     invertible, sentence = invertibility_of(best.hysteresis, best.dynamics, amplitude, record.sample_time_s)
     return Fit(

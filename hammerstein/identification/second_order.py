@@ -10,7 +10,8 @@ new slopes and a change of x together,
     y ~ offset + G(x) S c' + sum over i of dx_i (dG/dx_i) S c
 
 which is the Gauss-Newton step of the separable problem (Golub and Pereyra, Inverse Problems 19 (2003) R1),
-damped after Levenberg and Marquardt. The sums over the samples are gathered in one pass, so that the memory does not grow with the record.
+damped after Levenberg and Marquardt. The sums over the samples are gathered in one pass, so that the memory
+does not grow with the record.
 """
 
 from __future__ import annotations
@@ -22,20 +23,17 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
-from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, LinearBlock, StaticDynamics, discretise
+from hammerstein.dynamics import AxesDynamics, Axis, LinearBlock
+from hammerstein.identification.axis_task import AxisTask, axis_of, duration_s
 from hammerstein.identification.delay import MOST_DELAY, shortest_delay
-from hammerstein.identification.normal_equations import Moments, Solution, moments_of, pooled, solve
+from hammerstein.identification.normal_equations import Solution, solve
 from hammerstein.identification.partition import thresholds_uniform_in_voltage
 from hammerstein.identification.records import Record
 from hammerstein.identification.regressors import (
     Filter,
     SideBySide,
     Start,
-    channel,
-    delayed,
-    regressor_blocks,
 )
 from hammerstein.identification.starts import shortened
 from hammerstein.identification.static_block import half_swing
@@ -43,7 +41,6 @@ from hammerstein.identification.static_block import half_swing
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
-STEP = 1e-5
 LARGEST_CHANGE = 0.5
 SMALLEST_CHANGE = 1e-6
 FIRST_DAMPING = 1e-3
@@ -84,105 +81,6 @@ class AxisFit:
 
 
 @dataclass(frozen=True, eq=False)
-class Heard:
-    """A linear block that hears one sum of all columns."""
-
-    weights: Array
-    block: LinearBlock
-
-    def rest(self) -> Array:
-        """State of a block that was never driven."""
-        return self.block.rest()
-
-    def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
-        """Outputs (row, sample) and the state after them."""
-        return self.block.respond(self.weights @ columns, start)
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """What stays fixed while one axis is fitted."""
-
-    records: tuple[Record, ...]
-    starts: tuple[Start, ...]
-    grids: tuple[Array, ...]
-    output: int
-    creep_modes: int
-    delay_samples: int
-    sensor_bandwidth_hz: float | None
-
-    @property
-    def columns(self) -> int:
-        """Slope columns of all inputs."""
-        return sum(map(len, self.grids))
-
-    @property
-    def limits(self) -> tuple[Array, Array]:
-        """Smallest and largest parameters that records of this length and rate can tell anything of."""
-        step = min(record.sample_time_s for record in self.records)
-        span = duration_s(self.records)
-        lower = [math.log(0.2 / span), math.log(1e-4), *self.creep_modes * (-1.0, math.log(10.0 * step))]
-        upper = [math.log(0.45 / step), math.log(10.0), *self.creep_modes * (10.0, math.log(10.0 * span))]
-        return np.array(lower), np.array(upper)
-
-    def path(self, x: Array, sample_time_s: float) -> LinearBlock:
-        """Discrete path from the static block to the reading."""
-        return self._observed(AxesDynamics(axes=(axis_of(x),)), sample_time_s)
-
-    def sensor(self, sample_time_s: float) -> LinearBlock:
-        """Discrete path of an axis without dynamics: the sensor alone."""
-        return self._observed(StaticDynamics(n_outputs=1), sample_time_s)
-
-    def _observed(self, dynamics: AxesDynamics | StaticDynamics, sample_time_s: float) -> LinearBlock:
-        block = discretise(dynamics, sample_time_s, self.sensor_bandwidth_hz)
-        path = channel(block, block.n_outputs - 1, 0)
-        assert path is not None  # an axis always answers
-        return path
-
-    def derivatives(self, x: Array, slopes: Array, sample_time_s: float) -> Heard:
-        """Derivatives of the output by every x_i, for the static block with these slopes."""
-        blocks = []
-        for change in STEP * np.eye(len(x)):
-            ahead, behind = self.path(x + change, sample_time_s), self.path(x - change, sample_time_s)
-            blocks += [(ahead, 0.5 / STEP), (behind, -0.5 / STEP)]
-        rows = np.kron(np.eye(len(x)), np.ones((1, 2)))
-        signed = [factor * block.C for block, factor in blocks]
-        through = [factor * block.D for block, factor in blocks]
-        return Heard(
-            slopes,
-            LinearBlock(
-                block_diag(*(block.A for block, _ in blocks)),
-                np.vstack([block.B for block, _ in blocks]),
-                rows @ block_diag(*signed),
-                np.asarray(rows @ np.vstack(through)),
-                sample_time_s,
-            ),
-        )
-
-    def moments(self, filters: Callable[[float], Sequence[Filter]], columns: int) -> Moments:
-        """Moments of the columns with the output over all records; the filters depend on the sample time."""
-        times = {record.sample_time_s for record in self.records}
-        built = {time: filters(time) for time in times}
-        parts = []
-        for record, start in zip(self.records, self.starts, strict=True):
-            y, passed = record.y_um[[self.output]], built[record.sample_time_s]
-            blocks = regressor_blocks(delayed(record, start, self.delay_samples), start, self.grids, passed)
-            parts.append(moments_of(((c, y[:, k : k + c.shape[1]]) for k, c in blocks), columns, 1))
-        return pooled(parts)
-
-
-def duration_s(records: Sequence[Record]) -> float:
-    """Time of the longest record [s]."""
-    return max(record.sample_time_s * record.samples for record in records)
-
-
-def axis_of(x: Array) -> Axis:
-    """Axis with the parameters (ln resonance, ln damping, gain and ln time constant of each creep mode)."""
-    slow = tuple(CreepMode(gain=float(g), time_constant_s=math.exp(t)) for g, t in x[2:].reshape(-1, 2))
-    return Axis(resonance_hz=math.exp(x[0]), damping_ratio=math.exp(x[1]), creep=slow)
-
-
-@dataclass(frozen=True, eq=False)
 class Point:
     """The search at one place: parameters, best slopes there, and the problem linearised about them.
 
@@ -212,7 +110,7 @@ class Point:
         return np.asarray(self.rms * np.sqrt(np.maximum(np.diag(spread), 0.0)))
 
 
-def refine(task: Task, x: Array) -> Point:
+def refine(task: AxisTask, x: Array) -> Point:
     """Levenberg-Marquardt steps from x until nothing is gained."""
     lower, upper = task.limits
     begin = np.clip(x, lower, upper)
@@ -232,13 +130,13 @@ def refine(task: Task, x: Array) -> Point:
     return here
 
 
-def _alone(task: Task, path: Callable[[float], LinearBlock]) -> Solution:
+def _alone(task: AxisTask, path: Callable[[float], LinearBlock]) -> Solution:
     """Slopes behind a fixed path."""
     moments = task.moments(lambda time: [SideBySide(path(time), task.columns)], task.columns)
     return solve(moments.gram, moments.cross[:, 0], float(moments.power[0]), moments.freedom)
 
 
-def _point(task: Task, x: Array, slopes: Array) -> Point:
+def _point(task: AxisTask, x: Array, slopes: Array) -> Point:
     """Best slopes at x, and the Gauss-Newton step from slopes that were best near by."""
     n, q = task.columns, len(x)
 
@@ -261,7 +159,7 @@ def _point(task: Task, x: Array, slopes: Array) -> Point:
     )
 
 
-def search(task: Task) -> Array:
+def search(task: AxisTask) -> Array:
     """Resonance and damping near the best ones, from a coarse grid over all that the records can show."""
     lower, upper = task.limits
     frequencies = np.arange(math.log(10.0) + lower[0], upper[0], math.log(SEARCH_RATIO))
@@ -271,7 +169,7 @@ def search(task: Task) -> Array:
     return min((refine(task, x) for x in begins), key=lambda point: point.rms).x
 
 
-def fit_axis(task: Task, begin: Array) -> AxisFit:
+def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
     """Fit one axis from parameters near the best ones."""
     point = refine(task, np.concatenate([begin[:2], _first_creep(task)]))
     percent = 100.0 * point.errors
@@ -285,7 +183,7 @@ def fit_axis(task: Task, begin: Array) -> AxisFit:
     )
 
 
-def _first_creep(task: Task) -> Array:
+def _first_creep(task: AxisTask) -> Array:
     """Gains and time constants to begin with: spread over what the longest record shows of slow modes."""
     span = duration_s(task.records)
     times = span * np.geomspace(0.02, 0.5, task.creep_modes + 2)[1:-1]
@@ -341,10 +239,10 @@ def search_axes(
     tell = progress or (lambda _: None)
     delay = delay_samples or 0
 
-    def task(output: int, samples: int, operators: int) -> Task:
+    def task(output: int, samples: int, operators: int) -> AxisTask:
         quick, begun = shortened(records, starts, samples)
         grids = tuple(thresholds_uniform_in_voltage(reach, operators) for reach in half_swing(quick))
-        return Task(quick, begun, grids, output, 0, delay, sensor_bandwidth_hz)
+        return AxisTask(quick, begun, grids, output, 0, delay, sensor_bandwidth_hz)
 
     names = records[0].outputs
     tasks = [task(o, GUESS_SAMPLES, GUESS_OPERATORS) for o in range(len(names))]
@@ -361,7 +259,7 @@ def search_axes(
     return FirstGuess(np.array([point.x for point in points[found]]), found, rms)
 
 
-def _delay_search(tasks: Sequence[Task], begins: Sequence[Array], most_delay: int) -> list[list[Point]]:
+def _delay_search(tasks: Sequence[AxisTask], begins: Sequence[Array], most_delay: int) -> list[list[Point]]:
     """Axes fitted anew for each delay, until two longer ones in a row are worse than the best."""
     points: list[list[Point]] = []
     errors: list[float] = []
@@ -415,7 +313,7 @@ def fit_axes(
     fits = []
     for o, begin in enumerate(guess.parameters):
         tell(f"fitting the axis {records[0].outputs[o]}")
-        task = Task(
+        task = AxisTask(
             tuple(records),
             tuple(starts),
             tuple(grids),

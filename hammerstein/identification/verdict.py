@@ -168,17 +168,22 @@ def axis_identified(axis: AxisFit) -> bool:
     return felt and axis.resonance_error_percent <= UNSURE_PERCENT
 
 
-def bound_notes(records: Sequence[Record], fit: StaticFit, free: StaticFit) -> list[str]:
+def bound_notes(records: Sequence[Record], fit: StaticFit, free: StaticFit, dynamic: bool) -> list[str]:
     """Slopes of direct pairs that the records would have below their bound."""
+    remedy = (
+        "use fewer thresholds, or a ridge"
+        if dynamic
+        else "phase lag looks like hysteresis: fit the dynamics too, or record more slowly"
+    )
     found = []
     for o, k in sorted({(o, k) for o, k, _ in fit.bounded}):
         slopes, pair = [j for oo, kk, j in fit.bounded if (oo, kk) == (o, k)], free.hysteresis.pairs[o][k]
         lowest = min(slopes, key=lambda j: float(pair.slopes[j]))
+        count = "1 slope" if len(slopes) == 1 else f"{len(slopes)} slopes"
         found.append(
-            f"{len(slopes)} slopes of the pair {records[0].inputs[k]} to {records[0].outputs[o]} stand on "
-            f"their bound; free, the slope with thresholds up to {pair.thresholds_v[lowest]:.3g} V would be "
-            f"{pair.slopes[lowest]:.3g} um/V. Phase lag looks like hysteresis: fit the dynamics too, or "
-            "record more slowly"
+            f"{count} from {records[0].inputs[k]} to {records[0].outputs[o]} held at a bound, or there were no "
+            f"inverse: free, the slope with thresholds up to {pair.thresholds_v[lowest]:.3g} V would be "
+            f"{pair.slopes[lowest]:.3g} um/V; {remedy}"
         )
     return found
 

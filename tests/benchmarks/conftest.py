@@ -1,17 +1,14 @@
-"""Options of the benchmarks, the signals and models they share, and the table they end in."""
+"""Options of the benchmarks, and the table they end in."""
 
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
 from ratios import Row, Table, Work, side_by_side
 
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
 
 TABLE = pytest.StashKey[Table]()
-SAMPLE_TIME_S = 5e-5
 
 
 def pytest_addoption(parser):
@@ -69,23 +66,3 @@ def bench(pytestconfig):
 def published():
     """The static block of the published actuator, 2 x 2 with 15 operators."""
     return HammersteinModel.load("duo_bimorph_static")
-
-
-def with_operators(n, axes=2):
-    """A model of n operators a pair: the published one at 15, else an even grid and positive weights."""
-    if n == 15 and axes == 2:
-        return HammersteinModel.load("duo_bimorph_static").hysteresis
-    r, rng = np.linspace(0.07, 9.7, n), np.random.default_rng(n)
-    rows = [[Pair(r, rng.uniform(0.0, 12.0 / n, n)) for _ in range(axes)] for _ in range(axes)]
-    return PrandtlIshlinskii(rows)
-
-
-def sines(samples, axes=2):
-    """50 Hz, 10 V, each axis with its own phase (axis, sample)."""
-    t = np.arange(samples) * SAMPLE_TIME_S
-    return 10.0 * np.sin(2 * np.pi * 50.0 * t + np.arange(axes)[:, None])
-
-
-def noise(samples, axes=2):
-    """White noise: two samples of three are a reversal."""
-    return np.random.default_rng(1).uniform(-10.0, 10.0, (axes, samples))

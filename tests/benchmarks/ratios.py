@@ -145,8 +145,13 @@ class Table:
 
 def _cells(row: Row) -> list[str]:
     required = "" if row.required is None else f"{row.sense} {row.required:g}"
-    ours, other = (f"{value:.3g} {row.unit}" for value in (row.ours, row.other))
-    return [row.what, row.against, ours, other, f"{row.ratio:.3g}", required, row.verdict]
+    ours, other = (f"{_digits(value)} {row.unit}" for value in (row.ours, row.other))
+    return [row.what, row.against, ours, other, _digits(row.ratio), required, row.verdict]
+
+
+def _digits(value: float) -> str:
+    """Three digits, never an exponent."""
+    return f"{float(f'{value:.3g}'):,.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def machine() -> dict[str, str]:

@@ -1,7 +1,7 @@
 """How the time of the hysteresis block grows with samples, operators and axes (ratio: times the smaller)."""
 
 import pytest
-from conftest import noise, sines, with_operators
+from cases import noise, sines, with_operators
 from ratios import Work
 
 SIGNALS = {"50 Hz sines": sines, "white noise": noise}

@@ -2,7 +2,7 @@
 
 import control
 import numpy as np
-from conftest import SAMPLE_TIME_S, sines
+from cases import SAMPLE_TIME_S, sines
 from ratios import Work
 from references import experiment_diagram
 

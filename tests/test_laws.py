@@ -1,0 +1,143 @@
+"""What every law promises, whatever it does."""
+
+import json
+
+import numpy as np
+import pytest
+
+from hammerstein.compensators.decoupled_inverse import DecoupledInverse
+from hammerstein.compensators.exact_inverse import ExactInverse
+from hammerstein.compensators.hammerstein_inverse import HammersteinInverse
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
+from hammerstein.compensators.linear_gain import LinearGain
+from hammerstein.dynamics import AxesDynamics, Axis, CreepMode
+from hammerstein.errors import InputError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.model import HammersteinModel
+
+T = 50e-6
+LAWS = {
+    "none": lambda model, limit: LinearGain(model, limit),
+    "inverse_multiplicative": lambda model, limit: InverseMultiplicative(model, limit, T),
+    "inverse_multiplicative, filter": lambda model, limit: InverseMultiplicative(
+        model, limit, T, filter_s=1e-3
+    ),
+    "decoupled_inverse": lambda model, limit: DecoupledInverse(model, limit),
+    "exact_inverse": lambda model, limit: ExactInverse(model, limit),
+    "exact_inverse, softened": lambda model, limit: ExactInverse(model, limit, softening_v=0.05),
+    "hammerstein_inverse": lambda model, limit: HammersteinInverse(model, limit, T),
+    "hammerstein_inverse, filter": lambda model, limit: HammersteinInverse(model, limit, T, filter_hz=2000.0),
+    "hammerstein_inverse, causal": lambda model, limit: HammersteinInverse(model, limit, T, 0.0, 2000.0),
+}
+
+
+@pytest.fixture(scope="module")
+def model():
+    table = HammersteinModel.load("duo_bimorph_static")
+    axes = tuple(
+        Axis(resonance_hz=f, damping_ratio=0.12, creep=(CreepMode(gain=0.05, time_constant_s=0.1),))
+        for f in (280.0, 306.0)
+    )
+    dynamics = AxesDynamics(axes=axes, input_delay_s=2 * T)
+    return HammersteinModel("test", table.hysteresis, dynamics, 10.0, table.inputs, table.outputs)
+
+
+@pytest.fixture(params=LAWS)
+def build(request):
+    return LAWS[request.param]
+
+
+def _path(samples=700):
+    """From rest, with minor loops of several sizes and a little noise, back to a rest elsewhere."""
+    generator = np.random.default_rng(6)
+    time = np.arange(samples) * T
+    window = np.clip((time - 2e-3) / 3e-3, 0.0, 1.0) * np.clip((0.03 - time) / 3e-3, 0.0, 1.0)
+    angle = 2.0 * np.pi * 150.0 * time
+    waves = np.stack([np.sin(angle) + 0.3 * np.sin(7.3 * angle), np.cos(angle) + 0.2 * np.sin(5.1 * angle)])
+    return window * (30.0 * waves + 0.01 * generator.normal(size=waves.shape)) + 2.0 * (time > 0.01)
+
+
+@pytest.mark.parametrize("limit", [10.0, 4.0])
+def test_step_by_step_and_in_blocks_it_gives_the_same_bits(model, build, limit):
+    law, path = build(model, limit), _path()
+    whole, _ = law.respond(path)
+    state, one_by_one = law.rest(), np.empty_like(whole)
+    for k in range(path.shape[1]):
+        one_by_one[:, k], state = law.step(path[:, k], state)
+    assert (one_by_one == whole).all()
+    first, state = law.respond(path[:, :333])
+    rest, _ = law.respond(path[:, 333:], state)
+    assert (np.hstack([first, rest]) == whole).all()
+
+
+@pytest.mark.parametrize("limit", [10.0, 4.0])
+def test_its_state_survives_json(model, build, limit):
+    law, path = build(model, limit), _path()
+    _, state = law.respond(path[:, :400])
+    restored = law.restore(json.loads(json.dumps(state.as_dict())))
+    again, _ = law.respond(path[:, 400:], restored)
+    straight, _ = law.respond(path[:, 400:], state)
+    assert (again == straight).all()
+
+
+def test_a_state_is_not_changed_by_its_use(model, build):
+    law, path = build(model, 10.0), _path()
+    _, state = law.respond(path[:, :400])
+    before = json.dumps(state.as_dict())
+    law.respond(path[:, 400:], state)
+    assert json.dumps(state.as_dict()) == before
+
+
+@pytest.mark.parametrize("limit", [10.0, 4.0])
+def test_the_range_is_kept_and_reached(model, build, limit):
+    drive, _ = build(model, limit).respond(3.0 * _path())
+    assert np.abs(drive).max() == limit
+    assert np.abs(build(model, limit).drive_for(3.0 * _path())).max() == limit
+
+
+def test_a_path_known_ahead_is_aligned_with_its_drive(model, build):
+    """A path that begins and ends at rest: the stream's drive, earlier by the preview, to the last bit."""
+    law = build(model, 10.0)
+    path = np.hstack([np.zeros((2, 200)), _path(), np.tile(_path()[:, -1:], 200)])
+    ahead = law.preview_samples
+    stream, _ = law.respond(np.hstack([path, np.tile(path[:, -1:], ahead)]))
+    assert (law.drive_for(path) == stream[:, ahead:]).all()
+
+
+def test_bad_references_are_named(model, build):
+    law, path = build(model, 10.0), _path()
+    path[1, 17] = np.nan
+    for use in (law.respond, law.drive_for):
+        with pytest.raises(InputError, match="axis 2 is not finite at sample 17"):
+            use(path)
+        with pytest.raises(InputError, match=r"shape \(1, 5\)"):
+            use(np.zeros((1, 5)))
+
+
+def test_what_must_be_known_before_a_run_is_said(model, build):
+    law = build(model, 10.0)
+    assert isinstance(law.statement(), str)
+    if isinstance(law, (ExactInverse, HammersteinInverse)):
+        assert "has an inverse for every reference" in law.statement()
+
+
+def test_three_axes():
+    generator = np.random.default_rng(1)
+    pairs = [
+        [
+            Pair([0.0, 1.0, 3.0], [4.0, 1.0, 0.5])
+            if o == k
+            else Pair([0.0, 2.0], generator.normal(0, 0.2, 2))
+            for k in range(3)
+        ]
+        for o in range(3)
+    ]
+    axes = tuple(Axis(resonance_hz=f, damping_ratio=0.05) for f in (250.0, 300.0, 400.0))
+    names = ("a", "b", "c")
+    model = HammersteinModel("three", PrandtlIshlinskii(pairs), AxesDynamics(axes=axes), 10.0, names, names)
+    law = HammersteinInverse(model, 10.0, T)
+    path = np.vstack([_path(), _path()[:1]])[[2, 1, 0]] * [[1.0], [0.5], [0.7]]
+    whole, _ = law.respond(path)
+    first, state = law.respond(path[:, :200])
+    rest, _ = law.respond(path[:, 200:], state)
+    assert (np.hstack([first, rest]) == whole).all()

@@ -1,0 +1,119 @@
+import numpy as np
+import pytest
+import theory
+
+from hammerstein.compensators.exact_inverse import ExactInverse
+from hammerstein.compensators.hammerstein_inverse import HammersteinInverse
+from hammerstein.compensators.reach import largest_scale, reach, require_reach, shortfall
+from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
+from hammerstein.errors import SimulationError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.model import HammersteinModel
+
+T = 50e-6
+NAMES = (("u", "v"), ("x", "y"))
+
+
+def _table(dynamics=None):
+    hysteresis = PrandtlIshlinskii.from_arrays(theory.R_V, theory.W_UM_PER_V)
+    return HammersteinModel("table", hysteresis, dynamics or StaticDynamics(n_outputs=2), 10.0, *NAMES)
+
+
+def _tips(range_v):
+    """Settled loop amplitudes (output, input), from the closed form."""
+    return np.array(
+        [[theory.loop_amplitude(theory.R_V, w, range_v) for w in row] for row in theory.W_UM_PER_V]
+    )
+
+
+def test_one_axis_reaches_the_tip_of_its_settled_loop():
+    model = HammersteinModel(
+        "one",
+        PrandtlIshlinskii([[Pair(theory.R_V, theory.W_XX)]]),
+        StaticDynamics(n_outputs=1),
+        10.0,
+        ("u",),
+        ("x",),
+    )
+    expected = theory.loop_amplitude(theory.R_V, theory.W_XX, 10.0)
+    assert reach(model, 10.0).alone_um[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_coupled_axes_reach_what_their_tips_say():
+    """Alone, the other axis is held against the coupling; together, both inputs push with the worst signs."""
+    found = reach(_table(), 10.0)
+    tips = _tips(10.0)
+    alone = np.diag(tips) - np.abs(tips[[0, 1], [1, 0]] * tips[[1, 0], [0, 1]] / np.diag(tips)[::-1])
+    np.testing.assert_allclose(found.alone_um, alone, rtol=0.01)
+    worst = np.diag(tips) - np.abs(tips[[0, 1], [1, 0]])
+    assert (found.together_um < found.alone_um).all()
+    assert (found.together_um >= worst * 0.97).all()
+    assert "x +-5" in found.statement(("x", "y"))
+
+
+def test_reach_is_what_the_inverse_just_reaches():
+    model = _table()
+    law = ExactInverse(model, 10.0)
+    wave = np.sin(2.0 * np.pi * np.arange(1000) / 200)
+    for tip in np.diag(reach(model, 10.0).alone_um):
+        assert np.abs(law.drive_for(0.999 * np.outer(tip, wave))).max() < 10.0
+        assert np.abs(law.drive_for(1.001 * np.outer(tip, wave))).max() == 10.0
+
+
+def test_without_limit_the_reach_has_none():
+    assert np.isinf(reach(_table(), np.inf).alone_um).all()
+
+
+def test_largest_scale_of_a_path():
+    model = _table()
+    law = ExactInverse(model, 10.0)
+    angle = 2.0 * np.pi * np.arange(800) / 400
+    circle = 70.0 * np.stack([np.cos(angle), np.sin(angle)])
+    scale = largest_scale(law, circle, 10.0)
+    assert 0.5 < scale < 0.9
+    assert np.abs(law.drive_for(0.999 * scale * circle)).max() < 10.0
+    assert np.abs(law.drive_for(1.001 * scale * circle)).max() == 10.0
+    assert largest_scale(law, 0.5 * circle, 10.0) == 1.0
+
+
+def test_shortfall_names_samples_and_axes():
+    model = _table()
+    law = ExactInverse(model, 10.0)
+    angle = 2.0 * np.pi * np.arange(800) / 400
+    path = np.stack([70.0 * np.sin(angle), 20.0 * np.sin(angle)])
+    drive = law.drive_for(path)
+    found = shortfall(model, law, path, drive, 10.0, T)
+    np.testing.assert_allclose(
+        found.predicted_um,
+        theory.prandtl_ishlinskii(drive, [[theory.R_V] * 2] * 2, theory.W_UM_PER_V),
+        atol=1e-9,
+    )
+    assert (found.missed() == (np.abs(found.predicted_um - path) > 1e-6)).all()
+    assert found.missed()[0].any()
+    assert not found.missed()[1].any()
+    first, number = int(np.argmax(found.at_range[0])), int(found.at_range[0].sum())
+    with pytest.raises(
+        SimulationError, match=f"u stands at its range in {number} of 800 samples, first at sample {first} "
+    ):
+        require_reach(found, *NAMES)
+
+
+def test_a_path_within_reach_passes():
+    model = _table(AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12),) * 2))
+    law = HammersteinInverse(model, 10.0, T, preview_s=0.0)
+    path = np.zeros((2, 800))
+    path[0] = 20.0 * np.sin(2.0 * np.pi * 50.0 * T * np.arange(800)) ** 5
+    found = shortfall(model, law, path, law.drive_for(path), 10.0, T)
+    require_reach(found, *NAMES)
+    assert "stays within its range" in found.statement(*NAMES)
+    assert np.abs(found.error_um).max() < 0.01  # the stated delay is no error
+
+
+def test_a_jump_is_pointed_out():
+    model = _table(AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12),) * 2))
+    law = HammersteinInverse(model, 10.0, T)
+    path = np.zeros((2, 600))
+    path[1, 300:] = 10.0
+    found = shortfall(model, law, path, law.drive_for(path), 10.0, T)
+    with pytest.raises(SimulationError, match=r"turns hardest at sample (299|300) of y; .* set filter_hz"):
+        require_reach(found, *NAMES)

@@ -1,0 +1,197 @@
+"""Resonance, damping, creep and delay, found together with the static block."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import theory
+from scipy.signal import StateSpace, cont2discrete
+
+from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, discretise
+from hammerstein.identification.axis_task import AxisTask, axis_of
+from hammerstein.identification.candidates import dynamics_of
+from hammerstein.identification.records import Record
+from hammerstein.identification.regressors import Start
+from hammerstein.identification.second_order import AxisFit, fit_axes, refine, search_axes
+from hammerstein.identification.static_block import fit_static
+from hammerstein.identification.verdict import axis_identified, axis_statements
+
+T = 5e-5
+R = np.array([0.0, 1.0, 3.0, 6.0])
+W = np.array([[[4.0, 0.5, 1.0, 0.5], [0.3, -0.1, 0.05, 0.1]], [[-0.2, 0.1, 0.1, 0.05], [3.5, 0.8, 0.4, 0.3]]])
+AXES = ((280.0, 0.12), (310.0, 0.1))
+SENSOR_HZ = 2000.0
+
+
+def lagged(v, resonance_hz, damping, creep=(), sample_time_s=T, sensor_hz=SENSOR_HZ):
+    """One axis and its sensor by SciPy's exact zero-order hold, not by ours."""
+    w, s = 2.0 * np.pi * resonance_hz, 2.0 * np.pi * sensor_hz
+    n = len(creep)
+    a = np.zeros((3 + n, 3 + n))
+    a[:2, :2] = [[0.0, 1.0], [-(w**2), -2.0 * damping * w]]
+    b = np.zeros((3 + n, 1))
+    b[1] = w**2
+    position = np.zeros((1, 3 + n))
+    position[0, 0] = 1.0
+    for i, (gain, time_s) in enumerate(creep):
+        a[2 + i, 0], a[2 + i, 2 + i], position[0, 2 + i] = 1.0 / time_s, -1.0 / time_s, gain
+    a[-1] = s * position
+    a[-1, -1] = -s
+    c = np.zeros((1, 3 + n))
+    c[0, -1] = 1.0
+    system = cont2discrete((a, b, c, np.zeros((1, 1))), sample_time_s)
+    x, out = np.zeros((3 + n, 1)), np.empty(len(v))
+    for k, value in enumerate(v):
+        out[k] = (system[2] @ x)[0, 0]
+        x = system[0] @ x + system[1] * value
+    return out
+
+
+def record_of(u, noise, generator, axes=AXES, delay=0, **keywords):
+    late = np.hstack([np.zeros((2, delay)), u[:, : u.shape[1] - delay]])
+    v = theory.prandtl_ishlinskii(late, [[R] * 2] * 2, W)
+    y = np.array([lagged(row, *axis, **keywords) for row, axis in zip(v, axes, strict=True)])
+    return Record(u, y + noise * generator.standard_normal(y.shape), keywords.get("sample_time_s", T))
+
+
+def campaign(noise=0.04, seed=0, frequencies=(20.0, 100.0, 250.0, 400.0), **keywords):
+    """Sines of 10 V on one input at a time, from rest."""
+    generator = np.random.default_rng(seed)
+    records = []
+    for k in range(2):
+        for f in frequencies:
+            u = np.zeros((2, 1500))
+            u[k] = 10.0 * np.sin(2.0 * np.pi * f * T * np.arange(1500))
+            records.append(record_of(u, noise, generator, **keywords))
+    return records
+
+
+def fitted(records, creep_modes=0, **keywords):
+    starts = [Start("rest")] * len(records)
+    guess = search_axes(records, starts, sensor_bandwidth_hz=SENSOR_HZ, **keywords)
+    return fit_axes(records, [R, R], starts, guess, creep_modes=creep_modes, sensor_bandwidth_hz=SENSOR_HZ)
+
+
+def test_resonance_damping_and_weights_come_back_from_noisy_sines():
+    records = campaign()
+    fit = fitted(records)
+    for axis, (resonance_hz, damping) in zip(fit.axes, AXES, strict=True):
+        assert axis.axis.resonance_hz == pytest.approx(resonance_hz, rel=1e-4)
+        assert axis.axis.damping_ratio == pytest.approx(damping, rel=1e-3)
+        assert axis.rms_um == pytest.approx(0.04, rel=0.05)
+        assert axis.static_rms_um > 5.0
+    through = discretise(fit.dynamics(T), T, SENSOR_HZ)
+    static = fit_static(records, [[R] * 2] * 2, through=through)
+    found = np.array([[pair.weights_um_per_v for pair in row] for row in static.hysteresis.pairs])
+    assert np.abs(found - W).max() < 0.01
+
+
+def test_standard_errors_are_of_the_size_of_the_errors():
+    scores = []
+    for seed in range(6):
+        for axis, (resonance_hz, damping) in zip(fitted(campaign(0.2, seed)).axes, AXES, strict=True):
+            scores.append(
+                100.0 * (axis.axis.resonance_hz / resonance_hz - 1.0) / axis.resonance_error_percent
+            )
+            scores.append(100.0 * (axis.axis.damping_ratio / damping - 1.0) / axis.damping_error_percent)
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.6  # 24 normal scores
+
+
+@pytest.mark.parametrize("axes", [((30.0, 0.3), (45.0, 0.05)), ((900.0, 0.02), (2500.0, 0.6))])
+def test_search_needs_no_starting_values(axes):
+    fit = fitted(campaign(0.01, axes=axes))
+    for axis, (resonance_hz, damping) in zip(fit.axes, axes, strict=True):
+        assert axis.axis.resonance_hz == pytest.approx(resonance_hz, rel=1e-3)
+        assert axis.axis.damping_ratio == pytest.approx(damping, rel=1e-2)
+
+
+def test_delay_is_told_from_the_lag_of_the_axes():
+    fit = fitted(campaign(delay=2), delay_samples=None)
+    assert fit.delay_samples == 2
+    assert fit.dynamics(T).input_delay_s == pytest.approx(2 * T)
+    assert fit.axes[0].axis.resonance_hz == pytest.approx(280.0, rel=1e-3)
+
+
+def test_creep_comes_back_from_a_slow_record_beside_fast_ones():
+    creep = ((0.04, 0.5), (0.06, 8.0))
+    fast = campaign(0.01, frequencies=(50.0, 250.0, 400.0), creep=creep)
+    slow = []
+    for k in range(2):
+        u = np.zeros((2, 4000))
+        time_s = 0.01 * np.arange(4000)
+        u[k] = 8.0 * np.sign(np.sin(2.0 * np.pi * time_s / 20.0 + 0.1)) + 1.5 * np.sin(2.0 * np.pi * time_s)
+        slow.append(record_of(u, 0.01, np.random.default_rng(k), creep=creep, sample_time_s=0.01))
+    fit = fitted([*fast, *slow], creep_modes=2)
+    for axis in fit.axes:
+        modes = sorted(axis.axis.creep, key=lambda mode: mode.time_constant_s)
+        assert [mode.gain for mode in modes] == pytest.approx([0.04, 0.06], rel=0.02)
+        assert [mode.time_constant_s for mode in modes] == pytest.approx([0.5, 8.0], rel=0.02)
+
+
+def test_a_slow_record_tells_no_resonance():
+    u = np.zeros((2, 2000))
+    u[0] = 10.0 * np.sin(2.0 * np.pi * np.arange(2000) / 1000)
+    u[1] = 10.0 * np.sin(2.0 * np.pi * np.arange(2000) / 800)
+    y = theory.prandtl_ishlinskii(u, [[R] * 2] * 2, W)
+    record = Record(u, y + 0.04 * np.random.default_rng(0).standard_normal(y.shape), 0.01)
+    fit = fitted([record])
+    assert not any(axis_identified(axis) for axis in fit.axes)
+    statements = axis_statements(("x", "y"), fit.axes)
+    assert statements[0].startswith("resonance and damping of x: the records look the same without dynamics")
+
+
+def axis_fit(resonance_hz, told, creep=(), creep_gain_errors=(), damping_error_percent=1.0):
+    axis = Axis(resonance_hz=resonance_hz, damping_ratio=0.1, creep=creep)
+    return AxisFit(axis, 0.1, damping_error_percent, creep_gain_errors, 0.1 if told else 0.99, 1.0)
+
+
+def test_an_axis_that_is_not_told_passes_its_input_unchanged():
+    dynamics = dynamics_of([axis_fit(100.0, False), axis_fit(50.0, True)])
+    alone = discretise(AxesDynamics(axes=(axis_fit(50.0, True).axis,)), 1e-3)
+    response = discretise(dynamics, 1e-3).response([0.0, 20.0, 80.0])
+    assert np.abs(response[:, 0, 0] - 1.0).max() < 1e-12
+    assert np.abs(response[:, 1, 1] - alone.response([0.0, 20.0, 80.0])[:, 0, 0]).max() < 1e-9
+    assert np.abs(response[:, 0, 1]).max() == 0.0
+    assert isinstance(dynamics_of([axis_fit(50.0, True)]), AxesDynamics)
+
+
+def test_unsure_damping_and_creep_are_stated():
+    slow = (CreepMode(gain=0.01, time_constant_s=300.0),)
+    said = axis_statements(("x",), [axis_fit(50.0, True, slow, (0.02,), damping_error_percent=40.0)])
+    assert said[0] == "damping of x: known to 40 % only"
+    assert said[1].startswith("creep of x over 300 s: 0.01 +- 0.02; record for several times as long")
+
+
+def test_derivatives_are_those_of_the_output():
+    x = np.log([280.0, 0.12])
+    x = np.concatenate([x, [0.05, np.log(0.02)]])
+    records = campaign(0.0)
+    task = AxisTask(tuple(records), (Start("rest"),) * 8, (R, R), 0, 1, 0, SENSOR_HZ)
+    slopes = np.arange(1.0, 9.0)
+    columns = np.random.default_rng(0).standard_normal((8, 300))
+    block = task.derivatives(x, slopes, T)
+    rows, _ = block.respond(columns, block.rest())
+    for i in range(4):
+        step = 1e-4 * np.eye(4)[i]
+        ahead, behind = (task.path(x + s * step, T).respond(slopes @ columns)[0][0] for s in (1.0, -1.0))
+        wanted = (ahead - behind) / 2e-4
+        assert np.abs(rows[i] - wanted).max() < 1e-5 * np.abs(wanted).max()
+
+
+def test_parameters_stay_within_what_the_records_can_show():
+    records = campaign(0.0)[:1]
+    task = AxisTask(tuple(records), (Start("rest"),), (R, R[:0]), 0, 0, 0, SENSOR_HZ)
+    found = axis_of(refine(task, np.log([1e5, 1e-6])).x)
+    assert found.resonance_hz <= 0.45 / T
+    assert found.damping_ratio >= 0.99e-4
+
+
+def test_scipy_oracle_agrees_with_a_continuous_simulation():
+    system = StateSpace(
+        [[0.0, 1.0], [-((280.0 * 2 * np.pi) ** 2), -2 * 0.12 * 280.0 * 2 * np.pi]],
+        [[0.0], [(280.0 * 2 * np.pi) ** 2]],
+        [[1.0, 0.0]],
+        [[0.0]],
+    )
+    _, step = system.step(T=T * np.arange(200))
+    assert np.abs(lagged(np.ones(200), 280.0, 0.12, sensor_hz=1e6) - step).max() < 0.02

@@ -1,0 +1,278 @@
+"""Least squares for the static block: exact recovery, bounds, standard errors, filters, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import theory
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from hammerstein.dynamics import LinearBlock
+from hammerstein.errors import IdentificationError
+from hammerstein.identification.delay import shortest_delay, static_delay
+from hammerstein.identification.normal_equations import moments_of, pooled, solve
+from hammerstein.identification.operators import (
+    CurvePoint,
+    enough_operators,
+    error_curve,
+    input_grids,
+)
+from hammerstein.identification.records import Record
+from hammerstein.identification.regressors import SideBySide, Start, channel
+from hammerstein.identification.static_block import direct_pairs, fit_static
+
+SHAPES = [(1, 1), (1, 2), (2, 1), (2, 2), (2, 3), (3, 2), (3, 3)]
+
+
+def random_walk(generator, inputs, samples=3000, amplitude=10.0):
+    """Inputs that wander over the whole range and turn often."""
+    walk = np.cumsum(generator.standard_normal((inputs, samples)), axis=1)
+    low, high = walk.min(axis=1, keepdims=True), walk.max(axis=1, keepdims=True)
+    return amplitude * (2.0 * (walk - low) / (high - low) - 1.0)
+
+
+def random_model(generator, inputs, outputs):
+    """Ragged thresholds, well below half the range, and weights of either sign."""
+    thresholds = [
+        [
+            np.sort(generator.choice(np.arange(40), generator.integers(1, 8), replace=False)) * 0.2
+            for _ in range(inputs)
+        ]
+        for _ in range(outputs)
+    ]
+    weights = [[generator.standard_normal(len(r)) for r in row] for row in thresholds]
+    return thresholds, weights
+
+
+def record_of(u, thresholds, weights, offset=0.0, noise=0.0, generator=None):
+    y = theory.prandtl_ishlinskii(u, thresholds, weights) + offset
+    if noise:
+        y = y + noise * generator.standard_normal(y.shape)
+    return Record(u, y, 1e-3, verified=True)
+
+
+def worst(hysteresis, weights):
+    return max(
+        float(np.abs(pair.weights_um_per_v - w).max())
+        for row, wanted in zip(hysteresis.pairs, weights, strict=True)
+        for pair, w in zip(row, wanted, strict=True)
+    )
+
+
+@pytest.mark.parametrize(("inputs", "outputs"), SHAPES)
+@settings(max_examples=3, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_noise_free_records_return_their_weights(inputs, outputs, seed):
+    generator = np.random.default_rng(seed)
+    thresholds, weights = random_model(generator, inputs, outputs)
+    offset = 100.0 * generator.standard_normal((outputs, 1))
+    record = record_of(random_walk(generator, inputs), thresholds, weights, offset)
+    fit = fit_static([record], thresholds, method="least_squares")
+    assert worst(fit.hysteresis, weights) < 1e-8
+    assert np.abs(fit.offsets_um - offset.T).max() < 1e-7
+    assert fit.open == ()
+
+
+def test_several_records_with_their_own_offsets_are_one_problem():
+    generator = np.random.default_rng(1)
+    thresholds, weights = random_model(generator, 2, 2)
+    alone = []
+    for k, offset in enumerate((-30.0, 12.0)):
+        u = np.zeros((2, 2000))
+        u[k] = random_walk(generator, 1, 2000)[0]
+        alone.append(record_of(u, thresholds, weights, offset))
+    fit = fit_static(alone, thresholds, method="least_squares")
+    assert worst(fit.hysteresis, weights) < 1e-8
+    assert np.abs(fit.offsets_um - [[-30.0, -30.0], [12.0, 12.0]]).max() < 1e-7
+    assert fit.samples == 4000
+
+
+def test_a_record_in_blocks_gives_the_same_as_in_one(monkeypatch):
+    generator = np.random.default_rng(2)
+    thresholds, weights = random_model(generator, 2, 1)
+    record = record_of(random_walk(generator, 2), thresholds, weights, 0.0, 0.1, generator)
+    whole = fit_static([record], thresholds)
+    monkeypatch.setattr("hammerstein.identification.regressors.BLOCK", 37)
+    pieces = fit_static([record], thresholds)
+    found = [pair.weights_um_per_v for pair in whole.hysteresis.pairs[0]]
+    assert worst(pieces.hysteresis, [found]) < 1e-10
+
+
+def test_standard_errors_cover_the_truth():
+    generator = np.random.default_rng(3)
+    r, w = [[theory.R_V]], [[np.array(theory.W_XX)]]
+    u = np.tile(10.0 * np.sin(2.0 * np.pi * np.arange(400) / 400), 5)[None]
+    clean = theory.prandtl_ishlinskii(u, r, w)
+    scores = []
+    for _ in range(40):
+        record = Record(u, clean + 0.04 * generator.standard_normal(clean.shape), 5e-5)
+        pair = fit_static([record], r, method="least_squares").hysteresis.pairs[0][0]
+        scores.append((pair.weights_um_per_v - w[0][0]) / pair.weight_errors_um_per_v)
+    assert np.std(scores) == pytest.approx(1.0, abs=0.1)  # 600 normal scores: 0.03 each way
+    assert abs(np.mean(scores)) < 0.2
+
+
+def lagging_record():
+    """A loop whose lag asks for a negative first slope (theory: none of ours is involved)."""
+    u = 10.0 * np.sin(2.0 * np.pi * np.arange(2000) / 400)[None]
+    v = theory.prandtl_ishlinskii(u, [[theory.R_V]], [[theory.W_XX]])
+    return Record(u, lfilter([0.05], [1.0, -0.95], v), 5e-5)
+
+
+def test_invertible_keeps_every_slope_of_the_direct_pair_positive():
+    record = lagging_record()
+    free = fit_static([record], [[theory.R_V]], method="least_squares").hysteresis.pairs[0][0]
+    fit = fit_static([record], [[theory.R_V]])
+    pair = fit.hysteresis.pairs[0][0]
+    assert free.slopes.min() < 0.0
+    gain = free.amplitude(10.0) / 10.0
+    assert pair.slopes.min() == pytest.approx(0.05 * gain, rel=1e-6)
+    assert (0, 0, 0) in fit.bounded
+    assert fit.rms_um[0] > fit_static([record], [[theory.R_V]], method="least_squares").rms_um[0]
+
+
+def test_invertible_leaves_negative_weights_alone_where_slopes_are_positive():
+    r, w = [[theory.R_V]], [[np.array(theory.W_XX)]]
+    u = 10.0 * np.sin(2.0 * np.pi * np.arange(1200) / 400)[None]
+    fit = fit_static([record_of(u, r, w)], r)
+    assert min(w[0][0]) < 0.0
+    assert worst(fit.hysteresis, w) < 1e-8
+    assert fit.bounded == ()
+
+
+def test_nonnegative_gives_every_weight_the_sign_of_the_gain():
+    generator = np.random.default_rng(4)
+    thresholds = [[np.array([0.0, 1.0, 2.0, 4.0])] * 2] * 2
+    weights = [[np.array([3.0, -1.0, 1.0, 0.5]), np.array([-2.0, 0.5, -0.5, 0.1])]] * 2
+    fit = fit_static(
+        [record_of(random_walk(generator, 2), thresholds, weights)], thresholds, method="nonnegative"
+    )
+    for row in fit.hysteresis.pairs:
+        assert (row[0].weights_um_per_v >= 0.0).all()
+        assert (row[1].weights_um_per_v <= 0.0).all()
+
+
+def test_direct_pairs_follow_the_largest_gains():
+    assert direct_pairs(np.array([[1.0, 5.0], [4.0, 1.0]])) == [(0, 1), (1, 0)]
+    assert direct_pairs(np.array([[1.0, -5.0, 2.0]])) == [(0, 1)]
+
+
+def test_ridge_makes_up_for_thresholds_that_the_record_cannot_tell_apart():
+    u = 10.0 * np.sin(2.0 * np.pi * np.arange(200) / 40)[None]  # 40 samples a cycle, 60 thresholds
+    r = [[10.0 * np.arange(60) / 60]]
+    record = record_of(u, [[[0.0, 3.0]]], [[[2.0, 1.0]]], 0.0, 0.05, np.random.default_rng(5))
+    bare = fit_static([record], r, method="least_squares")
+    calm = fit_static([record], r, method="least_squares", ridge=1e-3)
+    assert bare.open == ((0, 0),)
+    assert np.abs(calm.hysteresis.pairs[0][0].weights_um_per_v[1:]).max() < 1.0
+    assert calm.rms_um[0] < 0.3
+
+
+def one_pole(pole):
+    return LinearBlock(
+        np.array([[pole]]), np.array([[1.0 - pole]]), np.array([[pole]]), np.array([[1.0 - pole]]), 1e-3
+    )
+
+
+def test_weights_behind_a_linear_block_come_back():
+    generator = np.random.default_rng(6)
+    thresholds, weights = random_model(generator, 2, 1)
+    u = random_walk(generator, 2)
+    v = theory.prandtl_ishlinskii(u, thresholds, weights)
+    lagging = Record(u, lfilter([0.1], [1.0, -0.9], v), 1e-3, verified=True)
+    fit = fit_static([lagging], thresholds, method="least_squares", through=one_pole(0.9))
+    assert worst(fit.hysteresis, weights) < 1e-8
+    assert fit_static([lagging], thresholds, method="least_squares").rms_um[0] > 0.1
+
+
+def test_the_path_of_one_axis_keeps_only_the_states_it_needs():
+    plant = LinearBlock(np.diag([0.5, 0.7]), np.eye(2), np.eye(2), np.zeros((2, 2)), 1e-3)
+    both = plant.observed_by(plant)
+    path = channel(both, 3, 1)
+    assert path.A.shape == (2, 2)
+    assert channel(both, 2, 1) is None
+    u = np.random.default_rng(7).standard_normal((1, 50))
+    wanted = lfilter([0.0, 1.0], [1.0, -0.7], lfilter([0.0, 1.0], [1.0, -0.7], u))
+    copies = SideBySide(path, 1)
+    first, state = copies.respond(u[:, :20], copies.rest())
+    second, _ = copies.respond(u[:, 20:], state)
+    assert np.abs(np.hstack([first, second]) - wanted).max() < 1e-12
+
+
+def test_a_block_that_couples_the_outputs_is_refused():
+    coupled = LinearBlock(np.array([[0.5]]), np.ones((1, 2)), np.ones((2, 1)), np.zeros((2, 2)), 1e-3)
+    record = record_of(random_walk(np.random.default_rng(8), 2), [[[0.0]] * 2] * 2, [[[1.0]] * 2] * 2)
+    with pytest.raises(IdentificationError, match="couples the outputs"):
+        fit_static([record], [[np.zeros(1)] * 2] * 2, through=coupled)
+
+
+def test_what_the_records_cannot_tell_is_refused_by_name():
+    u = random_walk(np.random.default_rng(9), 1)
+    grid = np.array([0.0, 1.0])
+    same = record_of(np.vstack([u, u]), [[grid] * 2], [[[1.0, 1.0]] * 2])
+    with pytest.raises(IdentificationError, match="inputs u1 and u2 apart"):
+        fit_static([same], [[grid] * 2])
+    still = record_of(np.vstack([u, 0.0 * u]), [[grid] * 2], [[[1.0, 1.0]] * 2])
+    with pytest.raises(IdentificationError, match="input u2 is never driven"):
+        fit_static([still], [[grid] * 2])
+    with pytest.raises(IdentificationError, match="threshold 12 V of input u1 is never engaged"):
+        fit_static([same], [[np.array([0.0, 12.0]), grid]])
+
+
+def test_an_absent_pair_stays_absent():
+    generator = np.random.default_rng(10)
+    thresholds = [[np.array([0.0, 1.0]), np.empty(0)], [np.empty(0), np.array([0.5])]]
+    weights = [[np.array([2.0, 1.0]), np.empty(0)], [np.empty(0), np.array([3.0])]]
+    fit = fit_static([record_of(random_walk(generator, 2), thresholds, weights)], thresholds)
+    assert [len(pair.thresholds_v) for row in fit.hysteresis.pairs for pair in row] == [2, 0, 0, 1]
+    assert fit.hysteresis.pairs[1][1].weights_um_per_v == pytest.approx([3.0], abs=1e-9)
+
+
+def test_delay_is_found_with_hysteresis_in_the_way():
+    u = random_walk(np.random.default_rng(11), 1)
+    record = record_of(u, [[theory.R_V[:8]]], [[theory.W_XX[:8]]])
+    late = Record(u[:, 3:], record.y_um[:, :-3], 1e-3)
+    delay, rms = static_delay([late], [[theory.R_V[:8]]], [Start("rest")])
+    assert delay == 3
+    assert rms.shape == (6, 1)
+    assert shortest_delay(np.array([[1.0], [0.995]])) == 0
+
+
+def test_a_repeated_start_takes_the_record_for_its_own_past():
+    u = np.tile(10.0 * np.sin(2.0 * np.pi * np.arange(400) / 400), 2)[None]
+    y = theory.prandtl_ishlinskii(u, [[theory.R_V]], [[theory.W_XX]])[:, 400:]
+    record = Record(u[:, 400:], y, 5e-5)
+    fit = fit_static([record], [[theory.R_V]], method="least_squares", starts=[Start("repeated")])
+    assert worst(fit.hysteresis, [[theory.W_XX]]) < 1e-8
+    assert fit_static([record], [[theory.R_V]], method="least_squares").rms_um[0] > 0.1
+
+
+def test_error_curve_levels_off_at_the_true_number_of_operators():
+    generator = np.random.default_rng(12)
+    r = input_grids(
+        [Record(10.0 * np.sin(np.arange(3000) / 50.0)[None], np.arange(3000.0)[None], 1e-3)], 8, "voltage"
+    )
+    u = random_walk(generator, 1, 6000)
+    record = record_of(u, [[r[0]]], [[np.linspace(3.0, 0.5, 8)]], 0.0, 0.01, generator)
+    curve = error_curve([record], [Start("rest")], partition="voltage", counts=(1, 4, 8, 16))
+    errors = [point.mean_percent for point in curve]
+    assert errors[0] > 10.0 * errors[2]
+    assert errors[2] == pytest.approx(100.0 * 0.01 / np.ptp(record.y_um), rel=0.1)
+    assert enough_operators(curve) == 8
+
+
+def test_enough_operators_takes_the_smallest_within_two_percent():
+    curve = [CurvePoint(1, (7.0,)), CurvePoint(8, (0.815,)), CurvePoint(15, (0.8,))]
+    assert enough_operators(curve) == 8
+
+
+def test_moments_do_not_lose_digits_to_large_offsets():
+    x = np.random.default_rng(13).standard_normal((2, 500))
+    y = np.array([[2.0, -1.0]]) @ x + 1e7
+    m = pooled([moments_of([(x[:, :200], y[:, :200]), (x[:, 200:], y[:, 200:])], 2, 1)])
+    found = solve(m.gram, m.cross[:, 0], float(m.power[0]), m.freedom)
+    assert found.coefficients == pytest.approx([2.0, -1.0], abs=1e-8)
+    with pytest.raises(IdentificationError, match="no sample"):
+        moments_of([], 2, 1)
