@@ -95,6 +95,7 @@ def run(
         actuator=setup.plant.model.name,
         digest=scenario.digest(),
         model_digest=setup.plant.model.digest(),
+        instruments=setup.plant.instruments,
         inputs=setup.plant.model.inputs,
         axes=setup.plant.model.outputs,
         rows=rows,

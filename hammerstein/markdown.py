@@ -13,7 +13,6 @@ from typing import Any
 from hammerstein.answer import answer
 from hammerstein.conditions import identified_at, number
 from hammerstein.figures.loop_data import MOST_OVERLAYS
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.number_tables import number_tables
 from hammerstein.report import Report
@@ -205,19 +204,11 @@ def _setting(report: Report) -> Iterator[tuple[str, str]]:
     if scenario.uncertainty is not None:
         yield "Drawn actuators, relative deviations", _listed(scenario.uncertainty.model_dump())
     yield "Measured", _listed(scenario.measure.model_dump())
-    merged = _instruments(report, model)
-    yield "Converter and amplifier", _listed(merged.drive.model_dump())
-    yield "Sensor", _listed(merged.sensor.model_dump())
+    yield "Converter and amplifier", _listed(report.instruments.drive.model_dump())
+    yield "Sensor", _listed(report.instruments.sensor.model_dump())
     yield "Seed of the noise", str(scenario.seed)
     yield "Digest of the scenario", _code(report.digest)
     yield "Digest of the actuator's model", _code(report.model_digest)
-
-
-def _instruments(report: Report, model: HammersteinModel) -> Instruments:
-    """The actuator's own instruments with what the scenario puts in their place."""
-    given = report.scenario.instruments.model_dump(exclude_unset=True)
-    own = model.instruments.model_dump()
-    return Instruments.model_validate({name: own[name] | given.get(name, {}) for name in own})
 
 
 def _source(source: ModelSource) -> tuple[str, str, str, str]:

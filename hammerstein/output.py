@@ -38,6 +38,7 @@ def write_report(
 
     written: list[Path] = []
     drawn: list[Path] = []
+    _clear(folder)
     if figures:
         from hammerstein.figures import write_figures
 
@@ -57,6 +58,16 @@ def write_report(
         write_atomic(folder / name, text)
         written.append(folder / name)
     return written
+
+
+def _clear(folder: Path) -> None:
+    """Remove what an earlier run of the scenario wrote, so that no stale figure stays."""
+    for pattern in ("*.png", "*.svg", "rms.csv", "bands.csv", "report.md", "report.json", "traces/*.*"):
+        for path in folder.glob(pattern):
+            try:
+                path.unlink()
+            except OSError as error:
+                raise InputError(str(path), f"cannot be replaced ({error.strerror})") from None
 
 
 def _write_traces(report: Report, folder: Path, kind: TraceFormat) -> list[Path]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.claims import Verdict
+from hammerstein.instruments import Instruments
 from hammerstein.plant import Response
 from hammerstein.rows import Row
 from hammerstein.scenario import Scenario
@@ -80,6 +81,7 @@ class Report:
     actuator: str
     digest: str
     model_digest: str
+    instruments: Instruments
     inputs: tuple[str, ...]
     axes: tuple[str, ...]
     rows: tuple[Row, ...]

@@ -25,7 +25,7 @@ from hammerstein.compensators.specs import Compensator
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited
 from hammerstein.instruments import Instruments
-from hammerstein.signals import Excitation, FromFile, OnAxes, Reference
+from hammerstein.signals import Excitation, FromFile, Reference
 from hammerstein.sources import ModelSource
 from hammerstein.uncertainty import Uncertainty
 from hammerstein.validation import mistakes_of
@@ -131,11 +131,6 @@ class Scenario(BaseModel):
         fields = {name: name.removesuffix("_um").removesuffix("_v") for name in Sweep.model_fields}
         for values in self.sweep.combinations():
             yield self.signal.model_copy(update={fields[key]: value for key, value in values.items()})
-
-    @property
-    def one_axis_at_a_time(self) -> bool:
-        """Whether each axis is driven in turn."""
-        return isinstance(self.signal, OnAxes) and self.signal.axis == "each"
 
     def portable(self) -> dict[str, Any]:
         """Content as plain JSON, the same wherever its files lie."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,8 +77,7 @@ class SetUp:
     def cases(self) -> Iterator[Case]:
         """Every case, in the order of the report."""
         scenario = self.scenario
-        n_axes = len(scenario_axes(scenario, self.plant.model))
-        axes = range(n_axes) if scenario.one_axis_at_a_time else [None]
+        axes = driven_axes(scenario, len(scenario_axes(scenario, self.plant.model)))
         for signal in scenario.signals():
             tested = [c.label for c in scenario.compensators if c.is_tested_at(signal.highest_frequency_hz)]
             for label in [""] if scenario.drive is not None else tested:
@@ -127,6 +126,14 @@ def follow(plant: Plant, law: AnyLaw, reference_um: Array, seed: list[int]) -> R
 def scenario_axes(scenario: Scenario, model: HammersteinModel) -> tuple[str, ...]:
     """Names of the axes that the scenario's signal has."""
     return model.inputs if scenario.drive is not None else model.outputs
+
+
+def driven_axes(scenario: Scenario, n_axes: int) -> Sequence[int | None]:
+    """Axis of each case: every one in turn, the one that is named, or None for all together."""
+    signal = scenario.signal
+    if not isinstance(signal, OnAxes) or signal.axis == "all":
+        return [None]
+    return range(n_axes) if signal.axis == "each" else [signal.axis - 1]
 
 
 def values_of(case: Case, time_s: Array, n_axes: int) -> Array:
@@ -220,7 +227,7 @@ def _check_reach(scenario: Scenario, plant: Plant, source: str) -> None:
     for signal in scenario.signals():
         window = Window.of(scenario, signal, plant.sample_time_s)
         time_s = np.linspace(0.0, window.total * plant.sample_time_s, REACH_POINTS)
-        for axis in range(len(reach)) if scenario.one_axis_at_a_time else [None]:
+        for axis in driven_axes(scenario, len(reach)):
             largest = np.abs(values_of(Case(signal, axis, ""), time_s, len(reach))).max(axis=1)
             for name, wanted, most in zip(model.outputs, largest, reach, strict=True):
                 if wanted > most:

@@ -33,7 +33,7 @@ def periodic(rng: np.random.Generator, m: int, period: int, count: int) -> Array
 
 
 def orthogonal(rng: np.random.Generator, m: int, period: int, experiments: int) -> list[Array]:
-    """Random-phase multisines, three periods: at every line the inputs are orthogonal over the experiments."""
+    """Random-phase multisines, three periods: inputs orthogonal over the experiments at every line."""
     lines = (period + 1) // 2
     turn = np.exp(2j * np.pi * np.arange(experiments)[:, None] * np.arange(m) / experiments)
     spectra = turn[:, :, None] * np.exp(2j * np.pi * rng.uniform(size=(m, lines)))

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.hysteresis.kernels import BLOCK, first_at_least, respond_textbook, search_guide
+from hammerstein.hysteresis.kernels import BLOCK, first_at_least, move, respond_textbook, search_guide
 
 RNG_SEED = 11
 
@@ -157,6 +157,25 @@ def test_a_state_holds_its_output(signal):
             k, x, d = state.end[0, top], state.x[0, top], state.d[0, top]
             held = model.bank.slope[0, k] * x - d * model.bank.moment[0, k] + state.below[0, top]
             np.testing.assert_allclose(held, v[:, -1], rtol=0, atol=1e-12 * 200)
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+@pytest.mark.parametrize("n", [1, 2, 15, 150])
+def test_one_movement_at_a_time_gives_the_same_outputs(n, signal):
+    """The form for laws with feedback, against the form for whole signals."""
+    rng = np.random.default_rng(RNG_SEED)
+    model, other = one_input(n, 0.07), one_input(7, 0.0)
+    model = PrandtlIshlinskii([[a, b] for (a,), (b,) in zip(model.pairs, other.pairs, strict=True)])
+    u, b, s = np.stack([signal(rng, 500), noise(rng, 500)]), model.bank, model.rest()
+    v, s = model.respond(u[:, :250])
+    v = np.concatenate([v, np.zeros((2, 250))], axis=1)
+    for t in range(250, 500):
+        for k in range(2):
+            move(k, u[k, t], b.r, b.slope, b.moment, s.count, s.end, s.x, s.d, s.below, v[:, t])
+    scale = 1e-12 * 12 * np.abs(b.w).sum()
+    np.testing.assert_allclose(v, model.respond(u)[0], rtol=0, atol=scale)
+    for plays, expected in zip(model.plays_of(s), model.plays_of(model.respond(u)[1]), strict=True):
+        np.testing.assert_allclose(plays, expected, rtol=0, atol=1e-11)
 
 
 def test_no_rounding_grows_in_a_long_run():

@@ -186,7 +186,7 @@ def walk(ready, virtual, w):  # type: ignore[no-untyped-def]
     return ready
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _aim(w):  # type: ignore[no-untyped-def]
     """Aim of the present pieces, J^-1 (y - c), corrected once against a poorly conditioned J."""
     m = w.shape[1]
@@ -232,7 +232,7 @@ def _to_target(w):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _first_to_leave(w):  # type: ignore[no-untyped-def]
     """Input that leaves its piece first on the way to the aim, or m if none, and the share until then."""
     first, share = w.shape[1], 1.0

@@ -73,7 +73,7 @@ def _describe(w, k):  # type: ignore[no-untyped-def]
         w[HERE, k, NOW, CONSTANT + o] = below - direction * w[GRID, k, j, SLOPE + m + o]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _below(w, m, k, i, j, o):  # type: ignore[no-untyped-def]
     """What the operators from j on add to row o while segment i and those under it stand still."""
     value = 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from hammerstein.hysteresis.kernels import advance
+from hammerstein.hysteresis.kernels import move
 
 # Columns of the controller's memory, a row an output: the last reference, what the sensor should read, the
 # integral, the last error, and the correction for the next sample.
@@ -19,7 +19,7 @@ POLE, OLD, NEW, PROPORTIONAL, INTEGRATING, DERIVATIVE = range(6)
 def correct(reference, reading, settings, memory):  # type: ignore[no-untyped-def]
     """One step of the controller: from reference and reading (p,) of a sample to the next correction."""
     for o in range(memory.shape[0]):
-        seen = settings[o, POLE] * memory[o, SEEN] + settings[o, OLD] * reference[o]
+        seen = settings[o, POLE] * memory[o, SEEN] + settings[o, OLD] * memory[o, REFERENCE]
         seen += settings[o, NEW] * reference[o]
         error = seen - reading[o]
         memory[o, INTEGRAL] += settings[o, INTEGRATING] * error
@@ -106,11 +106,7 @@ def _static_output(u, bank, plays, v):  # type: ignore[no-untyped-def]
     for k in range(u.shape[0]):
         if r[k, 0] == np.inf:
             continue
-        count[k] = advance(u[k], r[k], slope[k], moment[k], count[k], end[k], x[k], d[k], below[k])
-        top = count[k] - 1
-        j = end[k, top]
-        for o in range(v.shape[0]):
-            v[o] += slope[k, j, o] * x[k, top] - d[k, top] * moment[k, j, o] + below[k, top, o]
+        move(k, u[k], r, slope, moment, count, end, x, d, below, v)
 
 
 @njit(cache=True, nogil=True)

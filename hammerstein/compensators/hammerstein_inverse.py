@@ -191,8 +191,11 @@ class HammersteinInverse(Law[PathState]):
         return self.exact.solve(self._wanted(known, modes), self.exact.rest(), away, self.recovery)[0]
 
     def _filtered(self, raw: Array) -> Array:
+        """Reference behind the filter, shorter by its length less one."""
         from hammerstein.compensators.linear_inverse_kernel import filtered
 
+        if len(self.taps) == 1:
+            return raw
         out = np.empty((raw.shape[0], raw.shape[1] - len(self.taps) + 1))
         filtered(self.taps, raw, out)
         return out
@@ -234,7 +237,7 @@ class HammersteinInverse(Law[PathState]):
 
 
 def _low_pass_taps(filter_hz: float | None, sample_time_s: float) -> Array:
-    """Linear-phase low-pass of odd length, 60 dB and more, from 0.7 to 1.3 of its bandwidth; one tap for none."""
+    """Linear-phase low-pass of odd length, 60 dB or more, from 0.7 to 1.3 of its bandwidth; one tap: none."""
     if filter_hz is None:
         return np.ones(1)
     from scipy.signal import firwin, kaiserord

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from hammerstein.hysteresis.kernels import advance
+from hammerstein.hysteresis.kernels import move
 
 # A step below this is no movement: two samples at equal distance from a peak differ in their last bits, and
 # these differ from one machine to another; they must not decide when the jump at a reversal comes.
@@ -34,21 +34,14 @@ def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
                 u[k] = min(max(wanted, -limit), limit)
             v[:] = 0.0
             for k in range(m):
-                count[k] = advance(u[k], r[k], slope[k], moment[k], count[k], end[k], x[k], d[k], below[k])
-                top = count[k] - 1
-                engaged = end[k, top]
-                for o in range(p):
-                    v[o] += (
-                        slope[k, engaged, o] * x[k, top]
-                        - d[k, top] * moment[k, engaged, o]
-                        + below[k, top, o]
-                    )
+                move(k, u[k], r, slope, moment, count, end, x, d, below, v)
             for k in range(m):
                 left = u[k]
                 for o in range(p):
                     left -= gain[k, o] * v[o]
                 memory[k] = pole * memory[k] + (1.0 - pole) * left
-        drive[:, t] = u
+        for k in range(m):
+            drive[k, t] = u[k]
 
 
 @njit(cache=True, nogil=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hammerstein.figures.loops import LoopRun, loops_figure
+from hammerstein.figures.style import plain
 from hammerstein.identification.loops import Loop
 from hammerstein.identification.records import Record
 
@@ -39,13 +40,13 @@ def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]
     return loops_figure(
         runs,
         [f"{_words(name)} [V]" for name in first.inputs],
-        [f"{_words(name)} [um]" for name in first.outputs],
+        [f"{_words(name)} [µm]" for name in first.outputs],
     )
 
 
 def _words(column: str) -> str:
     """Name of a column on an axis: a bare number says little."""
-    return f"column {column}" if column.isdigit() else column
+    return f"column {column}" if column.isdigit() else plain(column)
 
 
 def _chosen(table: Sequence[Loop]) -> list[Loop]:

@@ -74,27 +74,6 @@ def respond_textbook(u, r, n, w, plays, y):  # type: ignore[no-untyped-def]
                     y[o, t] += w[k, i, o] * play
 
 
-@njit(cache=True, nogil=True)
-def engaged(gap, factor, r, k, end):  # type: ignore[no-untyped-def]
-    """First operator in k..end that a gap does not engage: factor r[i] >= gap (galloping search)."""
-    if k == end or factor * r[k] >= gap:
-        return k
-    step = 1
-    low = k
-    while low + step < end and factor * r[low + step] < gap:
-        low += step
-        step *= 2
-    high = min(low + step, end)
-    low += 1
-    while low < high:
-        middle = (low + high) // 2
-        if factor * r[middle] < gap:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
 def search_guide(
     r: NDArray[np.float64], n: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -131,31 +110,62 @@ def first_at_least(level, where, r, guide):  # type: ignore[no-untyped-def]
     return i
 
 
-@njit(cache=True, nogil=True)
-def advance(u, r, w, rw, count, end, x, d, below):  # type: ignore[no-untyped-def]
-    """Move one input to u; updates the stack in place and returns its new height.
+@njit(cache=True, nogil=True, inline="always")
+def move(i, u, r, w, rw, count, end, x, d, below, v):  # type: ignore[no-untyped-def]
+    """Move input i to u and add its outputs to v (p,); its stack is updated in place.
 
     The form for laws that decide the next sample from this one. ``below`` is what the segments under each
-    one add, so that the output is  y = W[k] x - d R[k] + below  with x, d, below and k = end of the top one.
+    one add, so that the output is  W[k] x - d R[k] + below  with x, d, below and k = end of the top one.
+    Whole arrays and an index, and no call: rows and calls would cost more than the rest of this function.
 
-    r : (n,) thresholds; w, rw : (n+1, p) partial sums of weights and of weights times thresholds
-    end, x, d : (n+1,) the stack; below : (n+1, p)
+    r : (m, n_max) thresholds; w, rw : (m, n_max+1, p) partial sums of weights and of weights times thresholds
+    count : (m,); end, x, d : (m, n_max+1) the stacks; below : (m, n_max+1, p)
     """
-    top = count - 1
-    direction, rests = _direction(u, r, x, d, top)
-    if rests:  # it moves to where it is
-        u, direction = x[at(top)], d[at(top)]
-    base, k = _base(u, direction, r, top, -1, end, x, d)
+    top = count[i] - 1
+    gap = u - x[i, at(top)]
+    direction = 1.0 if gap > 0.0 else -1.0
+    if direction * gap <= (1.0 - direction * d[i, at(top)]) * r[i, 0]:  # at rest: it moves to where it is
+        u, direction = x[i, at(top)], d[i, at(top)]
+    same = d[i, at(top)] == direction
+    base, k = (top - 1, end[i, at(top)]) if same else (top, 0)
+    while base >= 0 and _wipes_out(i, u, direction, base, r, end, x, d):
+        k = end[i, at(base)]
+        base -= 1
     held, s = (1.0, base) if base >= 0 else (0.0, 0)
-    last = end[at(s)]
-    k = engaged(direction * (u - x[at(s)]), 1.0 - direction * d[at(s)], r, k, last if base >= 0 else k)
+    last = end[i, at(s)]
+    gap, factor = direction * (u - x[i, at(s)]), 1.0 - direction * d[i, at(s)]
+    k = _engaged(i, gap, factor, r, k, last if base >= 0 else k)
     new = base + 1
-    for o in range(w.shape[1]):
-        rest = x[at(s)] * (w[at(last), at(o)] - w[at(k), at(o)])
-        rest -= d[at(s)] * (rw[at(last), at(o)] - rw[at(k), at(o)])
-        below[at(new), at(o)] = held * (below[at(s), at(o)] + rest)
-    x[at(new)], d[at(new)], end[at(new)] = u, direction, k
-    return new + 1
+    kept = same and new == top and k == end[i, at(top)]
+    for o in range(v.shape[0]):
+        if not kept:
+            rest = x[i, at(s)] * (w[i, at(last), at(o)] - w[i, at(k), at(o)])
+            rest -= d[i, at(s)] * (rw[i, at(last), at(o)] - rw[i, at(k), at(o)])
+            below[i, at(new), at(o)] = held * (below[i, at(s), at(o)] + rest)
+        line = w[i, at(k), at(o)] * u - direction * rw[i, at(k), at(o)]
+        v[at(o)] += line + below[i, at(new), at(o)]
+    x[i, at(new)], d[i, at(new)], end[i, at(new)] = u, direction, k
+    count[i] = new + 1
+
+
+@njit(cache=True, nogil=True)
+def _wipes_out(i, u, direction, s, r, end, x, d):  # type: ignore[no-untyped-def]
+    """Whether moving input i to u engages the last operator of segment s."""
+    reach = (1.0 - direction * d[i, at(s)]) * r[i, at(end[i, at(s)] - 1)]
+    return direction * (u - x[i, at(s)]) > reach
+
+
+@njit(cache=True, nogil=True)
+def _engaged(i, gap, factor, r, k, end):  # type: ignore[no-untyped-def]
+    """First operator in k..end that a gap does not engage: factor r[i] >= gap (galloping search)."""
+    low, high, step = k, end, 1
+    while low < high:
+        middle = min(low + step, high) - 1
+        if factor * r[i, at(middle)] < gap:
+            low, step = middle + 1, 2 * step
+        else:
+            high, step = middle, max(1, (middle - low) // 2)
+    return low
 
 
 @njit(cache=True, nogil=True)
@@ -167,12 +177,12 @@ def _direction(u, r, x, d, top):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _base(u, direction, r, top, floor, end, x, d):  # type: ignore[no-untyped-def]
+def _base(u, direction, r, top, end, x, d):  # type: ignore[no-untyped-def]
     """Uppermost segment that moving to u does not wipe out, and how many operators move above it."""
     same = d[at(top)] == direction
     s = top - 1 if same else top
     k = end[at(top)] if same else 0
-    while s > floor and direction * (u - x[at(s)]) > (1.0 - direction * d[at(s)]) * r[at(end[at(s)] - 1)]:
+    while s > 0 and direction * (u - x[at(s)]) > (1.0 - direction * d[at(s)]) * r[at(end[at(s)] - 1)]:
         k = end[at(s)]
         s -= 1
     return s, k
@@ -186,7 +196,7 @@ def respond_turning_points(  # type: ignore[no-untyped-def]
 
     u : (m, N); r : (m, n_max); guide, scale : see ``search_guide``; n : (m,)
     lines : (m, n_max+1, 2 p) W of each output, then R of each output
-    count : (m,); end, x, d : (m, n_max+1); below : (m, n_max+1, p), see ``advance``; y : (p, N), overwritten
+    count : (m,); end, x, d : (m, n_max+1); below : (m, n_max+1, p), see ``move``; y : (p, N), overwritten
     outputs : p zeros in a tuple: a number of outputs that the compiler knows, for it unrolls their loops
 
     Returns N, or the first sample of the block in which it met an input that is not finite.
@@ -275,7 +285,7 @@ def _respond_block(  # type: ignore[no-untyped-def]
                 y[at(o), at(t)] += tip[at(top), at(o)]
             t += 1
             continue
-        base, k = _base(u[at(t)], direction, r, top, 0, end, x, d)
+        base, k = _base(u[at(t)], direction, r, top, end, x, d)
         x0, turn, unit, reach = _branch(direction, base, r, end, x, d)
         top = base + 1
         rate = scale * unit

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.prediction import Candidate, Score
+from hammerstein.identification.records import Record
 from hammerstein.identification.regressors import Start
 from hammerstein.identification.second_order import AxisFit
 
@@ -19,6 +20,11 @@ KIND_NAMES: Mapping[Kind, str] = {
     "linear_dynamics": "linear dynamics alone",
     "hammerstein": "Hammerstein",
 }
+
+
+_OWN_FORM = frozenset(
+    {"fit", "validation", "candidates", "records", "held", "starts", "held_starts", "axes", "error_curve"}
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +39,13 @@ class Fit:
     validation : the same on records that were held back; empty if there were none
     method : how the weights were found
     operators : (output, input) number of thresholds of each pair
+    amplitude_v : largest half swing of an input in the records [V]
     delay_samples : whole samples by which the outputs come late
     sample_time_s : time between samples of the records [s]
     sensor_bandwidth_hz : what the sensor was taken for [Hz]
     offsets_um : (record, output) readings that belong to an output of zero [um]
     starts : what went before each record
+    held_starts : the same for the records held back
     axes : resonances and damping with their standard errors, where they were fitted
     order : order of a state-space model
     error_curve : held-out error against the number of operators
@@ -48,6 +56,7 @@ class Fit:
     invertibility : the same as a sentence, with the frequency or the slope to blame
     verdict : which block earns its place
     candidates : the models behind the errors
+    records, held : the records as they were fitted and judged, without their dead start
     """
 
     inputs: tuple[str, ...]
@@ -57,11 +66,13 @@ class Fit:
     validation: Mapping[Kind, Score]
     method: str
     operators: tuple[tuple[int, ...], ...]
+    amplitude_v: float
     delay_samples: int
     sample_time_s: float
     sensor_bandwidth_hz: float | None
     offsets_um: tuple[tuple[float, ...], ...]
     starts: tuple[Start, ...]
+    held_starts: tuple[Start, ...]
     axes: tuple[AxisFit, ...]
     order: int | None
     error_curve: tuple[CurvePoint, ...]
@@ -72,6 +83,8 @@ class Fit:
     invertibility: str
     verdict: str
     candidates: Mapping[Kind, Candidate] = field(repr=False)
+    records: tuple[Record, ...] = field(repr=False)
+    held: tuple[Record, ...] = field(repr=False)
 
     @property
     def judged(self) -> Mapping[Kind, Score]:
@@ -80,11 +93,7 @@ class Fit:
 
     def as_dict(self) -> dict[str, Any]:
         """Give plain values for JSON: ``fit`` and ``validation`` hold the errors of each kind of model."""
-        plain = {
-            name: getattr(self, name)
-            for name in self.__dataclass_fields__
-            if name not in {"fit", "validation", "candidates", "starts", "axes", "error_curve"}
-        }
+        plain = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in _OWN_FORM}
         return plain | {
             "fit": {kind: asdict(score) for kind, score in self.fit.items()},
             "validation": {kind: asdict(score) for kind, score in self.validation.items()},

@@ -29,6 +29,7 @@ from hammerstein.identification.operators import (
 from hammerstein.identification.prediction import Candidate, Score, ranges, score
 from hammerstein.identification.preparation import prepare, refuse_swapped
 from hammerstein.identification.records import Record
+from hammerstein.identification.regressors import Start
 from hammerstein.identification.second_order import FirstGuess, search_axes
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.starts import StartMode, cautious_start, closed, judged_starts, shortened
@@ -113,7 +114,7 @@ def identify(
     tell("judging the models")
     fitted = {kind: score(c, ready, task.starts) for kind, c in built.candidates.items()}
     judged = {kind: score(c, held, held_starts) for kind, c in built.candidates.items()} if held else {}
-    fit = _account(task, built, curve, fitted, judged, [*notes, *held_notes])
+    fit = _account(task, built, curve, fitted, judged, (held, held_starts), [*notes, *held_notes])
     return _model(task, fit, best, name, instruments), fit
 
 
@@ -222,6 +223,7 @@ def _account(
     curve: tuple[CurvePoint, ...],
     fitted: dict[Kind, Score],
     judged: dict[Kind, Score],
+    held: tuple[tuple[Record, ...], tuple[Start, ...]],
     notes: list[str],
 ) -> Fit:
     """Everything that is said about the model."""
@@ -252,11 +254,13 @@ def _account(
         validation=judged,
         method=settings.method,
         operators=tuple(tuple(len(p.thresholds_v) for p in row) for row in best.hysteresis.pairs),
+        amplitude_v=amplitude,
         delay_samples=task.delay_samples,
         sample_time_s=record.sample_time_s,
         sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
         offsets_um=tuple(tuple(row) for row in _offsets(best, task).tolist()),
         starts=task.starts,
+        held_starts=held[1],
         axes=built.axes,
         order=settings.order,
         error_curve=curve,
@@ -267,6 +271,8 @@ def _account(
         invertibility=sentence,
         verdict=verdict(judged or fitted, bool(judged), flags),
         candidates=built.candidates,
+        records=task.records,
+        held=held[0],
     )
 
 
@@ -294,7 +300,7 @@ def _model(
         name=name,
         hysteresis=best.hysteresis,
         dynamics=best.dynamics,
-        amplitude_v=float(half_swing(task.records).max()),
+        amplitude_v=fit.amplitude_v,
         inputs=record.inputs,
         outputs=record.outputs,
         instruments=instruments,

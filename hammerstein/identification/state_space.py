@@ -128,10 +128,8 @@ def _starts(lines: WeightedLines, order: int, report: Callable[[str], None]) -> 
     F, p, m = lines.target.shape
     fewest = math.ceil(order / p) + 1
     most = 2 * F * m // (m + p)
-    if most < fewest or order * (m + p) + m * p > 2 * F * m * p:
-        needed = max(
-            math.ceil(fewest * (m + p) / (2 * m)), math.ceil((order * (m + p) + m * p) / (2 * m * p))
-        )
+    if most < fewest:
+        needed = math.ceil(fewest * (m + p) / (2 * m))
         raise IdentificationError(
             f"a model of order {order} with {m} inputs and {p} outputs needs at least {needed} lines and the "
             f"response has {F}: choose a smaller order, or excite more lines"
