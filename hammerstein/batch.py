@@ -76,8 +76,12 @@ def run_all(
         for name, scenario in scenarios.items():
             yield _outcome(name, scenario, finish, jobs, progress)
         return
+    import warnings
+
     from joblib import Parallel, delayed
 
+    # A worker that has become large is replaced by a fresh one: nothing that a user should read of.
+    warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given")
     # Long ones first, so that none is left alone at the end.
     by_size = sorted(scenarios.items(), key=lambda item: -_size(item[1]))
     parallel = Parallel(n_jobs=min(jobs, len(scenarios)), return_as="generator_unordered", batch_size=1)

@@ -48,9 +48,16 @@ def _interrupt(*_: object) -> None:
     raise _Interrupted
 
 
+def _one_thread_a_job() -> None:
+    """Let the jobs be the parallelism: the linear algebra is small, and its sums then depend on nothing."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # read when numpy is imported, which it is not yet
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; a mistake of the user is one message and an exit code, never a traceback."""
     signal.signal(signal.SIGINT, _interrupt)
+    _one_thread_a_job()
     try:
         app(arguments)
     except HammersteinError as error:

@@ -138,7 +138,9 @@ def test_a_slow_record_tells_no_resonance():
     fit = fitted([record_of(u, 0.04, np.random.default_rng(0), sample_time_s=0.01)])
     assert not any(axis_identified(axis) for axis in fit.axes)
     statements = axis_statements(("x", "y"), fit.axes)
-    assert statements[0].startswith("resonance and damping of x: the records look the same without dynamics")
+    assert statements[0].startswith(
+        "resonance and damping of x: an axis explains the records no better than none"
+    )
 
 
 def axis_fit(resonance_hz, told, creep=(), creep_gain_errors=(), damping_error_percent=1.0):

@@ -149,8 +149,9 @@ class Feedback:
         from hammerstein.compensators.feedback_kernel import correct, request
 
         memory = state.memory.copy()
-        forward = np.zeros(self.n_inputs) if feedforward_v is None else np.asarray(feedforward_v, np.float64)
-        reference, reading = (np.asarray(x, dtype=np.float64) for x in (reference_um, reading_um))
+        ahead = np.zeros(self.n_inputs) if feedforward_v is None else feedforward_v
+        signals = (reference_um, reading_um, ahead)
+        reference, reading, forward = (np.ascontiguousarray(x, dtype=np.float64) for x in signals)
         asked = np.empty(self.n_inputs)
         correct(reference, reading, self._settings, memory)
         request(forward, self.inverse_gain_v_per_um, self.gain_um_per_v, self.range_v, memory, asked)
@@ -193,7 +194,7 @@ def closed_loop(
         )
     forward = np.zeros((m, samples)) if law.feedforward is None else law.feedforward.drive_for(reference)
     late = int(getattr(law.feedforward, "delay_samples", 0))
-    reference = np.pad(reference, ((0, 0), (late, 0)))[:, :samples]
+    reference = np.ascontiguousarray(np.pad(reference, ((0, 0), (late, 0)))[:, :samples])
     bank, state = hysteresis.bank, hysteresis.rest().copy()
     plays = (state.count, state.end, state.x, state.d, state.below)
     effects = (drive.range_v, drive.resolution_v, sensor.range_um, sensor.resolution_um, sensor.noise_um)

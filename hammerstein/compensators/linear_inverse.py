@@ -135,7 +135,10 @@ def linear_inverse(
     future = _backward(*outer, lift_outer, c, plain)
     taps = np.einsum("vn,jny->jvy", c, future)
     taps[0] += gain
-    inverse = LinearInverse(plain, *inner, c @ lift, taps, ahead, lift, future, zeros, delay)
+    # Copies in the order of rows: the compiled loop is then compiled once.
+    rows = (np.array(matrix, order="C") for matrix in (*inner, c @ lift, taps))
+    forward_a, forward_b, forward_c, near = rows
+    inverse = LinearInverse(plain, forward_a, forward_b, forward_c, near, ahead, lift, future, zeros, delay)
     _require_accurate(inverse)
     return inverse
 

@@ -279,5 +279,5 @@ def _scale_distance(axes: Axes, name: str, runs: Sequence[PathRun]) -> None:
         axes.set_yscale("log")
         axes.set_ylim(0.3 * max(typical, 1e-9), 1.4 * max(worst))
         plain_numbers(axes.yaxis)
-    else:
+    elif axes.get_yscale() == "linear":  # panels of one row share their scale
         axes.set_ylim(0.0, 1.08 * max(worst) or 1.0)

@@ -172,7 +172,9 @@ def legend_above(figure: Figure, entries: dict[str, Artist], title: str = "") ->
 
 def few_ticks(axes: Axes) -> None:
     """Few ticks at round numbers on both linear axes."""
-    axes.locator_params(nbins=6, steps=[1, 2, 5, 10])
+    for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
+        if axis.get_scale() == "linear":  # a logarithmic axis has its own few
+            axes.locator_params(axis=name, nbins=6, steps=[1, 2, 5, 10])
 
 
 def plain_numbers(axis: Axis) -> None:

@@ -5,49 +5,19 @@ can be used alone: `fit_static` (weights by least squares), `closed_form` (the p
 (resonances), `fit_state_space` and `frequency_response` (linear dynamics), `loop_table` (loops).
 """
 
-from __future__ import annotations
-
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from hammerstein.identification.closed_form import closed_form
-    from hammerstein.identification.fit import Fit
-    from hammerstein.identification.frequency_response import FrequencyResponse, frequency_response
-    from hammerstein.identification.identify import identify
-    from hammerstein.identification.loops import Loop, loop_table
-    from hammerstein.identification.operators import error_curve, input_grids
-    from hammerstein.identification.partition import thresholds_uniform_in_time, thresholds_uniform_in_voltage
-    from hammerstein.identification.prediction import Score
-    from hammerstein.identification.records import Record, read_paired_records, read_records
-    from hammerstein.identification.second_order import fit_axes, search_axes
-    from hammerstein.identification.settings import Settings
-    from hammerstein.identification.state_space import fit_state_space
-    from hammerstein.identification.static_block import StaticFit, fit_static
-
-_HOME = {
-    "closed_form": "closed_form",
-    "Fit": "fit",
-    "FrequencyResponse": "frequency_response",
-    "frequency_response": "frequency_response",
-    "identify": "identify",
-    "Loop": "loops",
-    "loop_table": "loops",
-    "error_curve": "operators",
-    "input_grids": "operators",
-    "thresholds_uniform_in_time": "partition",
-    "thresholds_uniform_in_voltage": "partition",
-    "Score": "prediction",
-    "Record": "records",
-    "read_paired_records": "records",
-    "read_records": "records",
-    "fit_axes": "second_order",
-    "search_axes": "second_order",
-    "Settings": "settings",
-    "fit_state_space": "state_space",
-    "StaticFit": "static_block",
-    "fit_static": "static_block",
-}
+from hammerstein.identification.closed_form import closed_form
+from hammerstein.identification.fit import Fit
+from hammerstein.identification.frequency_response import FrequencyResponse, frequency_response
+from hammerstein.identification.identify import identify
+from hammerstein.identification.loops import Loop, loop_table
+from hammerstein.identification.operators import error_curve, input_grids
+from hammerstein.identification.partition import thresholds_uniform_in_time, thresholds_uniform_in_voltage
+from hammerstein.identification.prediction import Score
+from hammerstein.identification.records import Record, read_paired_records, read_records
+from hammerstein.identification.second_order import fit_axes, search_axes
+from hammerstein.identification.settings import Settings
+from hammerstein.identification.state_space import fit_state_space
+from hammerstein.identification.static_block import StaticFit, fit_static
 
 __all__ = [
     "Fit",
@@ -72,10 +42,3 @@ __all__ = [
     "thresholds_uniform_in_time",
     "thresholds_uniform_in_voltage",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used: a user of the readers need not wait for SciPy."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

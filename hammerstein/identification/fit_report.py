@@ -17,11 +17,11 @@ from hammerstein.model import HammersteinModel
 
 CAPTIONS = {
     "loops": "One cycle of each input driven alone, measured and by the model (dark, broken).",
-    "residual": "What each kind of model leaves: over time, and as the largest amplitude in bands of frequency.",
+    "residual": "What each kind of model leaves: over time, and the largest amplitude in bands of frequency.",
     "operators": "Error on stretches of the records that were held out, against the number of operators. The "
     "grey bar marks this model.",
-    "response": "Gain of each pair, measured and by the model at the amplitude of the records, and the part of "
-    "each output's power that the inputs explain linearly.",
+    "response": "Gain of each pair, measured and by the model at the amplitude of the records, and the part "
+    "of each output's power that the inputs explain linearly.",
 }
 
 
@@ -140,7 +140,7 @@ def _facts(model: HammersteinModel, fit: Fit) -> Iterator[tuple[str, str]]:
     yield "kind", KIND_NAMES[fit.kind]
     yield "weights", fit.method.replace("_", " ")
     yield "identified up to", f"{model.amplitude_v:.4g} V"
-    yield "delay", f"{fit.delay_samples} samples of {fit.sample_time_s:.4g} s"
+    yield "delay", f"{fit.delay_samples} sample{'s' * (fit.delay_samples != 1)} of {fit.sample_time_s:.4g} s"
     if fit.sensor_bandwidth_hz is not None:
         yield "sensor bandwidth, as given", f"{fit.sensor_bandwidth_hz:.4g} Hz"
     yield "inverse", fit.invertibility
@@ -184,7 +184,7 @@ def _dynamics(model: HammersteinModel, fit: Fit) -> Iterator[str]:
             ]
         )
     yield _table(("axis", "resonance [Hz]", "damping ratio", "creep (gain, time constant)"), rows)
-    yield "Standard errors hold for errors that are independent from sample to sample; misfit makes them larger."
+    yield "Standard errors hold for errors that are independent from sample to sample; misfit adds to them."
 
 
 def _pictures(figures: Sequence[str]) -> Iterator[str]:

@@ -27,7 +27,7 @@ from hammerstein.identification.operators import (
     input_grids,
 )
 from hammerstein.identification.prediction import Candidate, Score, ranges, score
-from hammerstein.identification.preparation import prepare, refuse_swapped
+from hammerstein.identification.preparation import driven_inputs, prepare, refuse_swapped
 from hammerstein.identification.records import Record
 from hammerstein.identification.regressors import Start
 from hammerstein.identification.second_order import FirstGuess, search_axes
@@ -124,7 +124,8 @@ def _ready(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
         raise InputError("records", "none was given")
     ready, notes = [], []
     for record in records:
-        refuse_swapped(record)
+        if len(driven_inputs(record)) == 1:
+            refuse_swapped(record)  # with several inputs at once, one is taken for the lead of another
         prepared = prepare(record)
         if prepared.dead_start_samples and prepared.at_rest:
             ready.append(prepared.record)

@@ -23,7 +23,7 @@ from hammerstein.identification.turning_points import find_cycles
 Array = NDArray[np.float64]
 Partition = Literal["time", "voltage"]
 
-COUNTS = (1, 2, 3, 4, 6, 8, 10, 12, 15, 20, 25, 30, 40)
+COUNTS = (1, 2, 3, 4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60)
 """Numbers of operators that are tried."""
 CURVE_SAMPLES = 50_000
 SEGMENTS = 16

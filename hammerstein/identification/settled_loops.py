@@ -55,7 +55,10 @@ def closed_form_model(
 
 
 def mean_cycle(record: Record, k: int) -> tuple[Array, Array]:
-    """Mean of the settled cycles of largest swing: input (sample,) [V] and outputs (output, sample) [um]."""
+    """Mean of the cycles of largest swing: input (sample,) [V] and outputs (output, sample) [um].
+
+    A cycle runs from tip to tip, so that what was before the first tip is forgotten in it.
+    """
     u, y = record.u_v[k], record.y_um
     cycles = [e for e in find_cycles(u).excursions if not e.minor]
     if not cycles:
@@ -64,10 +67,9 @@ def mean_cycle(record: Record, k: int) -> tuple[Array, Array]:
         )
     swing = max(_swing(u, e) for e in cycles)
     alike = [e for e in cycles if _swing(u, e) >= (1.0 - SAME_AMPLITUDE) * swing]
-    settled = alike[1:] or alike  # the first one still carries what was before
-    length = round(float(np.median([e.stop - e.start for e in settled])))
+    length = round(float(np.median([e.stop - e.start for e in alike])))
     phase = np.arange(length) / length
-    stacks = [_resampled(np.vstack([u, y]), e, phase) for e in settled]
+    stacks = [_resampled(np.vstack([u, y]), e, phase) for e in alike]
     turned = [np.roll(stack, -int(np.argmin(stack[0])), axis=1) for stack in stacks]
     mean = np.mean(turned, axis=0)
     return mean[0], mean[1:]

@@ -147,8 +147,8 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str
     for name, axis in zip(outputs, axes, strict=True):
         if not axis_identified(axis):
             found.append(
-                f"resonance and damping of {name}: the records look the same without dynamics "
-                f"({axis.static_rms_um:.4g} um without, {axis.rms_um:.4g} um with); excite it nearer to its "
+                f"resonance and damping of {name}: an axis explains the records no better than none "
+                f"({axis.rms_um:.4g} um with, {axis.static_rms_um:.4g} um without); excite it nearer to its "
                 "resonance"
             )
         elif axis.damping_error_percent > UNSURE_DAMPING_PERCENT:
@@ -181,8 +181,8 @@ def bound_notes(records: Sequence[Record], fit: StaticFit, free: StaticFit, dyna
         lowest = min(slopes, key=lambda j: float(pair.slopes[j]))
         count = "1 slope" if len(slopes) == 1 else f"{len(slopes)} slopes"
         found.append(
-            f"{count} from {records[0].inputs[k]} to {records[0].outputs[o]} held at a bound, or there were no "
-            f"inverse: free, the slope with thresholds up to {pair.thresholds_v[lowest]:.3g} V would be "
+            f"{count} from {records[0].inputs[k]} to {records[0].outputs[o]} held at a bound, or there were "
+            f"no inverse: free, the slope with thresholds up to {pair.thresholds_v[lowest]:.3g} V would be "
             f"{pair.slopes[lowest]:.3g} um/V; {remedy}"
         )
     return found

@@ -1,0 +1,457 @@
+"""From records to a model and a verdict: measured records, simulated ones, and what must be said of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import theory
+
+from hammerstein.dynamics import StateSpaceDynamics, discretise
+from hammerstein.errors import IdentificationError, InputError
+from hammerstein.figures.identified import identified_figures, spectrum
+from hammerstein.figures.write import images
+from hammerstein.identification import Record, Settings, identify, read_paired_records, read_records
+from hammerstein.identification.coupled import ModalCopies, behind_gain, fit_linear, fit_static_coupled
+from hammerstein.identification.fit_report import fit_json, fit_page, identify_files
+from hammerstein.identification.prediction import Score
+from hammerstein.identification.regressors import Start
+from hammerstein.identification.starts import cautious_start, closed, run_in
+from hammerstein.identification.verdict import invertibility_of, verdict
+from hammerstein.model import HammersteinModel
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+DBO = DATA / "dbo_piezo_micromanipulator"
+JA = DATA / "ja_magnetic_loops"
+CUBESPEC = DATA / "cubespec_fsm"
+
+needs_dbo = pytest.mark.skipif(not DBO.is_dir(), reason="the micromanipulator's records are not here")
+needs_ja = pytest.mark.skipif(not JA.is_dir(), reason="the magnetic loops are not here")
+needs_cubespec = pytest.mark.skipif(not CUBESPEC.is_dir(), reason="the mirror's records are not here")
+
+QUICK = {"error_curve": False}
+
+
+# Measured: one axis of a micromanipulator -------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def micromanipulator():
+    def read(name):
+        return read_records([DBO / name], inputs=["1"], outputs=["5"], rate_hz=200.0)
+
+    return read("Model_Vi_Do.dat"), read("Test_Vi_Do_Di.dat")
+
+
+@needs_dbo
+@pytest.mark.parametrize(
+    ("settings", "fitted_percent", "held_percent"),
+    [
+        ({"delay_samples": 0}, 0.85, 1.4),
+        ({}, 0.85, 1.2),
+        ({"method": "closed_form"}, 1.5, 1.4),
+    ],
+)
+def test_micromanipulator_is_followed_by_15_operators(
+    micromanipulator, settings, fitted_percent, held_percent
+):
+    records, held = micromanipulator
+    _, fit = identify(records, Settings(**settings, **QUICK), validation=held)
+    assert fit.fit["static_hysteresis"].nrmse_percent[0] <= fitted_percent
+    assert fit.validation["static_hysteresis"].nrmse_percent[0] <= held_percent
+    assert fit.fit["linear"].nrmse_percent[0] > 5.0
+    assert fit.delay_samples == settings.get("delay_samples", 1)
+    assert fit.starts[0].kind == "repeated"  # the sensor stands 30 um away from the loop at first
+    assert "Hysteresis earns its place" in fit.verdict
+    assert fit.invertible
+
+
+@needs_dbo
+def test_micromanipulator_moves_too_slowly_to_tell_a_resonance(micromanipulator):
+    model, fit = identify(micromanipulator[0], Settings(dynamics="second_order", **QUICK))
+    assert fit.kind == "static_hysteresis"
+    assert model.dynamics.kind == "static"
+    assert fit.not_identifiable[0].startswith("resonance and damping of 5")
+
+
+@needs_dbo
+def test_error_against_operators_levels_off(micromanipulator):
+    _, fit = identify(micromanipulator[0], Settings(operators="auto"))
+    errors = {point.operators: point.mean_percent for point in fit.error_curve}
+    assert errors[1] > 5.0 * errors[15]
+    assert errors[15] < 1.1 * min(errors.values())
+    assert 4 <= fit.operators[0][0] <= 15
+
+
+# Measured: magnetic loops -----------------------------------------------------------------------------------
+
+
+def loops(name):
+    field, flux = (JA / name.format(quantity) for quantity in "HB")
+    return read_paired_records(field, flux, axes=("sample", "experiment"), rate_hz=100.0)
+
+
+@needs_ja
+@pytest.mark.parametrize(
+    ("name", "low", "saturating"),
+    [
+        ("11_TwoStepSolver_{}_MnZn_HP_ferrite.mat", (0, 1, 2), (3,)),
+        ("12_Automation2018_{}_MnZn_ferrite.mat", (0, 1), (2,)),
+        ("1_isotropic_{}_MnZn_ferrite.mat", (0, 1), (2, 3)),
+        ("2_anisotropic_{}_amorf.mat", (), (0,)),
+    ],
+)
+def test_low_fields_are_followed_and_saturation_is_flagged(name, low, saturating):
+    records = loops(name)
+    fits = [identify([record], Settings(**QUICK))[1] for record in records]
+    for i in low:
+        assert fits[i].fit["static_hysteresis"].nrmse_percent[0] <= 0.25
+        assert fits[i].flags == ()
+    for i in saturating:
+        assert "saturates" in fits[i].flags[0]
+        assert "does not represent these records" in fits[i].verdict
+
+
+@needs_ja
+def test_nested_loops_together_are_missed_and_named():
+    _, fit = identify(loops("10_APPA_{}_M130_27s.mat"), Settings(**QUICK))
+    assert any("experiment 1 is missed by" in flag for flag in fit.flags)
+
+
+# Measured: a mirror with three axes -------------------------------------------------------------------------
+
+
+@needs_cubespec
+def test_mirror_needs_dynamics_and_no_hysteresis():
+    def read(part):
+        files = [CUBESPEC / f"{axis}_100mV_{part}.npy" for axis in "uy"]
+        axes = ("sample", "channel", "experiment", "period")
+        return read_paired_records(*files, axes=axes, rate_hz=6400.0, output_scale=1e6)[:3]
+
+    settings = Settings(dynamics="state_space", order=4, operators=2, **QUICK)
+    model, fit = identify(read("train"), settings, validation=read("test"))
+    assert "The hysteresis block does not earn its place" in fit.verdict
+    assert "The linear dynamics earn their place" in fit.verdict
+    assert isinstance(model.dynamics, StateSpaceDynamics)
+    assert fit.validation["hammerstein"].mean_percent <= 1.05 * fit.validation["linear_dynamics"].mean_percent
+
+
+# Simulated: the published actuator through its drive and sensor ---------------------------------------------
+
+
+def simulated(model, u, generator):
+    """Voltages through drive, actuator and sensor, as the packaged actuator describes them."""
+    instruments = model.instruments
+    drive, _ = instruments.drive.apply(u)
+    v, _ = model.hysteresis.respond(drive)
+    block = discretise(model.dynamics, instruments.drive.sample_time_s, instruments.sensor.bandwidth_hz)
+    y, _ = block.respond(v)
+    reading = instruments.sensor.read(y[2:], generator)
+    return Record(drive, reading, instruments.drive.sample_time_s), y[:2]
+
+
+@pytest.fixture(scope="module")
+def bimorph():
+    """Sines of 10 V from 10 to 420 Hz and a multisine on each input, and an unseen record."""
+    model, generator = HammersteinModel.load("duo_bimorph"), np.random.default_rng(0)
+    t = model.instruments.drive.sample_time_s
+    records = []
+    for k in range(2):
+        for f in (10.0, 50.0, 100.0, 200.0, 300.0, 420.0):
+            time_s = t * np.arange(round(max(0.1, 2.0 / f) / t))
+            u = np.zeros((2, len(time_s)))
+            u[k] = 10.0 * np.sin(2.0 * np.pi * f * time_s)
+            records.append(simulated(model, u, generator)[0])
+        time_s = t * np.arange(8000)
+        tones = [
+            np.sin(2.0 * np.pi * f * time_s + generator.uniform(0.0, 6.3)) for f in np.arange(5.0, 420.0, 5.0)
+        ]
+        u = np.zeros((2, len(time_s)))
+        u[k] = 6.0 * np.sum(tones, axis=0) / np.abs(np.sum(tones, axis=0)).max()
+        records.append(simulated(model, u, generator)[0])
+    time_s = t * np.arange(4000)
+    triangle = 8.0 * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * 10.0 * time_s))
+    lissajous = 8.0 * np.sin(2.0 * np.pi * np.array([[40.0], [30.0]]) * time_s)
+    unseen = np.hstack([np.vstack([triangle, 0.0 * triangle]), lissajous])
+    return model, records, simulated(model, unseen, generator)
+
+
+@pytest.fixture(scope="module")
+def bimorph_fit(bimorph):
+    _, records, (held, _) = bimorph
+    settings = Settings(operators=30, dynamics="second_order", sensor_bandwidth_hz=2000.0, **QUICK)
+    return identify(records, settings, validation=[held])
+
+
+def test_simulated_actuator_is_found_through_drive_and_sensor(bimorph, bimorph_fit):
+    truth, _, (held, position_um) = bimorph
+    model, fit = bimorph_fit
+    for found, true in zip(model.dynamics.axes, truth.dynamics.axes, strict=True):
+        assert found.resonance_hz == pytest.approx(true.resonance_hz, rel=0.003)
+        assert found.damping_ratio == pytest.approx(true.damping_ratio, rel=0.03)
+    v, _ = model.hysteresis.respond(held.u_v)
+    said, _ = discretise(model.dynamics, held.sample_time_s).respond(v)
+    error = said - position_um
+    assert np.sqrt(np.mean(error**2, axis=1)).max() < 0.15
+    assert fit.delay_samples == 0
+    assert {start.kind for start in fit.starts} == {"rest"}
+    assert fit.validation["hammerstein"].mean_percent < 0.1 * fit.validation["linear_dynamics"].mean_percent
+    assert "The hysteresis block earns its place" in fit.verdict
+    assert fit.invertible
+
+
+def test_what_is_found_is_written_and_runs_again(bimorph_fit, tmp_path):
+    model, fit = bimorph_fit
+    model.save(tmp_path / "model.json")
+    again = HammersteinModel.load(tmp_path / "model.json")
+    assert again.to_json() == model.to_json()
+    assert again.provenance["invertible"] is True
+    assert again.hysteresis.pairs[0][0].weight_errors_um_per_v.min() > 0.0
+    page = fit_page(model, fit, ["loops.png"])
+    assert fit.verdict in page
+    assert "[![loops](loops.png)](loops.svg)" in page
+    plain = json.loads(fit_json(model, fit))
+    assert set(plain["validation"]) == {"linear", "static_hysteresis", "linear_dynamics", "hammerstein"}
+    assert len(plain["fit"]["hammerstein"]["nrmse_percent"]) == 2
+    assert plain["axes"][0]["axis"]["resonance_hz"] == fit.axes[0].axis.resonance_hz
+
+
+def test_figures_are_drawn_and_repeat_to_the_byte(bimorph_fit):
+    figures = identified_figures(bimorph_fit[1])
+    assert set(figures) == {"loops", "residual", "response"}
+    labels = {axes.get_xlabel() for axes in figures["residual"].axes}
+    assert {"time [ms]", "frequency [Hz]"} <= labels
+    assert next(axes.get_ylabel() for axes in figures["loops"].axes) == "y1 [µm]"
+    assert images(figures["loops"]) == images(identified_figures(bimorph_fit[1])["loops"])
+
+
+# A model with dynamics that couple the outputs --------------------------------------------------------------
+
+
+def coupled_truth():
+    """Two resonances that each show at both outputs (eigenvalues of a rotated diagonal)."""
+    radius, angle = 0.97, 0.2
+    block = radius * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    a = np.kron(np.diag([1.0, 0.8]), block)
+    b = np.array([[0.05, 0.0], [0.02, 0.01], [0.0, 0.1], [0.05, 0.1]])
+    c = np.array([[1.0, 0.2, 0.3, 0.0], [0.1, 0.0, 1.0, 0.4]])
+    return a, b, c
+
+
+def responses(a, b, c, v):
+    x, y = np.zeros(len(a)), np.empty((len(c), v.shape[1]))
+    for k in range(v.shape[1]):
+        y[:, k] = c @ x
+        x = a @ x + b @ v[:, k]
+    return y
+
+
+def test_coupled_dynamics_and_weights_are_told_apart():
+    generator = np.random.default_rng(3)
+    a, b, c = coupled_truth()
+    r = np.array([0.0, 0.5, 1.5])
+    w = np.array([[[2.0, 0.6, 0.3], [0.2, 0.1, 0.0]], [[0.0, 0.1, 0.2], [1.5, 0.3, 0.4]]])
+    records = []
+    for _ in range(4):
+        one = generator.standard_normal((2, 1024))
+        u = 4.0 * np.tile(one, 3) / np.abs(one).max()
+        y = responses(a, b, c, theory.prandtl_ishlinskii(u, [[r] * 2] * 2, w))[:, 1024:]
+        y = y + 1e-3 * generator.standard_normal(y.shape)
+        records.append(Record(u[:, 1024:], y, 1e-3, period_samples=1024))
+    settings = Settings(thresholds_v=r, dynamics="state_space", order=4, **QUICK)
+    _, fit = identify(records, settings)
+    assert fit.fit["hammerstein"].mean_percent < 0.1 * fit.fit["linear_dynamics"].mean_percent
+    assert "The hysteresis block earns its place" in fit.verdict
+
+    block, gain = fit_linear(records, 4)
+    assert np.abs(block.response([0.1])[0].real - np.eye(2)).max() < 0.1  # unit gain, the rest is in the gain
+    assert gain.shape == (2, 2)
+
+
+def test_weights_behind_a_known_coupled_block_come_back():
+    from hammerstein.dynamics import LinearBlock
+
+    a, b, c = coupled_truth()
+    r, w = np.array([0.0, 1.0]), np.array([[[2.0, 0.5], [0.3, 0.1]], [[0.2, 0.1], [1.5, 0.4]]])
+    u = np.random.default_rng(4).uniform(-3.0, 3.0, (2, 2000))
+    record = Record(u, responses(a, b, c, theory.prandtl_ishlinskii(u, [[r] * 2] * 2, w)), 1e-3)
+    block = LinearBlock(a, b, c, np.zeros((2, 2)), 1e-3)
+    for method in ("least_squares", "invertible"):
+        fit = fit_static_coupled([record], [[r] * 2] * 2, block, [Start("rest")], method=method)
+        found = np.array([[pair.weights_um_per_v for pair in row] for row in fit.hysteresis.pairs])
+        assert np.abs(found - w).max() < 1e-8
+    path = ModalCopies.of(block, 1, 0, 1)
+    said, _ = path.respond(u[:1], path.rest())
+    assert np.abs(said - responses(a, b[:, :1], c[1:], u[:1])).max() < 1e-9
+    split = behind_gain(block, np.array([[2.0, 0.0], [0.0, 4.0]]))
+    assert np.abs(split.response([5.0]) * [2.0, 4.0] - block.response([5.0])).max() < 1e-12
+
+
+# What must be said ------------------------------------------------------------------------------------------
+
+
+def sine_record(lag=0.0, samples=1200, noise=0.0):
+    u = 10.0 * np.sin(2.0 * np.pi * np.arange(samples) / 400)[None]
+    v = theory.prandtl_ishlinskii(u, [[theory.R_V]], [[theory.W_XX]])
+    y = np.empty_like(v)
+    state = v[0, 0]
+    for k, value in enumerate(v[0]):
+        state = lag * state + (1.0 - lag) * value
+        y[0, k] = state
+    return Record(u, y + noise * np.random.default_rng(0).standard_normal(y.shape), 5e-5)
+
+
+def test_a_lagging_loop_never_gives_a_model_without_inverse_silently():
+    record = sine_record(lag=0.96)
+    model, fit = identify([record], Settings(delay_samples=0, **QUICK))
+    assert fit.invertible
+    assert min(model.hysteresis.pairs[0][0].slopes) > 0.0
+    assert "held at a bound" in fit.notes[0]
+    assert "phase lag looks like hysteresis" in fit.notes[0]
+    free, said = identify([record], Settings(delay_samples=0, method="least_squares", **QUICK))
+    assert min(free.hysteresis.pairs[0][0].slopes) < 0.0
+    assert not said.invertible
+    assert "no inverse" in said.invertibility
+    assert free.provenance["invertible"] is False
+    assert "This model has no inverse" in fit_page(free, said)
+
+
+def test_a_butterfly_is_flagged():
+    u = 10.0 * np.sin(2.0 * np.pi * np.arange(1200) / 400)
+    play = theory.play(u, 1.0)
+    _, fit = identify([Record([u], [0.1 * play**2], 5e-5)], Settings(delay_samples=0, **QUICK))
+    assert any("no rising loop" in flag for flag in fit.flags)
+    assert any("is missed by" in flag for flag in fit.flags)
+
+
+def test_verdict_speaks_of_what_it_compares():
+    scores = {
+        "linear": Score((8.0,), (1.0,), (30.0,)),
+        "static_hysteresis": Score((7.9,), (1.0,), (29.0,)),
+        "linear_dynamics": Score((0.7,), (0.1,), (3.0,)),
+        "hammerstein": Score((0.69,), (0.1,), (2.9,)),
+    }
+    said = verdict(scores, False, ("y saturates",))
+    assert said.startswith("On the fitted records themselves (none was held back): linear gain 8 %")
+    assert (
+        "The hysteresis block does not earn its place: the error is 0.7 % without and 0.69 % with it." in said
+    )
+    assert "The linear dynamics earn their place: they lower the error from 7.9 to 0.69 %." in said
+    assert said.endswith("does not represent these records: y saturates.")
+
+
+def test_a_linear_block_without_inverse_is_blamed_with_its_frequency():
+    z = np.exp(2j * np.pi * 100.0 * 1e-3)  # a zero on the unit circle at 100 Hz
+    c = [[-2.0 * z.real, 1.0]]
+    blocked = StateSpaceDynamics(
+        A=((0.0, 0.0), (1.0, 0.0)), B=((1.0,), (0.0,)), C=(tuple(c[0]),), D=((1.0,),), sample_time_s=1e-3
+    )
+    model = identify([sine_record()], Settings(**QUICK))[0]
+    ok, sentence = invertibility_of(model.hysteresis, blocked, 10.0, 1e-3)
+    assert not ok
+    assert "no usable inverse at 100 Hz" in sentence
+
+
+def test_starts_are_told_from_the_records():
+    u = 10.0 * np.sin(2.0 * np.pi * np.arange(1600) / 400)
+    rest = Record([u], theory.prandtl_ishlinskii([u], [[theory.R_V]], [[theory.W_XX]]), 5e-5)
+    assert identify([rest], Settings(**QUICK))[1].starts == (Start("rest"),)
+    moving = Record([u[400:]], rest.y_um[:, 400:], 5e-5)
+    found = identify([moving], Settings(**QUICK))[1].starts[0]
+    assert found.kind == "repeated"
+    assert found.first == run_in(moving)
+    loop = Record([u[500:901]], rest.y_um[:, 500:901], 5e-5)
+    assert closed(loop)
+    assert cautious_start(loop) == Start("repeated")
+    assert identify([moving], Settings(start="rest", **QUICK))[1].starts == (Start("rest"),)
+
+
+def test_a_dead_start_is_cut_off_and_said():
+    record = sine_record(noise=0.01)
+    still = np.zeros((1, 60))
+    late = Record(np.hstack([still, record.u_v]), np.hstack([still + 3.0, record.y_um + 3.0]), 5e-5)
+    model, fit = identify([late], Settings(thresholds_v=theory.R_V, delay_samples=0, **QUICK))
+    assert "dead start of 60 samples" in fit.notes[0]
+    assert model.hysteresis.pairs[0][0].slopes == pytest.approx(np.cumsum(theory.W_XX), abs=0.3)
+
+
+def test_identification_is_pure():
+    record = sine_record(noise=0.05)
+    first, again = (identify([record], Settings(operators=6)) for _ in range(2))
+    assert first[0].to_json() == again[0].to_json()
+    assert fit_json(*first) == fit_json(*again)
+
+
+def test_progress_is_told():
+    told = []
+    identify([sine_record()], Settings(), progress=told.append)
+    assert "searching the delay" in told
+    assert "fitting the static block" in told
+
+
+# Refusals ---------------------------------------------------------------------------------------------------
+
+
+def test_settings_name_every_mistake_at_once():
+    with pytest.raises(InputError) as caught:
+        Settings(
+            operators=0, method="best", dynamics="state_space", creep_modes=2, ridge=-1.0, delay_samples=-1
+        )
+    wheres = [mistake.where for mistake in caught.value.mistakes]
+    assert wheres == ["method", "order", "creep_modes", "operators", "delay_samples", "ridge"]
+    with pytest.raises(InputError, match="closed_form sees no dynamics"):
+        Settings(method="closed_form", dynamics="second_order")
+    with pytest.raises(InputError, match="cannot be auto"):
+        Settings(operators="auto", thresholds_v=[0.0])
+    with pytest.raises(InputError, match="give a number or auto"):
+        Settings(operators="some")
+
+
+def test_numbers_and_thresholds_must_fit_the_axes():
+    record = sine_record()
+    with pytest.raises(InputError, match=r"have shape \(1, 2\)"):
+        identify([record], Settings(operators=[[3, 4]], **QUICK))
+    with pytest.raises(InputError, match="1 rows of 1 arrays"):
+        identify([record], Settings(thresholds_v=[[[0.0], [1.0]]], **QUICK))
+    with pytest.raises(IdentificationError, match="never engaged"):
+        identify([record], Settings(thresholds_v=[0.0, 11.0], **QUICK))
+    assert identify([record], Settings(operators=[[3]], **QUICK))[1].operators == ((3,),)
+
+
+def test_records_that_do_not_belong_together_are_refused():
+    record = sine_record()
+    two = Record(np.vstack([record.u_v, record.u_v[:, ::-1]]), record.y_um, 5e-5)
+    with pytest.raises(InputError, match="do not have the same axes: 1 inputs and 1 outputs, 2 inputs"):
+        identify([record, two])
+    with pytest.raises(InputError, match="none was given"):
+        identify([])
+    with pytest.raises(InputError, match="swapped"):
+        identify([Record(record.y_um[:, 100:], record.u_v[:, 100:], 5e-5)])
+
+
+def test_files_are_identified_with_the_columns_they_name(tmp_path):
+    record = sine_record(noise=0.02)
+    table = np.column_stack([record.u_v[0], 1e3 * record.y_um[0]])
+    np.savetxt(tmp_path / "record.csv", table, delimiter=",", header="volt,nm", comments="")
+    model, fit = identify_files(
+        [tmp_path / "record.csv"],
+        inputs=["volt"],
+        outputs=["nm"],
+        rate_hz=20_000.0,
+        output_scale=1e-3,
+        settings=Settings(**QUICK),
+        name="bench",
+    )
+    assert model.name == "bench"
+    assert (model.inputs, model.outputs) == (("volt",), ("nm",))
+    assert fit.fit["static_hysteresis"].rms_um[0] == pytest.approx(0.02, rel=0.5)
+
+
+def test_spectrum_keeps_the_peaks():
+    time_s = 1e-3 * np.arange(4000)
+    error = 2.0 * np.sin(2.0 * np.pi * 60.0 * time_s) + 0.01 * np.sin(2.0 * np.pi * 200.0 * time_s)
+    frequency_hz, amplitude = spectrum(error, 1e-3)
+    assert amplitude.max() == pytest.approx(2.0, rel=1e-3)
+    assert amplitude[np.argmin(np.abs(frequency_hz - 200.0))] == pytest.approx(0.01, rel=0.02)
