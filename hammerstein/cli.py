@@ -29,6 +29,7 @@ app = typer.Typer(
 )
 
 app.command()(record_commands.loops)
+app.command()(record_commands.identify)
 app.command()(record_commands.compensate)
 
 Paths = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Scenario files, or folders of them.")]

@@ -7,10 +7,11 @@ from pathlib import Path
 
 def must_compile() -> bool:
     """Tell whether numba's cache holds no loops yet, as after installation: the first run takes longer."""
-    from hammerstein.compensators import kernels as compensators
-    from hammerstein.hysteresis import kernels as hysteresis
+    from hammerstein.compensators.exact_kernel import respond_exact
+    from hammerstein.compensators.kernels import respond_inverse_multiplicative
+    from hammerstein.hysteresis.kernels import respond_turning_points
 
-    loops = (hysteresis.respond_turning_points, compensators.respond_inverse_multiplicative)
+    loops = (respond_turning_points, respond_inverse_multiplicative, respond_exact)
     return not all(_is_cached(loop) for loop in loops)
 
 

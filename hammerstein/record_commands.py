@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    from hammerstein.identification.records import Record
 
 Files = Annotated[
     list[Path], typer.Argument(metavar="FILE...", help="Records: CSV, .dat, .npy, .mat, Parquet.")
@@ -25,29 +22,6 @@ Time = Annotated[str | None, typer.Option(metavar="COL", help="Time column in s,
 InputScale = Annotated[float, typer.Option(metavar="S", help="Factor from the file's number to V.")]
 OutputScale = Annotated[float, typer.Option(metavar="S", help="Factor from the file's number to um.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
-
-
-def read(
-    files: Sequence[Path],
-    inputs: str,
-    outputs: str,
-    rate: float | None,
-    time: str | None,
-    input_scale: float,
-    output_scale: float,
-) -> tuple[Record, ...]:
-    """Records from the options that all commands share."""
-    from hammerstein.identification.records import read_records
-
-    return read_records(
-        files,
-        inputs=_columns(inputs),
-        outputs=_columns(outputs),
-        rate_hz=rate,
-        time=time,
-        input_scale=input_scale,
-        output_scale=output_scale,
-    )
 
 
 def _columns(words: str) -> list[str]:
@@ -68,9 +42,19 @@ def loops(
 ) -> None:
     """Find the loops in measured records: height, width, area, closure, drift."""
     from hammerstein.identification.loops import loop_table
+    from hammerstein.identification.records import read_records
     from hammerstein.tables import loops_table, show
 
-    records = read(files, inputs, outputs, rate, time, input_scale, output_scale)
+    records = read_records(
+        files,
+        inputs=_columns(inputs),
+        outputs=_columns(outputs),
+        rate_hz=rate,
+        time=time,
+        input_scale=input_scale,
+        output_scale=output_scale,
+        all_driven=False,
+    )
     found = {record.source: loop_table(record) for record in records}
     if as_json:
         plain = [
@@ -88,6 +72,105 @@ def loops(
         figure = loops_of_records(records, [loop_table(record) for record in records])
         for path in save_figures({"loops": figure} if figure else {}, out / Path(files[0]).stem):
             typer.echo(str(path), err=as_json)
+
+
+def identify(
+    files: Files,
+    inputs: Inputs,
+    outputs: Outputs,
+    rate: Rate = None,
+    time: Time = None,
+    input_scale: InputScale = 1.0,
+    output_scale: OutputScale = 1.0,
+    validate: Annotated[
+        list[Path] | None, typer.Option(metavar="FILE", help="Records held back; may be repeated.")
+    ] = None,
+    operators: Annotated[str, typer.Option(help="Thresholds of each pair, or auto.")] = "15",
+    partition: Annotated[str, typer.Option(help="Thresholds uniform in: time, voltage.")] = "time",
+    method: Annotated[
+        str, typer.Option(help="invertible, least_squares, nonnegative or closed_form.")
+    ] = "invertible",
+    ridge: Annotated[float, typer.Option(help="Penalty of the weights; 0: none.")] = 0.0,
+    dynamics: Annotated[str, typer.Option(help="none, second_order or state_space.")] = "none",
+    order: Annotated[int | None, typer.Option(help="Order of a state-space model.")] = None,
+    creep_modes: Annotated[int, typer.Option(help="Slow modes of each second-order axis.")] = 0,
+    delay_samples: Annotated[
+        int | None, typer.Option(help="Delay of the outputs; found if not given.")
+    ] = None,
+    sensor_bandwidth: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Of the sensor, from its data sheet.")
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the model goes.")] = Path("model.json"),
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Where the fit report goes; beside the model if not given."),
+    ] = None,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Identify a model from measured records, and say how far it can be trusted."""
+    from hammerstein.fit_output import write_fit
+    from hammerstein.identification.fit_report import fit_json, identify_files
+    from hammerstein.identification.settings import settings_of
+    from hammerstein.tables import fit_table, show
+
+    settings = settings_of(
+        operators=operators,
+        partition=partition,
+        method=method,
+        ridge=ridge,
+        dynamics=dynamics,
+        order=order,
+        creep_modes=creep_modes,
+        delay_samples=delay_samples,
+        sensor_bandwidth_hz=sensor_bandwidth,
+    )
+    with _Spinner() as spinner:
+        model, fit = identify_files(
+            files,
+            inputs=_columns(inputs),
+            outputs=_columns(outputs),
+            rate_hz=rate,
+            time=time,
+            input_scale=input_scale,
+            output_scale=output_scale,
+            validate=validate or (),
+            settings=settings,
+            name=out.stem,
+            progress=spinner.tell,
+        )
+    folder = report or out.parent / f"{out.stem}_fit"
+    write_fit(model, fit, out, folder, figures)
+    if as_json:
+        typer.echo(fit_json(model, fit), nl=False)
+        return
+    show(fit_table(fit))
+    typer.echo(fit.verdict)
+    for text in (fit.invertibility, *fit.flags, *fit.not_identifiable, *fit.notes):
+        typer.echo(f"* {text}")
+    typer.echo(f"model in {out}, fit report in {folder}")
+
+
+class _Spinner:
+    """What is being done, on stderr, when a person watches."""
+
+    def __enter__(self) -> _Spinner:
+        self.status = None
+        if sys.stderr.isatty():
+            from rich.console import Console
+
+            self.status = Console(stderr=True).status("reading")
+            self.status.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.status is not None:
+            self.status.stop()
+
+    def tell(self, what: str) -> None:
+        """Show what is being done."""
+        if self.status is not None:
+            self.status.update(what)
 
 
 def compensate(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from hammerstein.claims_page import Line
 from hammerstein.compensate import Compensation
+from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.identification.loops import Loop
 from hammerstein.model import HammersteinModel
 from hammerstein.report import Report
@@ -94,6 +95,19 @@ def compensation_table(found: Compensation) -> Table:
         voltage = f"{summary['largest_v'][inputs[o]]:.4g}" if o < len(inputs) else ""
         unreached = str(summary["unreached_samples"][inputs[o]]) if o < len(inputs) else ""
         table.add_row(axis, voltage, unreached, *(f"{figures[name]:.4g}" for name in names))
+    return table
+
+
+def fit_table(fit: Fit) -> Table:
+    """One line for each kind of model and output: errors on the records fitted and on those held back."""
+    names = ("fit_nrmse_percent", "fit_rms_um", "held_nrmse_percent", "held_rms_um")
+    table = _table("Errors of the fit", ("model", "output", "", *names))
+    for kind, score in fit.fit.items():
+        held = fit.validation.get(kind)
+        for o, output in enumerate(fit.outputs):
+            cells = [f"{score.nrmse_percent[o]:.3f}", f"{score.rms_um[o]:.4g}"]
+            cells += ["", ""] if held is None else [f"{held.nrmse_percent[o]:.3f}", f"{held.rms_um[o]:.4g}"]
+            table.add_row(KIND_NAMES[kind], output, "chosen" if kind == fit.kind else "", *cells)
     return table
 
 

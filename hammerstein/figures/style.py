@@ -172,9 +172,10 @@ def legend_above(figure: Figure, entries: dict[str, Artist], title: str = "") ->
 
 def few_ticks(axes: Axes) -> None:
     """Few ticks at round numbers on both linear axes."""
-    for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
-        if axis.get_scale() == "linear":  # a logarithmic axis has its own few
-            axes.locator_params(axis=name, nbins=6, steps=[1, 2, 5, 10])
+    if axes.get_xscale() == "linear":  # a logarithmic axis has its own few
+        axes.locator_params(axis="x", nbins=6, steps=[1, 2, 5, 10])
+    if axes.get_yscale() == "linear":
+        axes.locator_params(axis="y", nbins=6, steps=[1, 2, 5, 10])
 
 
 def plain_numbers(axis: Axis) -> None:

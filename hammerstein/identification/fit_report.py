@@ -51,7 +51,7 @@ def identify_files(
     IdentificationError : records that do not determine the model
     """
 
-    def read(files: Sequence[str | Path]) -> Any:
+    def read(files: Sequence[str | Path], all_driven: bool) -> Any:
         return read_records(
             files,
             inputs=inputs,
@@ -60,9 +60,10 @@ def identify_files(
             time=time,
             input_scale=input_scale,
             output_scale=output_scale,
+            all_driven=all_driven,
         )
 
-    records, held = read(paths), read(validate) if validate else ()
+    records, held = read(paths, True), read(validate, False) if validate else ()
     return identify(records, settings, validation=held, name=name, instruments=instruments, progress=progress)
 
 

@@ -170,6 +170,7 @@ def read_records(
     time: str | None = None,
     input_scale: float = 1.0,
     output_scale: float = 1.0,
+    all_driven: bool = True,
 ) -> tuple[Record, ...]:
     """Records of one actuator from files: CSV and other text, ``.npy``, ``.npz``, ``.mat``, Parquet.
 
@@ -183,6 +184,7 @@ def read_records(
     rate_hz : samples a second [Hz], or
     time : column with the time [s]; one of the two
     input_scale, output_scale : factors that turn the file's numbers into V and um
+    all_driven : whether every input must be driven in some record, as identification needs it
 
     Raises
     ------
@@ -200,7 +202,8 @@ def read_records(
             failures.append(error)
     if failures:
         raise _together(failures)
-    _refuse_never_driven(records)
+    if all_driven:
+        _refuse_never_driven(records)
     return tuple(records)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,3 +154,15 @@ def _given(
     if len(rows) != p or any(len(row) != m for row in rows):
         raise InputError("thresholds_v", f"must be one array, or {p} rows of {m} arrays (output, input)")
     return rows
+
+
+def settings_of(operators: str, **options: Any) -> Settings:
+    """Settings from words of a command line: ``operators`` is a number or ``auto``.
+
+    Raises InputError for what is not known or does not fit together.
+    """
+    if operators != "auto" and not operators.isdigit():
+        raise InputError(
+            "identification", [Mistake("operators", f"{operators!r} is neither a number nor auto")]
+        )
+    return Settings(operators="auto" if operators == "auto" else int(operators), **options)

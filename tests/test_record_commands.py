@@ -1,0 +1,126 @@
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from hammerstein.cli import main
+from hammerstein.model import HammersteinModel
+from hammerstein.plant import Plant
+
+T = 50e-6
+
+
+def _call(*arguments):
+    with pytest.raises(SystemExit) as caught:
+        main([str(a) for a in arguments])
+    return caught.value.code or 0
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory):
+    """Two CSV files: the published actuator without dynamics, one input driven at a time."""
+    folder = tmp_path_factory.mktemp("records")
+    plant = Plant(*(lambda m: (m, m.instruments))(HammersteinModel.load("duo_bimorph_static")))
+    time_s = np.arange(2000) * T
+    paths = []
+    for k, axis in enumerate("xy"):
+        u = np.zeros((2, 2000))
+        u[k] = 10 * np.sin(2 * np.pi * 50 * time_s)
+        response = plant.respond(u, [k])
+        frame = pd.DataFrame(
+            {
+                "time": time_s,
+                "u_x": u[0],
+                "u_y": u[1],
+                "x": response.reading_um[0],
+                "y": response.reading_um[1],
+            }
+        )
+        paths.append(folder / f"{axis}.csv")
+        frame.to_csv(paths[-1], index=False)
+    return paths
+
+
+COLUMNS = ("--inputs", "u_x,u_y", "--outputs", "x,y")
+
+
+def test_loops_prints_and_draws(records, tmp_path, capsys):
+    assert _call("loops", records[0], *COLUMNS, "--rate", 20000, "--out", tmp_path, "--json") == 0
+    loops = json.loads(capsys.readouterr().out)["loops"]
+    direct = [loop for loop in loops if (loop["input"], loop["output"]) == ("u_x", "x") and loop["settled"]]
+    assert direct[-1]["height_um"] == pytest.approx(116.8, rel=0.02)
+    assert (tmp_path / "x" / "loops.png").stat().st_size > 10_000
+    assert _call("loops", records[0], *COLUMNS, "--time", "time", "--no-figures") == 0
+    assert "u_x" in capsys.readouterr().out
+
+
+def test_identify_writes_a_model_that_scenarios_can_run(records, tmp_path, capsys):
+    out = tmp_path / "stage.json"
+    assert (
+        _call("identify", *records, *COLUMNS, "--rate", 20000, "--sensor-bandwidth", 2000, "--out", out) == 0
+    )
+    text = capsys.readouterr().out
+    assert "earns its place" in text
+    model = HammersteinModel.load(out)
+    truth = HammersteinModel.load("duo_bimorph_static").hysteresis.amplitude(10.0)
+    np.testing.assert_allclose(model.hysteresis.amplitude(10.0), truth, atol=0.4)
+    folder = tmp_path / "stage_fit"
+    assert {"report.md", "fit.json", "loops.png", "loops.svg"} <= {p.name for p in folder.iterdir()}
+    (tmp_path / "circle.toml").write_text(
+        'question = "?"\nactuator = "stage.json"\n'
+        '[reference]\nkind = "circle"\nradius_um = 20\nfrequency_hz = 20\n'
+        '[[compensators]]\nlabel = "exact"\nlaw = "exact_inverse"\nmodel = "stage.json"\n'
+    )
+    assert _call("run", tmp_path / "circle.toml", "--out", tmp_path / "reports", "--no-figures") == 0
+
+
+def test_json_holds_fit_and_validation(records, tmp_path, capsys):
+    options = ("--validate", records[0], "--no-figures", "--json")
+    assert _call("identify", *records, *COLUMNS, "--rate", 20000, "--out", tmp_path / "m.json", *options) == 0
+    content = json.loads(capsys.readouterr().out)
+    held = content["validation"]
+    for part in ("fit", "validation"):
+        for kind in content[part].values():
+            assert len(kind["nrmse_percent"]) == len(kind["rms_um"]) == 2
+    assert (
+        content["validation"]["static"]["nrmse_percent"][0]
+        < content["validation"]["linear"]["nrmse_percent"][0]
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (("--rate", 20000, "--operators", "many"), 2, "neither a number nor auto"),
+        (("--rate", 20000, "--method", "best"), 2, "best"),
+        (("--rate", 20000, "--time", "time"), 2, "rate"),
+        ((), 2, "rate"),
+    ],
+)
+def test_wrong_options_write_nothing(records, tmp_path, capsys, arguments, code, message):
+    out = tmp_path / "m.json"
+    assert _call("identify", *records, *COLUMNS, "--out", out, *arguments) == code
+    error = capsys.readouterr().err
+    assert message in error
+    assert "Traceback" not in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bad_record_is_named_with_its_row(records, tmp_path, capsys):
+    frame = pd.read_csv(records[0])
+    frame.loc[41, "x"] = np.nan
+    frame.to_csv(tmp_path / "hole.csv", index=False)
+    out = tmp_path / "m.json"
+    assert _call("identify", tmp_path / "hole.csv", *COLUMNS, "--rate", 20000, "--out", out) == 2
+    error = capsys.readouterr().err
+    assert "hole.csv" in error
+    assert "43" in error
+    assert not out.exists()
+
+
+def test_an_input_that_never_moves_cannot_be_identified(records, tmp_path, capsys):
+    out = tmp_path / "m.json"
+    assert _call("identify", records[0], *COLUMNS, "--rate", 20000, "--out", out) in (2, 4)
+    assert "u_y" in capsys.readouterr().err
+    assert not out.exists()
