@@ -68,21 +68,20 @@ def claims_csv(reports: Sequence[Report]) -> str:
 def write_page(reports: Sequence[Report], out: Path, page: Path) -> None:
     """Write one page from reports that are already written below ``out``: claims, figures, answers.
 
-    Reports without a figure of the paper to answer are left out.
+    Reports that answer a figure of the paper come first, in the order of the figures.
 
     Raises InputError if the page cannot be written.
     """
-    chosen = sorted((r for r in reports if r.scenario.paper_figure), key=_in_order)
-    if not chosen:
-        raise InputError("--page", "no scenario names a figure of the paper (paper_figure)")
+    chosen = sorted(reports, key=_in_order)
     figures = {report.name: _copied(report, out, page) for report in chosen}
     write_atomic(page / "README.md", _rendered(chosen, figures))
 
 
-def _in_order(report: Report) -> tuple[list[int], str]:
-    """Figures in the order of their numbers; what has no number first."""
+def _in_order(report: Report) -> tuple[bool, list[int], str]:
+    """Figures in the order of their numbers; what has no number first, what is not in the paper last."""
     words = "".join(c if c.isdigit() else " " for c in (report.scenario.paper_figure or "").split(",")[0])
-    return [int(word) for word in words.split()][:1], report.name
+    numbers = [int(word) for word in words.split()][:1]
+    return report.scenario.paper_figure is None, numbers, report.name
 
 
 def _copied(report: Report, out: Path, page: Path) -> list[str]:

@@ -112,10 +112,12 @@ def run(
         contents = [json.loads(report.to_json()) for report in reports]
         typer.echo(json.dumps({"reports": contents, "errors": errors}))
     else:
-        show(result_table(reports))
+        if reports:
+            show(result_table(reports))
         if claimed:
             show(claims_table(claimed))
-        typer.echo(f"reports in {out}")
+        if reports:
+            typer.echo(f"{len(reports)} of {len(outcomes)} reports written in {out}")
     _fail_with(outcomes)
 
 

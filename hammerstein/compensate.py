@@ -17,6 +17,7 @@ from hammerstein.compensators.law import Law
 from hammerstein.compensators.reach import Reach, Shortfall, reach, require_reach, shortfall
 from hammerstein.compensators.specs import Compensator, NoCompensation
 from hammerstein.errors import InputError, SimulationError
+from hammerstein.instruments import Drive
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import read_signal
 from hammerstein.validation import mistakes_of
@@ -83,6 +84,7 @@ def compensate(
     law: str,
     options: Mapping[str, Any],
     clip: bool = False,
+    range_v: float | None = None,
 ) -> Compensation:
     """Voltages for a reference file (``time_s`` and one column an axis, in um).
 
@@ -92,6 +94,8 @@ def compensate(
     reference_path : CSV file
     law, options : a law and its options, by their names in a scenario
     clip : accept a path that is partly out of reach
+    range_v : range of the drive [V]; that of the model file if not given, and where that is unlimited, the
+        largest voltage for which the model was found
 
     Raises
     ------
@@ -99,7 +103,7 @@ def compensate(
     SimulationError : the law cannot work, or the path is out of reach
     """
     model = HammersteinModel.load(model_path)
-    drive = model.instruments.drive
+    drive = _drive(model, range_v)
     time_s, reference, resampled = _on_grid(reference_path, model, drive.sample_time_s)
     built = _spec(model_path, law, options).build(model, drive.range_v, drive.sample_time_s)
     if isinstance(built, Feedback):
@@ -116,13 +120,25 @@ def compensate(
     return Compensation(model, built, reachable, time_s, reference, held, predicted, resampled)
 
 
+def _drive(model: HammersteinModel, range_v: float | None) -> Drive:
+    """Drive of the model within a finite range."""
+    own = model.instruments.drive
+    if range_v is not None and not (math.isfinite(range_v) and range_v > 0.0):
+        raise InputError("--range", f"must be a positive voltage, not {range_v:g}")
+    if range_v is None:
+        range_v = own.range_v if math.isfinite(own.range_v) else model.amplitude_v
+    return own.model_copy(update={"range_v": range_v})
+
+
 def _on_grid(path: Path, model: HammersteinModel, sample_time_s: float) -> tuple[Array, Array, bool]:
     """Times (sample,), reference (output, sample) on the drive's grid, and whether it was resampled."""
-    times, values = read_signal(path)
+    times, values, names = read_signal(path)
     if len(values) != len(model.outputs):
         raise InputError(
             str(path), f"has {len(values)} columns beside time_s; the model has {len(model.outputs)} outputs"
         )
+    if set(names) == set(model.outputs):  # named like the outputs: their order in the file does not matter
+        values = values[[names.index(name) for name in model.outputs]]
     samples = math.floor(times[-1] / sample_time_s + 1e-6) + 1
     grid = np.arange(samples) * sample_time_s
     same = samples == len(times) and bool(np.abs(times - grid).max() < 1e-3 * sample_time_s)

@@ -24,6 +24,16 @@ OutputScale = Annotated[float, typer.Option(metavar="S", help="Factor from the f
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 
+def _refuse_overwriting(out: Path, inputs: list[Path]) -> None:
+    """Refuse an output that is a folder, or one of the files that are read."""
+    from hammerstein.errors import InputError
+
+    if out.is_dir():
+        raise InputError("--out", f"{out} is a folder; give the name of a file")
+    if any(path.resolve() == out.resolve() for path in inputs):
+        raise InputError("--out", f"{out} is one of the files that are read; choose another name")
+
+
 def _columns(words: str) -> list[str]:
     return [word.strip() for word in words.split(",") if word.strip()]
 
@@ -41,6 +51,7 @@ def loops(
     as_json: AsJson = False,
 ) -> None:
     """Find the loops in measured records: height, width, area, closure, drift."""
+    from hammerstein.errors import InputError
     from hammerstein.identification.loops import loop_table
     from hammerstein.identification.records import read_records
     from hammerstein.tables import loops_table, show
@@ -56,6 +67,9 @@ def loops(
         all_driven=False,
     )
     found = {record.source: loop_table(record) for record in records}
+    for source, table in found.items():
+        if not table:
+            raise InputError(source, "no loop found: a voltage must turn twice; record two periods or more")
     if as_json:
         plain = [
             {"file": source, **asdict(loop), "width_percent": loop.width_percent}
@@ -109,6 +123,7 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify a model from measured records, and say how far it can be trusted."""
+    from hammerstein.errors import InputError
     from hammerstein.fit_output import write_fit
     from hammerstein.identification.fit_report import fit_json, identify_files
     from hammerstein.identification.settings import settings_of
@@ -125,6 +140,13 @@ def identify(
         delay_samples=delay_samples,
         sensor_bandwidth_hz=sensor_bandwidth,
     )
+    held = validate or []
+    _refuse_overwriting(out, [*files, *held])
+    twice = sorted({str(f) for f in held if f.resolve() in {g.resolve() for g in files}})
+    if twice:
+        raise InputError(
+            "--validate", f"{twice[0]} is among the records that are fitted; hold back another one"
+        )
     with _Spinner() as spinner:
         model, fit = identify_files(
             files,
@@ -134,7 +156,7 @@ def identify(
             time=time,
             input_scale=input_scale,
             output_scale=output_scale,
-            validate=validate or (),
+            validate=held,
             settings=settings,
             name=out.stem,
             progress=spinner.tell,
@@ -182,6 +204,9 @@ def compensate(
     preview_s: Annotated[float | None, typer.Option(help="How far ahead the reference is known.")] = None,
     softening_v: Annotated[float | None, typer.Option(help="Voltage that spreads the jump.")] = None,
     gain: Annotated[str | None, typer.Option(help="Of inverse_multiplicative: auto or identity.")] = None,
+    range_v: Annotated[
+        float | None, typer.Option("--range", metavar="V", help="Of the drive; from the model if not given.")
+    ] = None,
     clip: Annotated[bool, typer.Option("--clip", help="Accept a path partly out of reach.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -191,12 +216,16 @@ def compensate(
     from hammerstein.tables import compensation_table, show
 
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
-    found = compensated(model, reference, law, options, clip)
+    _refuse_overwriting(out, [Path(model), reference])
+    found = compensated(model, reference, law, options, clip, range_v)
     write_atomic(out, found.to_csv())
     if as_json:
         typer.echo(json.dumps({"drive": str(out), **found.summary()}))
         return
     show(compensation_table(found))
+    typer.echo(
+        "Predicted: the error if the actuator were exactly the model. Its fit report says how far it is."
+    )
     if text := found.law.statement():
         typer.echo(text)
     if found.resampled:

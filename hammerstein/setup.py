@@ -22,7 +22,7 @@ from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.plant import Plant, Response
 from hammerstein.scenario import Scenario
-from hammerstein.signals import Excitation, OnAxes, Reference
+from hammerstein.signals import Excitation, FromFile, OnAxes, Reference
 from hammerstein.sources import ModelSource
 
 Array = NDArray[np.float64]
@@ -211,10 +211,22 @@ def _check_signal(scenario: Scenario, plant: Plant, source: str) -> None:
             mistakes.append(Mistake("frequency_hz", message))
         if isinstance(signal, OnAxes) and isinstance(signal.axis, int) and not 1 <= signal.axis <= n_axes:
             mistakes.append(Mistake("axis", f"{signal.axis} does not exist; the actuator has {n_axes}"))
+        if isinstance(signal, FromFile):
+            _check_order(signal, scenario_axes(scenario, plant.model))
     if mistakes:
         raise InputError(source, list(dict.fromkeys(mistakes)))
     if scenario.reference is not None:
         _check_reach(scenario, plant, source)
+
+
+def _check_order(signal: FromFile, axes: tuple[str, ...]) -> None:
+    """Refuse a file whose columns are the actuator's axes in another order."""
+    names = signal.table()[2]
+    if set(names) == set(axes) and names != list(axes):
+        raise InputError(
+            signal.path,
+            f"has its columns in the order {', '.join(names)}; put them in the order {', '.join(axes)}",
+        )
 
 
 def _check_reach(scenario: Scenario, plant: Plant, source: str) -> None:

@@ -248,13 +248,13 @@ class FromFile(Shape):
     scale: float = 1.0
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
-        times, values = self.table()
+        times, values, _ = self.table()
         if len(values) != n_axes:
             raise InputError(self.path, f"has {len(values)} axes beside time_s, the actuator has {n_axes}")
         return self.scale * np.stack([np.interp(time_s, times, axis) for axis in values])
 
-    def table(self) -> tuple[Array, Array]:
-        """Times (row,) [s] and values (axis, row) of the file; InputError names the row that is wrong."""
+    def table(self) -> tuple[Array, Array, list[str]]:
+        """Times (row,) [s], values (axis, row) and column names; InputError names the row that is wrong."""
         return read_signal(Path(self.path))
 
     @property
@@ -265,7 +265,7 @@ class FromFile(Shape):
     @property
     def period_s(self) -> float:
         """Length of the file."""
-        times, _ = self.table()
+        times, _, _ = self.table()
         return float(times[-1] - times[0])
 
     @property
@@ -274,10 +274,11 @@ class FromFile(Shape):
         return 0.0
 
 
-def read_signal(path: Path) -> tuple[Array, Array]:
+def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     """Read a CSV file with a column ``time_s`` and one column an axis.
 
-    Returns times (row,) [s] and values (axis, row). InputError names the row and column that are wrong.
+    Returns times (row,) [s] from the first row on, values (axis, row), and the names of the axes' columns.
+    InputError names the row and column that are wrong.
     """
     import pandas as pd
 
@@ -306,7 +307,8 @@ def read_signal(path: Path) -> tuple[Array, Array]:
     late = np.nonzero(np.diff(times) <= 0)[0]
     if len(late):
         raise InputError(str(path), f"row {int(late[0]) + first_row + 1}: time_s does not increase")
-    return times - times[0], frame.drop(columns="time_s").to_numpy(dtype=float).T
+    axes = frame.drop(columns="time_s")
+    return times - times[0], axes.to_numpy(dtype=float).T, [str(name) for name in axes.columns]
 
 
 def _require_two_axes(n_axes: int, kind: str) -> None:

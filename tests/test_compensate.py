@@ -91,3 +91,35 @@ def test_wrong_number_of_axes(tmp_path, capsys):
     (tmp_path / "one.csv").write_text("time_s,x\n0,0\n0.1,1\n")
     assert _call("compensate", "duo_bimorph", tmp_path / "one.csv") == 2
     assert "1 columns beside time_s; the model has 2 outputs" in capsys.readouterr().err
+
+
+def test_columns_are_taken_by_their_names(tmp_path):
+    frame = _circle(tmp_path / "path.csv", x=30.0, y=10.0)
+    frame[["time_s", "y", "x"]].to_csv(tmp_path / "swapped.csv", index=False)
+    for name in ("path", "swapped"):
+        out = tmp_path / f"{name}_drive.csv"
+        assert _call("compensate", "duo_bimorph", tmp_path / f"{name}.csv", "--out", out) == 0
+    assert (tmp_path / "path_drive.csv").read_bytes() == (tmp_path / "swapped_drive.csv").read_bytes()
+
+
+def test_an_unlimited_model_is_driven_no_further_than_it_was_found(tmp_path, capsys):
+    from dataclasses import replace
+
+    from hammerstein.instruments import Instruments
+
+    model = replace(HammersteinModel.load("duo_bimorph"), instruments=Instruments.ideal())
+    model.save(tmp_path / "stage.json")
+    _circle(tmp_path / "far.csv", x=70.0, y=40.0)
+    command = ("compensate", tmp_path / "stage.json", tmp_path / "far.csv", "--out", tmp_path / "d.csv")
+    assert _call(*command) == 3
+    assert "out of reach" in capsys.readouterr().err
+    assert _call(*command, "--range", "15") == 0
+
+
+@pytest.mark.parametrize("name", ["path.csv", "."])
+def test_input_files_are_not_overwritten(tmp_path, capsys, name):
+    _circle(tmp_path / "path.csv")
+    before = (tmp_path / "path.csv").read_bytes()
+    assert _call("compensate", "duo_bimorph", tmp_path / "path.csv", "--out", tmp_path / name) == 2
+    assert "choose another name" in capsys.readouterr().err or name == "."
+    assert (tmp_path / "path.csv").read_bytes() == before

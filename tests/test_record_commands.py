@@ -76,7 +76,8 @@ def test_identify_writes_a_model_that_scenarios_can_run(records, tmp_path, capsy
 
 
 def test_json_holds_fit_and_validation(records, tmp_path, capsys):
-    options = ("--validate", records[0], "--no-figures", "--json")
+    pd.read_csv(records[0]).to_csv(tmp_path / "held.csv", index=False)
+    options = ("--validate", tmp_path / "held.csv", "--no-figures", "--json")
     assert _call("identify", *records, *COLUMNS, "--rate", 20000, "--out", tmp_path / "m.json", *options) == 0
     content = json.loads(capsys.readouterr().out)
     held = content["validation"]
@@ -121,3 +122,15 @@ def test_an_input_that_never_moves_cannot_be_identified(records, tmp_path, capsy
     assert _call("identify", records[0], *COLUMNS, "--rate", 20000, "--out", out) in (2, 4)
     assert "u_y" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_record_is_not_fitted_and_held_back_at_once(records, tmp_path, capsys):
+    options = ("--rate", 20000, "--out", tmp_path / "m.json", "--validate", records[0])
+    assert _call("identify", *records, *COLUMNS, *options) == 2
+    assert "hold back another one" in capsys.readouterr().err
+
+
+def test_a_record_without_a_loop_says_so(records, tmp_path, capsys):
+    pd.read_csv(records[0]).head(150).to_csv(tmp_path / "short.csv", index=False)
+    assert _call("loops", tmp_path / "short.csv", *COLUMNS, "--rate", 20000, "--no-figures") == 2
+    assert "no loop found" in capsys.readouterr().err
