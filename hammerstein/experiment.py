@@ -13,7 +13,7 @@ from hammerstein.plant import Response
 from hammerstein.report import Report
 from hammerstein.rows import Row
 from hammerstein.scenario import Scenario
-from hammerstein.setup import Progress, prepare, scenario_axes
+from hammerstein.setup import Case, Progress, SetUp, prepare, scenario_axes
 
 
 def simulate(
@@ -109,10 +109,17 @@ def run(
 def _other_answers(
     scenario: Scenario, name: str, jobs: int, progress: Progress | None
 ) -> dict[str, tuple[Row, ...]]:
-    """Rows of the same experiment on the other actuators that the claims are put to."""
+    """Rows of the same experiment on the other actuators that the claims are put to; traces are not kept."""
+    from joblib import Parallel, delayed
+
     answers = {}
     for actuator in scenario.claims_also_on if scenario.claims else ():
-        alone = {"actuator": actuator, "claims": (), "claims_also_on": (), "uncertainty": None}
-        other = run(scenario.model_copy(update=alone), name, jobs, progress)
-        answers[other.actuator] = other.rows
+        setup = prepare(scenario.model_copy(update={"actuator": actuator}), name, progress)
+        parallel = Parallel(n_jobs=jobs, prefer="threads")
+        rows = parallel(delayed(_rows_alone)(setup, case) for case in setup.cases())
+        answers[setup.plant.model.name] = tuple(row for some in rows for row in some)
     return answers
+
+
+def _rows_alone(setup: SetUp, case: Case) -> tuple[Row, ...]:
+    return rows_of(setup, case).rows
