@@ -212,6 +212,8 @@ def test_what_is_found_is_written_and_runs_again(bimorph_fit, tmp_path):
     page = fit_page(model, fit, ["loops.png"])
     assert fit.verdict in page
     assert "[![loops](loops.png)](loops.svg)" in page
+    assert "| **Hammerstein** |" in page
+    assert "| linear gain |" in page
     plain = json.loads(fit_json(model, fit))
     assert set(plain["validation"]) == {"linear", "static_hysteresis", "linear_dynamics", "hammerstein"}
     assert len(plain["fit"]["hammerstein"]["nrmse_percent"]) == 2
@@ -429,6 +431,16 @@ def test_records_that_do_not_belong_together_are_refused():
         identify([])
     with pytest.raises(InputError, match="swapped"):
         identify([Record(record.y_um[:, 100:], record.u_v[:, 100:], 5e-5)])
+
+
+def test_inputs_driven_together_are_not_taken_for_swapped_columns():
+    phase = 2.0 * np.pi * np.arange(2400) / 400
+    u = np.array([10.0 * np.sin(phase), 5.0 * np.sin(phase - 0.4) + 2.0 * np.sin(3.0 * phase)])
+    y = np.array([[1.0, 0.0]]) @ u  # leads the second input for no other reason than the first
+    _, fit = identify([Record(u, y, 5e-5)], Settings(operators=3, delay_samples=0, **QUICK))
+    assert fit.fit["linear"].rms_um[0] < 1e-6
+    with pytest.raises(InputError, match="swapped"):
+        identify([Record(u[1:], y, 5e-5)], Settings(operators=3, **QUICK))
 
 
 def test_files_are_identified_with_the_columns_they_name(tmp_path):

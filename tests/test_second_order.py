@@ -8,7 +8,7 @@ import theory
 from scipy.signal import cont2discrete, lfilter
 from theory_linear import second_order_step
 
-from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, discretise
+from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
 from hammerstein.identification.axis_task import AxisTask, axis_of
 from hammerstein.identification.candidates import dynamics_of
 from hammerstein.identification.records import Record
@@ -163,6 +163,19 @@ def test_unsure_damping_and_creep_are_stated():
     said = axis_statements(("x",), [axis_fit(50.0, True, slow, (0.02,), damping_error_percent=40.0)])
     assert said[0] == "damping of x: known to 40 % only"
     assert said[1].startswith("creep of x over 300 s: 0.01 +- 0.02; record for several times as long")
+
+
+@pytest.mark.parametrize("sensor_hz", [None, 2000.0])
+@pytest.mark.parametrize("sample_time_s", [T, 0.01])
+def test_quick_paths_are_those_of_the_model(sensor_hz, sample_time_s):
+    x = np.concatenate([np.log([280.0, 0.12]), [0.05, np.log(0.02), -0.01, np.log(30.0)]])
+    task = AxisTask((), (), (R,), 0, 2, 0, sensor_hz)
+    for path, dynamics in (
+        (task.path(x, sample_time_s), AxesDynamics(axes=(axis_of(x),))),
+        (task.sensor(sample_time_s), StaticDynamics(n_outputs=1)),
+    ):
+        wanted = discretise(dynamics, sample_time_s, sensor_hz).response([0.0, 3.0, 40.0])[:, -1]
+        assert np.abs(path.response([0.0, 3.0, 40.0])[:, 0] - wanted).max() < 1e-9
 
 
 def test_derivatives_are_those_of_the_output():

@@ -152,6 +152,7 @@ def test_nonnegative_gives_every_weight_the_sign_of_the_gain():
     for row in fit.hysteresis.pairs:
         assert (row[0].weights_um_per_v >= 0.0).all()
         assert (row[1].weights_um_per_v <= 0.0).all()
+        assert row[1].weights_um_per_v.sum() < -1.0
 
 
 def test_direct_pairs_follow_the_largest_gains():
@@ -261,6 +262,14 @@ def test_error_curve_levels_off_at_the_true_number_of_operators():
     assert errors[0] > 10.0 * errors[2]
     assert errors[2] == pytest.approx(100.0 * 0.01 / np.ptp(record.y_um), rel=0.1)
     assert enough_operators(curve) == 8
+
+
+def test_error_curve_is_of_stretches_that_were_not_fitted():
+    generator = np.random.default_rng(14)
+    u = random_walk(generator, 1, 400)
+    noise = Record(u, generator.standard_normal((1, 400)), 1e-3)  # nothing to be learnt: more is worse
+    few, many = error_curve([noise], [Start("rest")], counts=(1, 60))
+    assert many.mean_percent > 1.02 * few.mean_percent
 
 
 def test_enough_operators_takes_the_smallest_within_two_percent():

@@ -150,8 +150,8 @@ def fit_static_coupled(
         each = [bounds_of(method, layout, o, gains) for o in range(len(outputs))]
         bounds = Bounds(
             _block_diagonal([b.basis for b in each]),
-            np.concatenate([b.lower for b in each]),
-            np.concatenate([b.upper for b in each]),
+            np.concatenate([b.side for b in each]),
+            np.concatenate([b.bound for b in each]),
         )
         found = solve(
             joint.gram, joint.cross, float(len(outputs)), joint.freedom, bounds=bounds, penalty=penalty

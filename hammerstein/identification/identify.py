@@ -229,22 +229,11 @@ def _account(
 ) -> Fit:
     """Everything that is said about the model."""
     record, settings, best = task.records[0], task.settings, built.candidates[built.kind]
-    blocks = built.blocks
-    direct = direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))
-    flags = record_flags(best, task.records, task.starts)
-    if settings.dynamics == "none":
-        flags += butterfly_flags(task.records, direct)
-    if blocks.one_sign is not None:
-        spans = ranges(task.records, task.starts)
-        flags += shape_flags(task.records, blocks.free, blocks.one_sign, spans, direct)
-    unknown = axis_statements(record.outputs, built.axes) if built.axes else []
-    unknown += [
-        f"single weights between {record.inputs[k]} and {record.outputs[o]}: only sums of them are told"
-        for o, k in blocks.chosen.open
-    ]
-    bounds = []
+    flags, bounds = _flags(task, built), []
     if settings.method == "invertible":
-        bounds = bound_notes(task.records, blocks.chosen, blocks.free, built.kind == "hammerstein")
+        bounds = bound_notes(
+            task.records, built.blocks.chosen, built.blocks.free, built.kind == "hammerstein"
+        )
     amplitude = float(half_swing(task.records).max())
     invertible, sentence = invertibility_of(best.hysteresis, best.dynamics, amplitude, record.sample_time_s)
     return Fit(
@@ -265,7 +254,7 @@ def _account(
         axes=built.axes,
         order=settings.order,
         error_curve=curve,
-        not_identifiable=tuple(unknown),
+        not_identifiable=tuple(_unknown(record, built)),
         flags=tuple(flags),
         notes=(*notes, *bounds),
         invertible=invertible,
@@ -275,6 +264,28 @@ def _account(
         records=task.records,
         held=held[0],
     )
+
+
+def _flags(task: Task, built: Built) -> list[str]:
+    """What a model of this kind cannot represent."""
+    blocks = built.blocks
+    direct = direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))
+    flags = record_flags(built.candidates[built.kind], task.records, task.starts)
+    if task.settings.dynamics == "none":
+        flags += butterfly_flags(task.records, direct)
+    if blocks.one_sign is not None:
+        spans = ranges(task.records, task.starts)
+        flags += shape_flags(task.records, blocks.free, blocks.one_sign, spans, direct)
+    return flags
+
+
+def _unknown(record: Record, built: Built) -> list[str]:
+    """What the excitation cannot tell."""
+    sums = [
+        f"single weights between {record.inputs[k]} and {record.outputs[o]}: only sums of them are told"
+        for o, k in built.blocks.chosen.open
+    ]
+    return [*(axis_statements(record.outputs, built.axes) if built.axes else []), *sums]
 
 
 def _offsets(best: Candidate, task: Task) -> Array:

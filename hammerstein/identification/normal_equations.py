@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
+from scipy.linalg import LinAlgError, cho_solve, cholesky
+from scipy.optimize import nnls
 
 from hammerstein.errors import IdentificationError
 
@@ -20,8 +21,11 @@ Array = NDArray[np.float64]
 
 DEPENDENT = 1e-10
 """Eigenvalue of the scaled Gram matrix, relative to the largest, under which columns depend on each other."""
-SERIAL_PRODUCT = 250_000
-"""Multiplications that BLAS does on one core. Waiting for a second, busy core costs more than it brings."""
+WELL_DETERMINED = 1e-4
+"""Pivot of the scaled Gram matrix from which no column depends on those before it."""
+TILE, CHUNK = 32, 256
+"""Columns and samples of one product: small enough that BLAS does it on one core. Waiting for a second core
+that is busy costs far more than it brings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +62,6 @@ class Moments:
 def moments_of(blocks: Iterable[tuple[Array, Array]], columns: int, outputs: int) -> Moments:
     """Moments of one record from blocks (column, sample) and (output, sample)."""
     k = columns + outputs
-    chunk = max(16, SERIAL_PRODUCT // (k + 1) ** 2)
     total = np.zeros((k + 1, k + 1))
     reference: Array | None = None
     for x, y in blocks:
@@ -66,9 +69,7 @@ def moments_of(blocks: Iterable[tuple[Array, Array]], columns: int, outputs: int
         if reference is None:
             reference = rows[:k, :1].copy()
         rows[:k] -= reference  # sums of large numbers would lose what their differences tell
-        for part in range(0, rows.shape[1], chunk):
-            piece = rows[:, part : part + chunk]
-            total += piece @ piece.T
+        total += _products(rows)
     if reference is None:
         raise IdentificationError("no sample of the record can be used")
     samples = total[k, k]
@@ -81,6 +82,21 @@ def moments_of(blocks: Iterable[tuple[Array, Array]], columns: int, outputs: int
         samples=int(samples),
         means=(mean + reference[:, 0])[None, :],
     )
+
+
+def _products(rows: Array) -> Array:
+    """Products of all rows (row, sample) with each other, tile by tile."""
+    k, samples = rows.shape
+    whole = samples - samples % CHUNK
+    stacks = [rows[:, :whole].reshape(k, -1, CHUNK).transpose(1, 0, 2), rows[None, :, whole:]]
+    total = np.zeros((k, k))
+    for stack in stacks:
+        for i in range(0, k, TILE):
+            for j in range(i, k, TILE):
+                tile = np.matmul(stack[:, i : i + TILE], stack[:, j : j + TILE].transpose(0, 2, 1))
+                total[i : i + TILE, j : j + TILE] += tile.sum(axis=0)
+    upper = np.triu(total)
+    return upper + np.triu(upper, 1).T
 
 
 def pooled(parts: Sequence[Moments]) -> Moments:
@@ -116,11 +132,54 @@ class Solution:
 
 
 class Bounds(NamedTuple):
-    """Bounds of the unknowns x that make up the coefficients c = basis x."""
+    """One-sided bounds of the unknowns x that make up the coefficients c = basis x.
+
+    ``side`` is 1 where x stays above ``bound``, -1 where it stays below, 0 where it is free.
+    """
 
     basis: Array
-    lower: Array
-    upper: Array
+    side: Array
+    bound: Array
+
+
+class _Scaled(NamedTuple):
+    """The problem with columns of unit length, and the directions that the data determine."""
+
+    scale: Array
+    roots: Array
+    directions: Array
+    lost: Array
+
+    @classmethod
+    def of(cls, matrix: Array) -> _Scaled:
+        norm = np.sqrt(np.diag(matrix))
+        scale = 1.0 / np.where(norm > 0.0, norm, 1.0)
+        values, vectors = np.linalg.eigh(scale[:, None] * matrix * scale)
+        kept = values > DEPENDENT * max(values[-1], np.finfo(float).tiny)
+        return cls(scale, np.sqrt(values[kept]), vectors[:, kept], vectors[:, ~kept])
+
+    def target(self, cross: Array) -> Array:
+        """Right-hand side of the small problem."""
+        return np.asarray(((self.directions.T @ (self.scale * cross.T).T).T / self.roots).T)
+
+    def coefficients(self, target: Array) -> Array:
+        """Free solution."""
+        return np.asarray((self.scale * (self.directions @ (target.T / self.roots).T).T).T)
+
+
+def coefficients(gram: Array, cross: Array) -> Array:
+    """Free least-squares coefficients (column,) or (column, problem) for right-hand sides of that shape."""
+    norm = np.sqrt(np.diag(gram))
+    if norm.all():
+        try:
+            factor = cholesky(gram / np.outer(norm, norm), lower=True)
+        except LinAlgError:
+            factor = np.zeros((1, 1))
+        if np.diag(factor).min() > WELL_DETERMINED:
+            scaled = cho_solve((factor, True), (cross.T / norm).T)
+            return np.asarray((scaled.T / norm).T)
+    problem = _Scaled.of(gram)
+    return problem.coefficients(problem.target(cross))
 
 
 def solve(
@@ -141,32 +200,54 @@ def solve(
     bounds : unknowns and their bounds; the coefficients are free if not given
     penalty : (column, column) quadratic penalty, such as a ridge
     """
-    matrix = gram if penalty is None else gram + penalty
-    norm = np.sqrt(np.diag(matrix))
-    scale = 1.0 / np.where(norm > 0.0, norm, 1.0)
-    values, vectors = np.linalg.eigh(scale[:, None] * matrix * scale)
-    kept = values > DEPENDENT * max(values[-1], np.finfo(float).tiny)
-    roots, directions = np.sqrt(values[kept]), vectors[:, kept]
-    target = directions.T @ (scale * cross) / roots
+    scaled = _Scaled.of(gram if penalty is None else gram + penalty)
+    target = scaled.target(cross)
+    root = scaled.roots[:, None] * scaled.directions.T
     if bounds is None:
-        basis, free = np.diag(scale), np.ones(len(scale), dtype=np.bool_)
-        x = directions @ (target / roots)
-        root = roots[:, None] * directions.T
+        free = np.ones(len(gram), dtype=np.bool_)
+        found = scaled.coefficients(target)
+        spread = scaled.scale[:, None] * scaled.directions / scaled.roots
     else:
-        root = (roots[:, None] * directions.T / scale) @ bounds.basis
-        size = 1.0 / np.maximum(np.linalg.norm(root, axis=0), np.finfo(float).tiny)
-        basis, root = bounds.basis * size, root * size
-        limits = bounds.lower / size, bounds.upper / size
-        found = lsq_linear(root, target, limits, method="bvls", tol=1e-14, max_iter=50 * len(size))
-        x, free = found.x, found.active_mask == 0
-    coefficients = basis @ x
-    rest = max(power - 2.0 * cross @ coefficients + coefficients @ gram @ coefficients, 0.0)
-    spread = np.linalg.pinv(root[:, free]) if free.any() else np.zeros((0, len(root)))
-    spread = basis[:, free] @ spread
+        root = (root / scaled.scale) @ bounds.basis
+        x, free = _bounded(root, target, bounds)
+        found = bounds.basis @ x
+        spread = bounds.basis[:, free] @ _inverse_root(root[:, free])
+    rest = squares_left(gram, cross, power, found)
     return Solution(
-        coefficients=coefficients,
+        coefficients=found,
         covariance=rest / max(freedom - int(free.sum()), 1) * (spread @ spread.T),
         residual_rms=float(np.sqrt(rest / max(freedom, 1))),
         at_bound=~free,
-        dependent=np.any(np.abs(vectors[:, ~kept]) > 1e-3, axis=1),
+        dependent=np.any(np.abs(scaled.lost) > 1e-3, axis=1),
     )
+
+
+def squares_left(gram: Array, cross: Array, power: float, found: Array) -> float:
+    """Sum of the squared errors of one output with given coefficients."""
+    return max(float(power - 2.0 * cross @ found + found @ gram @ found), 0.0)
+
+
+def _inverse_root(root: Array) -> Array:
+    """Matrix S with S S^T = (root^T root)^-1, on the directions that the data determine."""
+    scaled = _Scaled.of(root.T @ root)
+    return np.asarray(scaled.scale[:, None] * scaled.directions / scaled.roots)
+
+
+def _bounded(root: Array, target: Array, bounds: Bounds) -> tuple[Array, NDArray[np.bool_]]:
+    """Minimise |root x - target| between bounds; also which unknowns do not stand on theirs.
+
+    The free unknowns are eliminated; what is left is a problem with non-negative unknowns.
+    """
+    held = bounds.side != 0.0
+    x = np.where(held, bounds.bound, 0.0)
+    others = np.linalg.qr(root[:, ~held])[0]
+    left = root[:, held] * bounds.side[held]
+    left = left - others @ (others.T @ left)
+    size = 1.0 / np.maximum(np.linalg.norm(left, axis=0), np.finfo(float).tiny)
+    rest = target - root @ x
+    above, _ = nnls(left * size, rest - others @ (others.T @ rest), maxiter=50 * max(len(size), 1))
+    x[held] += bounds.side[held] * size * above
+    free = ~held
+    free[held] = above > 0.0
+    x[~held] = np.linalg.lstsq(root[:, ~held], target - root[:, held] @ x[held], rcond=None)[0]
+    return x, free

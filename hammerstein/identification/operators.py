@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import LinearBlock
-from hammerstein.identification.normal_equations import Moments, moments_of, pooled, solve
+from hammerstein.identification.normal_equations import (
+    Moments,
+    coefficients,
+    moments_of,
+    pooled,
+    squares_left,
+)
 from hammerstein.identification.partition import thresholds_uniform_in_time, thresholds_uniform_in_voltage
 from hammerstein.identification.prediction import ranges
 from hammerstein.identification.preparation import driven_inputs
@@ -148,9 +154,8 @@ def _halves(
 def _held_out(fitted: Sequence[Moments], held: Sequence[Moments]) -> tuple[float, int]:
     """Squares left in the held-out stretches, and how many samples they have."""
     train, test = pooled(fitted), pooled(held)
-    c = solve(train.gram, train.cross[:, 0], float(train.power[0]), train.freedom).coefficients
-    left = float(test.power[0] - 2.0 * test.cross[:, 0] @ c + c @ test.gram @ c)
-    return max(left, 0.0), test.samples
+    found = coefficients(train.gram, train.cross[:, 0])
+    return squares_left(test.gram, test.cross[:, 0], float(test.power[0]), found), test.samples
 
 
 def enough_operators(curve: Sequence[CurvePoint]) -> int:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from hammerstein.dynamics import AxesDynamics, Axis, LinearBlock
 from hammerstein.identification.axis_task import AxisTask, axis_of, duration_s
 from hammerstein.identification.delay import MOST_DELAY, shortest_delay
-from hammerstein.identification.normal_equations import Solution, solve
+from hammerstein.identification.normal_equations import coefficients, squares_left
 from hammerstein.identification.partition import thresholds_uniform_in_voltage
 from hammerstein.identification.records import Record
 from hammerstein.identification.regressors import (
@@ -53,6 +53,7 @@ SEARCH_SAMPLES = 10_000
 SEARCH_OPERATORS = 3
 GUESS_SAMPLES = 30_000
 GUESS_OPERATORS = 5
+CREEP_OPERATORS = 6
 SEARCH_DAMPING = 0.15
 SEARCH_BEGINS = 3
 SEARCH_RATIO = 1.3
@@ -94,7 +95,6 @@ class Point:
     curvature: Array
     pull: Array
     drag: Array
-    freedom: int
 
     def step(self, damping: float) -> Array:
         """Change of the parameters (Levenberg-Marquardt)."""
@@ -114,7 +114,7 @@ def refine(task: AxisTask, x: Array) -> Point:
     """Levenberg-Marquardt steps from x until nothing is gained."""
     lower, upper = task.limits
     begin = np.clip(x, lower, upper)
-    here = _point(task, begin, _alone(task, partial(task.path, begin)).coefficients)
+    here = _point(task, begin, _alone(task, partial(task.path, begin))[0])
     damping = FIRST_DAMPING
     for _ in range(MOST_STEPS):
         x = np.clip(here.x + here.step(damping), lower, upper)
@@ -130,10 +130,13 @@ def refine(task: AxisTask, x: Array) -> Point:
     return here
 
 
-def _alone(task: AxisTask, path: Callable[[float], LinearBlock]) -> Solution:
-    """Slopes behind a fixed path."""
+def _alone(task: AxisTask, path: Callable[[float], LinearBlock]) -> tuple[Array, float]:
+    """Slopes behind a fixed path, and the rms of what is left."""
     moments = task.moments(lambda time: [SideBySide(path(time), task.columns)], task.columns)
-    return solve(moments.gram, moments.cross[:, 0], float(moments.power[0]), moments.freedom)
+    cross = moments.cross[:, 0]
+    slopes = coefficients(moments.gram, cross)
+    left = squares_left(moments.gram, cross, float(moments.power[0]), slopes)
+    return slopes, math.sqrt(left / max(moments.freedom, 1))
 
 
 def _point(task: AxisTask, x: Array, slopes: Array) -> Point:
@@ -144,18 +147,18 @@ def _point(task: AxisTask, x: Array, slopes: Array) -> Point:
         return [SideBySide(task.path(x, time), n), task.derivatives(x, slopes, time)]
 
     moments = task.moments(filters, n + q)
-    cross, power = moments.cross[:, 0], float(moments.power[0])
+    cross = moments.cross[:, 0]
     gram, mixed = moments.gram[:n, :n], moments.gram[:n, n:]
-    found = solve(gram, cross[:n], power, moments.freedom)
-    drag = np.column_stack([solve(gram, column, 0.0, moments.freedom).coefficients for column in mixed.T])
+    both = coefficients(gram, np.column_stack([cross[:n], mixed]))
+    slopes, drag = both[:, 0], both[:, 1:]
+    left = squares_left(gram, cross[:n], float(moments.power[0]), slopes)
     return Point(
         x=x,
-        slopes=found.coefficients,
-        rms=found.residual_rms,
+        slopes=slopes,
+        rms=math.sqrt(left / max(moments.freedom, 1)),
         curvature=moments.gram[n:, n:] - mixed.T @ drag,
-        pull=cross[n:] - mixed.T @ found.coefficients,
+        pull=cross[n:] - mixed.T @ slopes,
         drag=drag,
-        freedom=moments.freedom,
     )
 
 
@@ -164,14 +167,19 @@ def search(task: AxisTask) -> Array:
     lower, upper = task.limits
     frequencies = np.arange(math.log(10.0) + lower[0], upper[0], math.log(SEARCH_RATIO))
     grid = [np.array([f, math.log(SEARCH_DAMPING)]) for f in frequencies]
-    errors = [_alone(task, partial(task.path, x)).residual_rms for x in grid]
+    errors = [_alone(task, partial(task.path, x))[1] for x in grid]
     begins = [grid[int(i)] for i in np.argsort(errors, kind="stable")[:SEARCH_BEGINS]]
     return min((refine(task, x) for x in begins), key=lambda point: point.rms).x
 
 
 def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
     """Fit one axis from parameters near the best ones."""
-    point = refine(task, np.concatenate([begin[:2], _first_creep(task)]))
+    x = np.concatenate([begin[:2], _first_creep(task)])
+    if task.creep_modes and task.columns > len(task.grids):
+        reach = half_swing(task.records)
+        coarse = tuple(thresholds_uniform_in_voltage(r, CREEP_OPERATORS) for r in reach)
+        x = refine(replace(task, grids=coarse), x).x  # many steps, each of them cheaper
+    point = refine(task, x)
     percent = 100.0 * point.errors
     return AxisFit(
         axis=axis_of(point.x),
@@ -179,7 +187,7 @@ def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
         damping_error_percent=float(percent[1]),
         creep_gain_errors=tuple(point.errors[2::2].tolist()),
         rms_um=point.rms,
-        static_rms_um=_alone(task, task.sensor).residual_rms,
+        static_rms_um=_alone(task, task.sensor)[1],
     )
 
 

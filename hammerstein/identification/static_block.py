@@ -273,25 +273,22 @@ def bounds_of(method: Weighting, layout: Layout, o: int, gains: Array) -> Bounds
 
 def _nonnegative(layout: Layout, o: int, gains: Array) -> Bounds:
     """All weights of a pair have the sign of its gain."""
-    lower, upper = np.zeros((2, layout.parts[o][-1].stop))
+    side = np.zeros(layout.parts[o][-1].stop)
     for part, gain in zip(layout.parts[o], gains[o], strict=True):
-        lower[part], upper[part] = (0.0, np.inf) if gain >= 0.0 else (-np.inf, 0.0)
+        side[part] = 1.0 if gain >= 0.0 else -1.0
     sums = np.asarray(np.linalg.inv(_differences(layout.parts[o])))
-    return Bounds(sums, lower, upper)
+    return Bounds(sums, side, np.zeros_like(side))
 
 
 def _invertible(layout: Layout, o: int, gains: Array) -> Bounds:
     """Slopes of the direct pair keep its sign and stay away from zero."""
     size = layout.parts[o][-1].stop
-    lower, upper = np.full(size, -np.inf), np.full(size, np.inf)
+    side, bound = np.zeros(size), np.zeros(size)
     for output, k in direct_pairs(gains):
         if output == o:
-            least = LEAST_SLOPE * gains[o, k]
-            if least > 0.0:
-                lower[layout.parts[o][k]] = least
-            else:
-                upper[layout.parts[o][k]] = least
-    return Bounds(np.eye(size), lower, upper)
+            side[layout.parts[o][k]] = 1.0 if gains[o, k] > 0.0 else -1.0
+            bound[layout.parts[o][k]] = LEAST_SLOPE * gains[o, k]
+    return Bounds(np.eye(size), side, bound)
 
 
 def direct_pairs(gains: Array) -> list[tuple[int, int]]:
