@@ -3,54 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hammerstein.measure import rows_of
+from hammerstein.measure import error_rows
 from hammerstein.plant import Plant
 from hammerstein.report import Band
 from hammerstein.rows import Row
 from hammerstein.setup import Case, Progress, SetUp
 
 METRICS = ("rms_um", "rms_true_um", "max_true_um", "euclidean_max_true_um")
-
-
-@dataclass(frozen=True, eq=False)
-class _Draw:
-    """One actuator near the nominal one, with the laws that were built for the nominal one."""
-
-    setup: SetUp
-    number: int
-
-    def rows(self, cases: Sequence[Case]) -> tuple[Row, ...]:
-        nominal = self.setup
-        uncertainty = nominal.scenario.uncertainty
-        assert uncertainty is not None  # held by bands_of
-        drawn = Plant(*uncertainty.draw(nominal.plant.model, nominal.plant.instruments, self.number))
-        seed = nominal.scenario.seed + 7919 * (self.number + 1)  # another noise in every draw
-        setup = replace(nominal, plant=drawn, scenario=nominal.scenario.model_copy(update={"seed": seed}))
-        return tuple(row for case in cases for row in rows_of(setup, case).rows)
+SEED_STEP = 7919  # keeps the noise of one draw apart from that of another scenario's seed
 
 
 def bands_of(setup: SetUp, cases: Sequence[Case], jobs: int, progress: Progress | None) -> tuple[Band, ...]:
     """Median and 5-95 % band of every row over the draws; nothing where the scenario has no uncertainty.
 
-    The draws run side by side; the numbers do not depend on ``jobs``.
+    The laws are those of the nominal actuator. The cases run side by side; the numbers do not depend on
+    ``jobs``.
     """
     from joblib import Parallel, delayed
 
-    uncertainty = setup.scenario.uncertainty
-    if uncertainty is None:
-        return ()
-    draws: list[tuple[Row, ...]] = []
+    plants = _drawn(setup)
+    bands: list[Band] = []
     parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")
-    tasks = (delayed(_Draw(setup, number).rows)(cases) for number in range(uncertainty.draws))
-    for rows in parallel(tasks):
-        draws.append(rows)
+    tasks = (delayed(_over_draws)(setup, case, plants) for case in cases if plants)
+    for done, draws in enumerate(parallel(tasks), start=1):
+        bands += (band for same in zip(*draws, strict=True) for band in _bands(same))
         if progress:
-            progress("drawing actuators", len(draws), uncertainty.draws)
-    return tuple(band for same in zip(*draws, strict=True) for band in _bands(same))
+            progress("drawing actuators", done, len(cases))
+    return tuple(bands)
+
+
+def _drawn(setup: SetUp) -> list[Plant]:
+    """Actuators near the nominal one."""
+    uncertainty, nominal = setup.scenario.uncertainty, setup.plant
+    if uncertainty is None:
+        return []
+    return [Plant(*uncertainty.draw(nominal.model, nominal.instruments, n)) for n in range(uncertainty.draws)]
+
+
+def _over_draws(setup: SetUp, case: Case, plants: Sequence[Plant]) -> list[tuple[Row, ...]]:
+    """Rows of one case, draw by draw; each draw has another noise."""
+    experiment, seed = setup.experiment(case), setup.scenario.seed
+    return [
+        error_rows(setup, case, experiment(plant, seed + SEED_STEP * number))
+        for number, plant in enumerate(plants, start=1)
+    ]
 
 
 def _bands(same: Sequence[Row]) -> list[Band]:

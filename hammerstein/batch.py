@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from hammerstein.errors import HammersteinError, InputError, Mistake
 from hammerstein.experiment import run
 from hammerstein.output import TraceFormat, write_report
+from hammerstein.processes import side_by_side
 from hammerstein.report import Report
 from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.setup import Progress
@@ -76,16 +78,10 @@ def run_all(
         for name, scenario in scenarios.items():
             yield _outcome(name, scenario, finish, jobs, progress)
         return
-    import warnings
-
-    from joblib import Parallel, delayed
-
-    # A worker that has become large is replaced by a fresh one: nothing that a user should read of.
-    warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given")
     # Long ones first, so that none is left alone at the end.
     by_size = sorted(scenarios.items(), key=lambda item: -_size(item[1]))
-    parallel = Parallel(n_jobs=min(jobs, len(scenarios)), return_as="generator_unordered", batch_size=1)
-    yield from parallel(delayed(_outcome)(name, scenario, finish, 1, None) for name, scenario in by_size)
+    tasks = [partial(_outcome, name, scenario, finish, 1, None) for name, scenario in by_size]
+    yield from side_by_side(tasks, min(jobs, len(scenarios)))
 
 
 def _size(scenario: Scenario) -> int:

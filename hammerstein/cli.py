@@ -86,6 +86,7 @@ def run(
     """Run scenarios and write a report for each: numbers, a page, figures."""
     from hammerstein.batch import Writer, load_all, run_all
     from hammerstein.claims_page import claims_csv, write_page
+    from hammerstein.compilation import compile_once
     from hammerstein.errors import InputError
     from hammerstein.files import write_atomic
     from hammerstein.tables import claims_table, result_table, show
@@ -93,7 +94,7 @@ def run(
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
-    _announce_compilation()
+    compile_once(_complain)
     writer = Writer(out, figures, "mat" if traces == "mat" else "csv" if traces == "csv" else None)
     outcomes = []
     with _Watch(len(scenarios)) as watch:
@@ -121,13 +122,6 @@ def run(
     _fail_with(outcomes)
 
 
-def _announce_compilation() -> None:
-    from hammerstein.compilation import must_compile
-
-    if must_compile():
-        _complain("compiling the time loops, once after installation (about 20 s)")
-
-
 def _fail_with(outcomes: list[Outcome]) -> None:
     """Tell every error; exit with the code of the gravest."""
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
@@ -153,10 +147,11 @@ def check(
 ) -> None:
     """Run scenarios again and compare every number with its baseline."""
     from hammerstein.batch import find_scenarios
+    from hammerstein.compilation import compile_once
     from hammerstein.files import write_atomic
     from hammerstein.regression import check_files
 
-    _announce_compilation()
+    compile_once(_complain)
     with _Watch(len(find_scenarios(paths))) as watch:
         result = check_files(paths, baseline, update_baseline, jobs, watch.progress, watch.finished)
     if junit is not None:
@@ -196,10 +191,12 @@ def plot(
 ) -> None:
     """Draw the figures of one scenario, and nothing else."""
     from hammerstein.batch import load_all
+    from hammerstein.compilation import compile_once
     from hammerstein.experiment import run as run_scenario
     from hammerstein.figures import write_figures
 
     ((name, scenario),) = load_all([path]).items()
+    compile_once(_complain)
     with _Watch(1) as watch:
         report = run_scenario(scenario, name, jobs, watch.progress)
     for figure in write_figures(report, out / name):

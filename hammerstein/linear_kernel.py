@@ -15,7 +15,9 @@ def respond_linear(start, column, value, x, v, y):  # type: ignore[no-untyped-de
     """
     n, m, p = x.shape[0], v.shape[0], y.shape[0]
     z = np.empty(n + m)
-    z[:n] = x
+    # Not in slices: numba takes seconds to compile their assignment.
+    for i in range(n):
+        z[i] = x[i]
     new = np.empty(n)
     for t in range(v.shape[1]):
         for j in range(m):
@@ -28,5 +30,7 @@ def respond_linear(start, column, value, x, v, y):  # type: ignore[no-untyped-de
                 new[i] = total
             else:
                 y[i - n, t] = total
-        z[:n] = new
-    x[:] = z[:n]
+        for i in range(n):
+            z[i] = new[i]
+    for i in range(n):
+        x[i] = z[i]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,29 +43,21 @@ class Target:
     position_um: Array
 
 
-NO_TARGET: tuple[Target | None, ...] = (None,)
-
-
 def rows_of(setup: SetUp, case: Case) -> Result:
     """Simulate one case and measure it."""
     response = setup.simulate(case)
     window = Window.of(setup.scenario, case.signal, setup.plant.sample_time_s)
     targets = _targets(setup, case, response)
-    axes = range(len(response.position_um))
-    keys = [_case_figures(setup, case, response, window, axis) for axis in axes]
-    cycle = _whole_cycle(setup, case)
-    rows = []
-    for target in targets or NO_TARGET:
-        errors: list[dict[str, Any]] = (
-            [{}] * len(axes) if target is None else _errors(response, target, window.first, cycle)
-        )
-        label = case.label if target is None else target.label
-        rows += [Row(compensator=label, **key, **error) for key, error in zip(keys, errors, strict=True)]
+    loops = _loops(setup, case, response, window)
+    rows = tuple(
+        replace(row, **loop)
+        for row, loop in zip(_rows(setup, case, response, targets), itertools.cycle(loops), strict=False)
+    )
     names = scenario_axes(setup.scenario, setup.plant.model)
     predictions = tuple(
         Prediction(t.label, t.reading_um[:, window.first :], t.position_um[:, window.first :])
         for t in targets
-        if setup.scenario.drive is not None
+        if t is not None and setup.scenario.drive is not None
     )
     trace = Trace(
         label=case.label,
@@ -74,17 +67,38 @@ def rows_of(setup: SetUp, case: Case) -> Result:
         first_sample=window.first,
         predictions=predictions,
     )
-    return Result(tuple(rows), trace, _settled(setup, case, response, window))
+    return Result(rows, trace, _settled(setup, case, response, window))
 
 
-def _targets(setup: SetUp, case: Case, response: Response) -> list[Target]:
+def error_rows(setup: SetUp, case: Case, response: Response) -> tuple[Row, ...]:
+    """Rows of one case without the figures of its loops."""
+    return tuple(_rows(setup, case, response, _targets(setup, case, response)))
+
+
+def _rows(setup: SetUp, case: Case, response: Response, targets: Sequence[Target | None]) -> Iterator[Row]:
+    """Rows target by target, within each of them axis by axis."""
+    first = Window.of(setup.scenario, case.signal, setup.plant.sample_time_s).first
+    axes, cycle = setup.plant.model.outputs, _whole_cycle(setup, case)
+    figures = _case_figures(setup, case, response, first)
+    for target in targets:
+        errors: list[dict[str, Any]] = (
+            [{}] * len(axes) if target is None else _errors(response, target, first, cycle)
+        )
+        label = case.label if target is None else target.label
+        for axis, error in zip(axes, errors, strict=True):
+            yield Row(compensator=label, measured_axis=axis, **figures, **error)
+
+
+def _targets(setup: SetUp, case: Case, response: Response) -> list[Target] | list[None]:
+    """What the response is compared with; a single None where there is nothing."""
     if response.reference_um is not None:
         return [Target(case.label, response.reference_um, response.reference_um)]
-    return [
+    models = [
         Target(source.label, *_prediction(setup, setup.models[source.label], response))
         for source in setup.scenario.models
         if source.is_tested_at(case.signal.highest_frequency_hz)
     ]
+    return models or [None]
 
 
 def _prediction(setup: SetUp, model: HammersteinModel, response: Response) -> tuple[Array, Array]:
@@ -98,20 +112,18 @@ def _prediction(setup: SetUp, model: HammersteinModel, response: Response) -> tu
     return reading, position
 
 
-def _case_figures(setup: SetUp, case: Case, response: Response, window: Window, axis: int) -> dict[str, Any]:
-    """What a row says of its case, whatever the response is compared with."""
+def _case_figures(setup: SetUp, case: Case, response: Response, first: int) -> dict[str, Any]:
+    """What the rows say of their case, whatever the response is compared with."""
     names = scenario_axes(setup.scenario, setup.plant.model)
     signal = case.signal.model_dump()
-    path = _path_figures(response, window.first) if case.axis is None else {}
+    path = _path_figures(response, first) if case.axis is None else {}
     return {
         "excited_axis": "all" if case.axis is None else names[case.axis],
-        "measured_axis": setup.plant.model.outputs[axis],
         "frequency_hz": case.signal.highest_frequency_hz,
         "amplitude_v": signal.get("amplitude_v", signal.get("radius_v")),
         "amplitude_um": signal.get("amplitude_um", signal.get("radius_um")),
-        "saturated_samples": int(response.saturated[:, window.first :].sum()),
+        "saturated_samples": int(response.saturated[:, first:].sum()),
         **path,
-        **_loop(setup, case, response, window, axis),
     }
 
 
@@ -152,6 +164,8 @@ def _errors(response: Response, target: Target, first: int, cycle: int | None) -
 
 def unsaturated(saturated: NDArray[np.bool_], sample_time_s: float) -> NDArray[np.bool_]:
     """Samples (sample,) at which no voltage is cut, nor was within the last ``RECOVERY_S``."""
+    if not saturated.any():
+        return np.ones(saturated.shape[1], dtype=np.bool_)
     cut = np.asarray(saturated.any(axis=0), dtype=np.float64)
     recovery = np.ones(round(RECOVERY_S / sample_time_s) + 1)
     return np.asarray(np.convolve(cut, recovery)[: cut.size] < 0.5)
@@ -169,28 +183,22 @@ def _path_figures(response: Response, start: int) -> dict[str, Any]:
     }
 
 
-def _loop(setup: SetUp, case: Case, response: Response, window: Window, axis: int) -> dict[str, Any]:
-    """Loop of the reading against the one signal that is driven."""
+def _loops(setup: SetUp, case: Case, response: Response, window: Window) -> list[dict[str, Any]]:
+    """Loops of the readings, axis by axis, against the one signal that is driven."""
     if case.axis is None or not isinstance(case.signal, OneFrequency) or not case.signal.periodic:
-        return {}
+        return [{}]
     frequency, sensor = case.signal.frequency_hz, setup.plant.instruments.sensor
     nyquist = 0.5 / response.sample_time_s
     input_ = response.drive_v if response.reference_um is None else response.reference_um
-    figures = metrics.loop_figures(
+    found = metrics.loop_figures(
         input_[case.axis],
-        response.reading_um[axis],
+        response.reading_um,
         frequency,
         response.sample_time_s,
         window.settle_cycles,
         max(1, int(min(sensor.bandwidth_hz, nyquist) / frequency)),
     )
-    return {
-        "height_um": figures.height_um,
-        "width_um": figures.width_um,
-        "width_percent": figures.width_percent,
-        "gain": figures.gain,
-        "phase_deg": figures.phase_deg,
-    }
+    return [asdict(figures) | {"width_percent": figures.width_percent} for figures in found]
 
 
 def _settled(setup: SetUp, case: Case, response: Response, window: Window) -> bool:

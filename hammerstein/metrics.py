@@ -80,36 +80,39 @@ class LoopFigures:
 
 def loop_figures(
     input_: Array,
-    output_um: Array,
+    outputs_um: Array,
     frequency_hz: float,
     sample_time_s: float,
     skip_cycles: int,
     harmonics: int,
-) -> LoopFigures:
-    """Figures of the mean settled loop of one input and one output.
+) -> list[LoopFigures]:
+    """Figures of the mean settled loops of one input, one for each output.
 
     Parameters
     ----------
     input_ : (sample,) voltage [V] or reference [um] from phase 0
-    output_um : (sample,) position or reading
+    outputs_um : (output, sample) positions or readings
     frequency_hz, sample_time_s : frequency of the cycle and time between samples
     skip_cycles : cycles that have not settled
     harmonics : harmonics kept of the mean cycle; above the sensor's bandwidth there is only noise
     """
     phases = 2 * max(2, round(0.5 / (frequency_hz * sample_time_s)))
     cycle = settled_cycle(
-        np.stack([input_, output_um]), frequency_hz, sample_time_s, phases, skip_cycles=skip_cycles
+        np.vstack([input_, outputs_um]), frequency_hz, sample_time_s, phases, skip_cycles=skip_cycles
     )
     spectrum = np.fft.rfft(cycle, axis=1)
-    ratio = spectrum[1, 1] / spectrum[0, 1]
-    spectrum[1, harmonics + 1 :] = 0.0
-    y = np.fft.irfft(spectrum[1], phases)
-    return LoopFigures(
-        height_um=float(np.ptp(y)),
-        width_um=_opening(cycle[0], y),
-        gain=float(abs(ratio)),
-        phase_deg=float(np.degrees(np.angle(ratio))),
-    )
+    ratios = spectrum[1:, 1] / spectrum[0, 1]
+    spectrum[:, harmonics + 1 :] = 0.0
+    smooth = np.fft.irfft(spectrum[1:], phases)
+    return [
+        LoopFigures(
+            height_um=float(np.ptp(y)),
+            width_um=_opening(cycle[0], y),
+            gain=float(abs(ratio)),
+            phase_deg=float(np.degrees(np.angle(ratio))),
+        )
+        for y, ratio in zip(smooth, ratios, strict=True)
+    ]
 
 
 def _opening(u: Array, y: Array) -> float:

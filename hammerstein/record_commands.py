@@ -34,6 +34,10 @@ def _refuse_overwriting(out: Path, inputs: list[Path]) -> None:
         raise InputError("--out", f"{out} is one of the files that are read; choose another name")
 
 
+def _say(message: str) -> None:
+    typer.echo(message, err=True)
+
+
 def _columns(words: str) -> list[str]:
     return [word.strip() for word in words.split(",") if word.strip()]
 
@@ -123,6 +127,7 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify a model from measured records, and say how far it can be trusted."""
+    from hammerstein.compilation import compile_once
     from hammerstein.errors import InputError
     from hammerstein.fit_output import write_fit
     from hammerstein.identification.fit_report import fit_json, identify_files
@@ -147,6 +152,7 @@ def identify(
         raise InputError(
             "--validate", f"{twice[0]} is among the records that are fitted; hold back another one"
         )
+    compile_once(_say)
     with _Spinner() as spinner:
         model, fit = identify_files(
             files,
@@ -212,11 +218,13 @@ def compensate(
 ) -> None:
     """Turn a reference into the voltages to send, with the predicted response."""
     from hammerstein.compensate import compensate as compensated
+    from hammerstein.compilation import compile_once
     from hammerstein.files import write_atomic
     from hammerstein.tables import compensation_table, show
 
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
     _refuse_overwriting(out, [Path(model), reference])
+    compile_once(_say)
     found = compensated(model, reference, law, options, clip, range_v)
     write_atomic(out, found.to_csv())
     if as_json:

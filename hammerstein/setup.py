@@ -28,6 +28,8 @@ from hammerstein.sources import ModelSource
 Array = NDArray[np.float64]
 AnyLaw = Law[Any] | Feedback
 Progress = Callable[[str, int, int], None]
+Experiment = Callable[[Plant, int], Response]
+"""From an actuator and a seed to its response, from rest."""
 
 REACH_POINTS = 5000  # enough to find the largest value of a path
 
@@ -86,20 +88,28 @@ class SetUp:
 
     def simulate(self, case: Case) -> Response:
         """Response of one case."""
+        return self.experiment(case)(self.plant, self.scenario.seed)
+
+    def experiment(self, case: Case) -> Experiment:
+        """What is done to an actuator in one case.
+
+        The voltages of a law without feedback are worked out once, for any number of actuators.
+        """
         scenario, plant = self.scenario, self.plant
         window = Window.of(scenario, case.signal, plant.sample_time_s)
         time_s = np.linspace(0.0, (window.total - 1) * plant.sample_time_s, window.total)
         values = values_of(case, time_s, len(scenario_axes(scenario, plant.model)))
-        seed = case.seed(scenario.seed)
         if scenario.drive is not None:
-            return plant.respond(values, seed)
-        return follow(plant, self.laws[case.label], values, seed)
+            return lambda plant, seed: plant.respond(values, case.seed(seed))
+        law = self.laws[case.label]
+        if isinstance(law, Feedback):
+            return lambda plant, seed: _closed(plant, law, values, case.seed(seed))
+        voltages = law.drive_for(values)
+        return lambda plant, seed: plant.respond(voltages, case.seed(seed), reference_um=values)
 
 
-def follow(plant: Plant, law: AnyLaw, reference_um: Array, seed: list[int]) -> Response:
-    """Response of an actuator whose voltages come from a law, from rest."""
-    if not isinstance(law, Feedback):
-        return plant.respond(law.drive_for(reference_um), seed, reference_um=reference_um)
+def _closed(plant: Plant, law: Feedback, reference_um: Array, seed: list[int]) -> Response:
+    """Response of an actuator whose voltages depend on what the sensor reads, from rest."""
     noise = np.random.default_rng(seed).standard_normal(reference_um.shape)
     instruments = plant.instruments
     wires = closed_loop(

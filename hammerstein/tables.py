@@ -7,15 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hammerstein.claims_page import Line
-from hammerstein.compensate import Compensation
-from hammerstein.identification.fit import KIND_NAMES, Fit
-from hammerstein.identification.loops import Loop
 from hammerstein.model import HammersteinModel
 from hammerstein.report import Report
 from hammerstein.rows import Row
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+    from hammerstein.compensate import Compensation
+    from hammerstein.identification.fit import Fit
+    from hammerstein.identification.loops import Loop
 
 _LEFT = 3  # the first columns hold words
 
@@ -100,6 +101,8 @@ def compensation_table(found: Compensation) -> Table:
 
 def fit_table(fit: Fit) -> Table:
     """One line for each kind of model and output: errors on the records fitted and on those held back."""
+    from hammerstein.identification.fit import KIND_NAMES
+
     names = ("fit_nrmse_percent", "fit_rms_um", "held_nrmse_percent", "held_rms_um")
     table = _table("Errors of the fit", ("model", "output", "", *names))
     for kind, score in fit.fit.items():

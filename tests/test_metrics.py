@@ -10,7 +10,7 @@ u = 10 * np.sin(2 * np.pi * f * t)
 
 def test_lagging_sine_is_an_ellipse():
     y = 3 * np.sin(2 * np.pi * f * t - 0.3)
-    figures = metrics.loop_figures(u, y, f, T, 2, 40)
+    (figures,) = metrics.loop_figures(u, y, f, T, 2, 40)
     assert figures.height_um == pytest.approx(6.0, rel=1e-3)
     assert figures.width_um == pytest.approx(6.0 * np.sin(0.3), rel=1e-3)
     assert figures.width_percent == pytest.approx(100 * np.sin(0.3), rel=1e-3)
@@ -21,7 +21,7 @@ def test_lagging_sine_is_an_ellipse():
 @pytest.mark.parametrize("f", [150.0, 175.0, 420.0])
 def test_period_need_not_be_a_whole_number_of_samples(f):
     y = 3 * np.sin(2 * np.pi * f * t - 0.3)
-    figures = metrics.loop_figures(10 * np.sin(2 * np.pi * f * t), y, f, T, 2, 4)
+    (figures,) = metrics.loop_figures(10 * np.sin(2 * np.pi * f * t), y, f, T, 2, 4)
     assert figures.gain == pytest.approx(0.3, rel=2e-2)
     assert figures.height_um == pytest.approx(6.0, rel=2e-2)
     assert figures.phase_deg == pytest.approx(np.degrees(-0.3), abs=0.5)
@@ -29,7 +29,7 @@ def test_period_need_not_be_a_whole_number_of_samples(f):
 
 def test_noise_above_the_sensors_bandwidth_does_not_widen_a_loop():
     noise = 0.04 * np.random.default_rng(0).normal(size=t.size)
-    figures = metrics.loop_figures(u, 1.4 * np.sin(2 * np.pi * f * t) + noise, f, T, 2, 40)
+    (figures,) = metrics.loop_figures(u, 1.4 * np.sin(2 * np.pi * f * t) + noise, f, T, 2, 40)
     assert figures.height_um == pytest.approx(2.8, rel=0.02)
 
 

@@ -74,8 +74,10 @@ def respond_exact(reference, virtual, a, b, gain, x, w, drive):  # type: ignore[
     the reference, as it is after the range was reached; ``reference - gain x`` is asked for until it is not.
     """
     p = reference.shape[0]
-    new = x.copy()
-    away = np.abs(x).sum() > 0.0
+    new = np.empty(x.shape[0])
+    away = False
+    for s in range(x.shape[0]):
+        away = away or x[s] != 0.0
     ready = prepare(w)
     for t in range(reference.shape[1]):
         for o in range(p):

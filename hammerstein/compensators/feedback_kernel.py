@@ -114,8 +114,10 @@ def _linear_step(rows, x, v, z, new, both):  # type: ignore[no-untyped-def]
     """One sample of a linear block, given by the non-zero entries of [[A, B], [C, D]]."""
     start, column, value = rows
     n = x.shape[0]
-    z[:n] = x
-    z[n:] = v
+    for i in range(n):
+        z[i] = x[i]
+    for i in range(v.shape[0]):
+        z[n + i] = v[i]
     for i in range(n + both.shape[0]):
         total = 0.0
         for e in range(start[i], start[i + 1]):
@@ -124,4 +126,5 @@ def _linear_step(rows, x, v, z, new, both):  # type: ignore[no-untyped-def]
             new[i] = total
         else:
             both[i - n] = total
-    x[:] = new
+    for i in range(n):
+        x[i] = new[i]

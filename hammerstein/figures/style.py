@@ -97,7 +97,7 @@ def new_figure(height_in: float) -> Figure:
     """Give an empty figure of page width, without any window behind it."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    return Figure(figsize=(WIDTH_IN, height_in), dpi=PNG_DPI, layout="constrained")
 
 
 def line_style(number: int) -> dict[str, Any]:

@@ -12,6 +12,8 @@ from hammerstein.figures.style import PNG_DPI, styled
 from hammerstein.files import write_atomic
 from hammerstein.report import Report
 
+PNG_COMPRESSION = 3  # half the time of the usual 6, and hardly larger
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -49,18 +51,29 @@ def save_figures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
 
 def images(figure: Figure) -> dict[str, bytes]:
     """Give the bytes of a figure as ``svg`` and ``png``, without date or version."""
-    metadata: dict[str, dict[str, str | None]] = {
-        "svg": {"Date": None, "Creator": "hammerstein"},
-        "png": {"Software": None},
-    }
-    content = {}
     with styled():
         layout = figure.get_layout_engine()
         if layout is not None:
             layout.execute(figure)
             figure.set_layout_engine(None)  # found once, it holds for both files
-        for kind, about in metadata.items():
-            buffer = io.BytesIO()
-            figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata=about)
-            content[kind] = buffer.getvalue()
-    return content
+        return {"svg": _svg(figure), "png": _png(figure)}
+
+
+def _svg(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": "hammerstein"})
+    return buffer.getvalue()
+
+
+def _png(figure: Figure) -> bytes:
+    """Without transparency: a third less to compress."""
+    import numpy as np
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    buffer = io.BytesIO()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])  # type: ignore[no-untyped-call]
+    picture.save(buffer, format="png", dpi=(PNG_DPI, PNG_DPI), compress_level=PNG_COMPRESSION)
+    return buffer.getvalue()

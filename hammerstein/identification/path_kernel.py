@@ -16,7 +16,8 @@ def respond_copies(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
     n = b.shape[0]
     now, new = np.empty(n), np.empty(n)
     for row in range(v.shape[0]):
-        now[:] = x[row]
+        for i in range(n):  # not in slices: numba takes seconds to compile their assignment
+            now[i] = x[row, i]
         for t in range(v.shape[1]):
             u = v[row, t]
             out = d * u
@@ -29,7 +30,8 @@ def respond_copies(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
             y[row, t] = out
             for i in range(n):
                 now[i] = new[i]
-        x[row] = now
+        for i in range(n):
+            x[row, i] = now[i]
 
 
 @njit(cache=True, nogil=True)
