@@ -88,9 +88,12 @@ def run(
     from hammerstein.claims_page import claims_csv, write_page
     from hammerstein.compilation import compile_once
     from hammerstein.errors import InputError
-    from hammerstein.files import write_atomic
+    from hammerstein.files import refuse_unwritable, write_atomic
     from hammerstein.tables import claims_table, result_table, show
 
+    refuse_unwritable("--out", out)
+    if page is not None:
+        refuse_unwritable("--page", page)
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
@@ -148,9 +151,12 @@ def check(
     """Run scenarios again and compare every number with its baseline."""
     from hammerstein.batch import find_scenarios
     from hammerstein.compilation import compile_once
-    from hammerstein.files import write_atomic
+    from hammerstein.files import refuse_unwritable, write_atomic
     from hammerstein.regression import check_files
 
+    for option, file in (("--junit", junit), ("--markdown", markdown)):
+        if file is not None:
+            refuse_unwritable(option, file.parent)
     compile_once(_complain)
     with _Watch(len(find_scenarios(paths))) as watch:
         result = check_files(paths, baseline, update_baseline, jobs, watch.progress, watch.finished)

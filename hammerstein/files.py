@@ -50,6 +50,27 @@ def write_atomic(path: Path, content: str | bytes) -> None:
         raise
 
 
+def refuse_unwritable(option: str, folder: Path) -> None:
+    """Refuse a folder that cannot be made or written, before the work that would be lost; nothing is made.
+
+    Parameters
+    ----------
+    option : what named the folder, such as ``--out``
+    folder : where files are to go
+
+    Raises
+    ------
+    InputError : names the folder that stands in the way
+    """
+    place = folder.absolute()
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        raise InputError(option, f"{place} is a file, not a folder; choose another place")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise InputError(option, f"the folder {place} cannot be written; choose another place")
+
+
 def _discard(temporary: str | None) -> None:
     if temporary is not None:
         with contextlib.suppress(OSError):

@@ -24,10 +24,12 @@ OutputScale = Annotated[float, typer.Option(metavar="S", help="Factor from the f
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 
-def _refuse_overwriting(out: Path, inputs: list[Path]) -> None:
-    """Refuse an output that is a folder, or one of the files that are read."""
+def _refuse_output(out: Path, inputs: list[Path]) -> None:
+    """Refuse an output that cannot be written, is a folder, or one of the files that are read."""
     from hammerstein.errors import InputError
+    from hammerstein.files import refuse_unwritable
 
+    refuse_unwritable("--out", out.parent)
     if out.is_dir():
         raise InputError("--out", f"{out} is a folder; give the name of a file")
     if any(path.resolve() == out.resolve() for path in inputs):
@@ -56,10 +58,13 @@ def loops(
 ) -> None:
     """Find the loops in measured records: height, width, area, closure, drift."""
     from hammerstein.errors import InputError
+    from hammerstein.files import refuse_unwritable
     from hammerstein.identification.loops import loop_table
     from hammerstein.identification.records import read_records
     from hammerstein.tables import loops_table, show
 
+    if figures:
+        refuse_unwritable("--out", out)
     records = read_records(
         files,
         inputs=_columns(inputs),
@@ -129,6 +134,7 @@ def identify(
     """Identify a model from measured records, and say how far it can be trusted."""
     from hammerstein.compilation import compile_once
     from hammerstein.errors import InputError
+    from hammerstein.files import refuse_unwritable
     from hammerstein.fit_output import write_fit
     from hammerstein.identification.fit_report import fit_json, identify_files
     from hammerstein.identification.settings import settings_of
@@ -146,12 +152,14 @@ def identify(
         sensor_bandwidth_hz=sensor_bandwidth,
     )
     held = validate or []
-    _refuse_overwriting(out, [*files, *held])
+    _refuse_output(out, [*files, *held])
     twice = sorted({str(f) for f in held if f.resolve() in {g.resolve() for g in files}})
     if twice:
         raise InputError(
             "--validate", f"{twice[0]} is among the records that are fitted; hold back another one"
         )
+    folder = report or out.parent / f"{out.stem}_fit"
+    refuse_unwritable("--report", folder)
     compile_once(_say)
     with _Spinner() as spinner:
         model, fit = identify_files(
@@ -167,7 +175,6 @@ def identify(
             name=out.stem,
             progress=spinner.tell,
         )
-    folder = report or out.parent / f"{out.stem}_fit"
     write_fit(model, fit, out, folder, figures)
     if as_json:
         typer.echo(fit_json(model, fit), nl=False)
@@ -223,7 +230,7 @@ def compensate(
     from hammerstein.tables import compensation_table, show
 
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
-    _refuse_overwriting(out, [Path(model), reference])
+    _refuse_output(out, [Path(model), reference])
     compile_once(_say)
     found = compensated(model, reference, law, options, clip, range_v)
     write_atomic(out, found.to_csv())

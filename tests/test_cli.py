@@ -135,7 +135,7 @@ def test_missing_path_and_empty_folder(folder, capsys):
 def test_unwritable_output(folder, capsys):
     (folder / "file").write_text("")
     assert _call("run", "scenarios", "--no-figures", "--out", "file") == 2
-    assert "cannot be written" in capsys.readouterr().err
+    assert "file is a file, not a folder; choose another place" in capsys.readouterr().err
 
 
 def test_schema_is_one_that_validators_accept(capsys):

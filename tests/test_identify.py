@@ -351,7 +351,7 @@ def test_a_linear_block_without_inverse_is_blamed_with_its_frequency():
         A=((0.0, 0.0), (1.0, 0.0)), B=((1.0,), (0.0,)), C=(tuple(c[0]),), D=((1.0,),), sample_time_s=1e-3
     )
     model = identify([sine_record()], Settings(**QUICK))[0]
-    ok, sentence = invertibility_of(model.hysteresis, blocked, 10.0, 1e-3)
+    ok, sentence = invertibility_of(model.hysteresis, blocked, 10.0, 1e-3, ("u1", "u2"))
     assert not ok
     assert "no usable inverse at 100 Hz" in sentence
 

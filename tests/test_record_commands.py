@@ -105,6 +105,33 @@ def test_wrong_options_write_nothing(records, tmp_path, capsys, arguments, code,
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_rate_that_the_time_column_contradicts_is_refused(records, tmp_path, capsys):
+    arguments = ("identify", *records, *COLUMNS, "--no-figures", "--out", tmp_path / "m.json", "--rate")
+    assert _call(*arguments, 5000) == 2
+    assert "its column time goes on by 5e-05, which is 20000 Hz; give --time time" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    frame = pd.read_csv(records[0])
+    for k, factor in enumerate((1e3, 1e6, 20000.0)):  # ms, us, samples
+        other = tmp_path / f"{k}.csv"
+        frame.assign(time=frame.time * factor).to_csv(other, index=False)
+        assert _call("loops", other, *COLUMNS, "--no-figures", "--rate", 20000) == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [("identify", "--out"), ("identify", "--report"), ("loops", "--out"), ("compensate", "--out")],
+)
+def test_a_place_that_cannot_be_written_is_told_before_the_work(records, tmp_path, capsys, command, option):
+    (tmp_path / "file").write_text("")
+    place = (option, tmp_path / "file" / "below")
+    if command == "compensate":
+        code = _call(command, "no_such_model", records[0], *place)
+    else:
+        code = _call(command, "no_such_record.csv", *COLUMNS, "--rate", 20000, *place)
+    assert code == 2
+    assert f"{option}: {tmp_path / 'file'} is a file, not a folder" in capsys.readouterr().err
+
+
 def test_a_bad_record_is_named_with_its_row(records, tmp_path, capsys):
     frame = pd.read_csv(records[0])
     frame.loc[41, "x"] = np.nan

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.delay import shortest_delay, static_delay
-from hammerstein.identification.normal_equations import moments_of, pooled, solve
+from hammerstein.identification.normal_equations import Bounds, moments_of, pooled, solve
 from hammerstein.identification.operators import (
     CurvePoint,
     enough_operators,
@@ -73,6 +73,26 @@ def test_noise_free_records_return_their_weights(inputs, outputs, seed):
     assert worst(fit.hysteresis, weights) < 1e-8
     assert np.abs(fit.offsets_um - offset.T).max() < 1e-7
     assert fit.open == ()
+
+
+def test_an_output_without_a_direct_input_has_no_bounds():
+    generator = np.random.default_rng(5)
+    thresholds, weights = [[np.zeros(1)], [np.zeros(1)]], [[np.array([4.0])], [np.array([0.3])]]
+    record = record_of(random_walk(generator, 1), thresholds, weights, noise=0.1, generator=generator)
+    fit = fit_static([record], thresholds, method="invertible")
+    assert worst(fit.hysteresis, weights) < 0.01
+
+
+def test_a_weight_that_no_sign_suits_is_zero_and_has_no_error():
+    generator = np.random.default_rng(6)
+    thresholds = [[np.zeros(1)]]
+    record = record_of(random_walk(generator, 1), thresholds, [[np.array([4.0])]])
+    moments = moments_of([(record.u_v, record.y_um)], 1, 1)
+    bounds = Bounds(np.eye(1), np.array([-1.0]), np.zeros(1))
+    found = solve(moments.gram, moments.cross[:, 0], float(moments.power[0]), moments.freedom, bounds=bounds)
+    assert found.coefficients.tolist() == [0.0]
+    assert found.at_bound.all()
+    assert found.covariance.tolist() == [[0.0]]
 
 
 def test_several_records_with_their_own_offsets_are_one_problem():

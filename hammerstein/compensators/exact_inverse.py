@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,7 +100,8 @@ class ExactInverse(Law[ExactState]):
         self.range_v, self.softening_v = range_v, softening_v
         if not (np.isfinite(softening_v) and softening_v >= 0.0):
             raise InputError("softening_v", f"must be 0 or more volts, not {softening_v:g}")
-        self.invertibility = invertibility(hysteresis, range_v, model.amplitude_v)
+        found = invertibility(hysteresis, range_v, model.amplitude_v)
+        self.invertibility = replace(found, inputs=model.inputs)
         require_inverse(self.invertibility, "exact_inverse", run_anyway)
         self.square, self.smallest_v = completed(hysteresis, model.amplitude_v)
         self._table = self._new_table()

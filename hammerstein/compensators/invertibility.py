@@ -24,6 +24,7 @@ class Invertibility:
     thresholds_v : largest threshold engaged there, by input [V]
     slopes_um_per_v : slope matrix there (output, input) [um/V]
     jump_v : (input,) jump of the drive at a reversal, twice the smallest threshold [V]
+    inputs : names of the inputs; numbers if not given
     """
 
     positive: int
@@ -33,6 +34,10 @@ class Invertibility:
     thresholds_v: tuple[float, ...]
     slopes_um_per_v: Array
     jump_v: Array
+    inputs: tuple[str, ...] = ()
+
+    def _name(self, k: int) -> str:
+        return f"input {self.inputs[k] if self.inputs else k + 1}"
 
     @property
     def invertible(self) -> bool:
@@ -43,14 +48,14 @@ class Invertibility:
         """Say in a sentence whether there is an inverse, and if not, where it fails."""
         total = self.positive + self.negative + self.singular
         if self.invertible:
-            jumps = ", ".join(f"{jump:.3g}" for jump in self.jump_v)
+            jumps = ", ".join(f"{jump:.3g} V on {self._name(k)}" for k, jump in enumerate(self.jump_v))
             return (
                 f"The model has an inverse for every reference: the determinants of its {total} slope "
-                f"matrices have one sign. The drive jumps by {jumps} V where input 1, 2, ... turns."
-            )
+                "matrices have one sign."
+            ) + (f" Where an input turns, its drive jumps: {jumps}." if self.jump_v.any() else "")
         other = min(self.positive, self.negative)
         places = "; ".join(
-            f"input {k + 1} with {n} operators engaged (thresholds to {r:.4g} V)"
+            f"{self._name(k)} with {n} operators engaged (thresholds to {r:.4g} V)"
             for k, (n, r) in enumerate(zip(self.engaged, self.thresholds_v, strict=True))
         )
         slopes = np.array2string(self.slopes_um_per_v, precision=4, separator=", ").replace("\n", "")

@@ -40,6 +40,7 @@ class Fit:
     method : how the weights were found
     operators : (output, input) number of thresholds of each pair
     amplitude_v : largest half swing of an input in the records [V]
+    amplitudes_v : (input,) half swing of each one [V]
     delay_samples : whole samples by which the outputs come late
     sample_time_s : time between samples of the records [s]
     sensor_bandwidth_hz : what the sensor was taken for [Hz]
@@ -67,6 +68,7 @@ class Fit:
     method: str
     operators: tuple[tuple[int, ...], ...]
     amplitude_v: float
+    amplitudes_v: tuple[float, ...]
     delay_samples: int
     sample_time_s: float
     sensor_bandwidth_hz: float | None

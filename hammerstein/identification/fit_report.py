@@ -140,7 +140,8 @@ def _score(fit: Fit, kind: Kind, score: Score) -> list[str]:
 def _facts(model: HammersteinModel, fit: Fit) -> Iterator[tuple[str, str]]:
     yield "kind", KIND_NAMES[fit.kind]
     yield "weights", fit.method.replace("_", " ")
-    yield "identified up to", f"{model.amplitude_v:.4g} V"
+    swings = zip(fit.inputs, fit.amplitudes_v, strict=True)
+    yield "identified up to", ", ".join(f"{swing:.4g} V on {_cell(name)}" for name, swing in swings)
     yield "delay", f"{fit.delay_samples} sample{'s' * (fit.delay_samples != 1)} of {fit.sample_time_s:.4g} s"
     if fit.sensor_bandwidth_hz is not None:
         yield "sensor bandwidth, as given", f"{fit.sensor_bandwidth_hz:.4g} Hz"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,12 @@ from hammerstein.identification.candidates import (
     build_static,
 )
 from hammerstein.identification.delay import static_delay
+from hammerstein.identification.excitation import (
+    answers,
+    excitation_statements,
+    refuse_noise,
+    refuse_one_way,
+)
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.operators import (
     CURVE_SAMPLES,
@@ -54,6 +61,16 @@ DELAY_OPERATORS = 15
 FIRST_OPERATORS = 8
 FIRST_SAMPLES = 50_000
 """Operators and samples of the first model, which only tells how the records begin."""
+
+
+class Judgement(NamedTuple):
+    """Errors of every kind of model on the records fitted and held back, and how far each input is heard."""
+
+    fitted: dict[Kind, Score]
+    judged: dict[Kind, Score]
+    held: tuple[Record, ...]
+    held_starts: tuple[Start, ...]
+    answer: Array
 
 
 def identify(
@@ -105,16 +122,21 @@ def identify(
     ready, notes = _ready(records)
     held, held_notes = _ready(validation) if validation else ((), [])
     _refuse_mixed([*ready, *held])
+    if settings.dynamics == "none":
+        refuse_one_way(ready)
     tell("looking at how the records begin")
     guess, first = _first_model(ready, settings, tell)
     task, curve = _task(ready, settings, guess, first, tell)
     built = _build(task, guess)
     best = built.candidates[built.kind]
+    answer = answers(best, ready, task.starts)
+    refuse_noise(ready, answer)
     held_starts = judged_starts(held, best.predict, _settle_s(guess), _start_mode(settings))
     tell("judging the models")
     fitted = {kind: score(c, ready, task.starts) for kind, c in built.candidates.items()}
     judged = {kind: score(c, held, held_starts) for kind, c in built.candidates.items()} if held else {}
-    fit = _account(task, built, curve, fitted, judged, (held, held_starts), [*notes, *held_notes])
+    errors = Judgement(fitted, judged, held, held_starts, answer)
+    fit = _account(task, built, curve, errors, [*notes, *held_notes])
     return _model(task, fit, best, name, instruments), fit
 
 
@@ -222,20 +244,22 @@ def _account(
     task: Task,
     built: Built,
     curve: tuple[CurvePoint, ...],
-    fitted: dict[Kind, Score],
-    judged: dict[Kind, Score],
-    held: tuple[tuple[Record, ...], tuple[Start, ...]],
+    errors: Judgement,
     notes: list[str],
 ) -> Fit:
     """Everything that is said about the model."""
+    fitted, judged, held, held_starts, answer = errors
     record, settings, best = task.records[0], task.settings, built.candidates[built.kind]
     flags, bounds = _flags(task, built), []
     if settings.method == "invertible":
         bounds = bound_notes(
             task.records, built.blocks.chosen, built.blocks.free, built.kind == "hammerstein"
         )
-    amplitude = float(half_swing(task.records).max())
-    invertible, sentence = invertibility_of(best.hysteresis, best.dynamics, amplitude, record.sample_time_s)
+    swing = half_swing(task.records)
+    amplitude = float(swing.max())
+    invertible, sentence = invertibility_of(
+        best.hysteresis, best.dynamics, amplitude, record.sample_time_s, record.inputs
+    )
     return Fit(
         inputs=record.inputs,
         outputs=record.outputs,
@@ -245,24 +269,25 @@ def _account(
         method=settings.method,
         operators=tuple(tuple(len(p.thresholds_v) for p in row) for row in best.hysteresis.pairs),
         amplitude_v=amplitude,
+        amplitudes_v=tuple(swing.tolist()),
         delay_samples=task.delay_samples,
         sample_time_s=record.sample_time_s,
         sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
         offsets_um=tuple(tuple(row) for row in _offsets(best, task).tolist()),
         starts=task.starts,
-        held_starts=held[1],
+        held_starts=held_starts,
         axes=built.axes,
         order=settings.order,
         error_curve=curve,
-        not_identifiable=tuple(_unknown(record, built)),
+        not_identifiable=tuple(_unknown(task, built, answer)),
         flags=tuple(flags),
         notes=(*notes, *bounds),
         invertible=invertible,
         invertibility=sentence,
-        verdict=verdict(judged or fitted, bool(judged), flags),
+        verdict=verdict(judged or fitted, bool(judged), flags, settings.dynamics),
         candidates=built.candidates,
         records=task.records,
-        held=held[0],
+        held=held,
     )
 
 
@@ -279,13 +304,15 @@ def _flags(task: Task, built: Built) -> list[str]:
     return flags
 
 
-def _unknown(record: Record, built: Built) -> list[str]:
+def _unknown(task: Task, built: Built, answer: Array) -> list[str]:
     """What the excitation cannot tell."""
+    record = task.records[0]
     sums = [
         f"single weights between {record.inputs[k]} and {record.outputs[o]}: only sums of them are told"
         for o, k in built.blocks.chosen.open
     ]
-    return [*(axis_statements(record.outputs, built.axes) if built.axes else []), *sums]
+    axes = axis_statements(record.outputs, built.axes) if built.axes else []
+    return [*axes, *sums, *excitation_statements(task.records, answer)]
 
 
 def _offsets(best: Candidate, task: Task) -> Array:
@@ -319,6 +346,7 @@ def _model(
         provenance={
             "records": [Path(r.source).name for r in task.records],
             "method": fit.method,
+            "amplitudes_v": list(fit.amplitudes_v),
             "delay_samples": fit.delay_samples,
             "nrmse_percent": list(fit.judged[fit.kind].nrmse_percent),
             "invertible": fit.invertible,

@@ -155,7 +155,7 @@ class _Scaled(NamedTuple):
         norm = np.sqrt(np.diag(matrix))
         scale = 1.0 / np.where(norm > 0.0, norm, 1.0)
         values, vectors = np.linalg.eigh(scale[:, None] * matrix * scale)
-        kept = values > DEPENDENT * max(values[-1], np.finfo(float).tiny)
+        kept = values > DEPENDENT * max(values.max(initial=0.0), np.finfo(float).tiny)
         return cls(scale, np.sqrt(values[kept]), vectors[:, kept], vectors[:, ~kept])
 
     def target(self, cross: Array) -> Array:
@@ -203,7 +203,7 @@ def solve(
     scaled = _Scaled.of(gram if penalty is None else gram + penalty)
     target = scaled.target(cross)
     root = scaled.roots[:, None] * scaled.directions.T
-    if bounds is None:
+    if bounds is None or not bounds.side.any():
         free = np.ones(len(gram), dtype=np.bool_)
         found = scaled.coefficients(target)
         spread = scaled.scale[:, None] * scaled.directions / scaled.roots

@@ -23,6 +23,8 @@ from hammerstein.identification.array_files import SUFFIXES, array_columns, whol
 from hammerstein.identification.record_checks import gap_mistakes, where
 from hammerstein.identification.text_tables import find_layout, read_text
 
+TIME_NAMES = ("time_s", "time", "t_s", "t", "time [s]", "t [s]", "time (s)")
+
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
@@ -72,6 +74,25 @@ def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
     names = tuple(_label(index, layout.names) for index in indices)
     values, rows, text = read_text(path, layout, indices, names)
     return _columns(path, names, values, rows, text)
+
+
+def named_time(path: str | Path) -> Columns | None:
+    """The column of a text or Parquet file that is called a time in seconds, if it has one that can be read.
+
+    Raises
+    ------
+    InputError : a missing, empty or unreadable file
+    """
+    path = Path(path)
+    if path.suffix.lower() in SUFFIXES:
+        return None
+    for name in TIME_NAMES:
+        try:
+            columns = read_columns(path, [name])
+        except InputError:
+            continue
+        return columns if np.isfinite(columns.values).all() and columns.rows.size > 1 else None
+    return None
 
 
 def read_array(path: str | Path, variable: str | None = None) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.errors import InputError, Mistake
-from hammerstein.identification.readers import Columns, read_array, read_columns
+from hammerstein.identification.readers import Columns, named_time, read_array, read_columns
 from hammerstein.identification.record_checks import (
     clipping_mistakes,
     gap_mistakes,
@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 PathLike = str | Path
 
+OTHER_RATE = 0.01
+"""Part by which a rate may differ from the one of the file's time column."""
 AXES = ("sample", "channel", "experiment", "period")
 
 
@@ -198,6 +200,8 @@ def read_records(
             wanted = [*inputs, *outputs, *([time] if time is not None else [])]
             columns = read_columns(path, wanted)
             records.append(_record(columns, len(inputs), len(outputs), rate_hz, input_scale, output_scale))
+            if rate_hz is not None:
+                _refuse_other_rate(path, rate_hz, wanted)
         except InputError as error:
             failures.append(error)
     if failures:
@@ -259,6 +263,21 @@ def _record(
         columns.source,
         columns.rows,
     )
+
+
+def _refuse_other_rate(path: PathLike, rate_hz: float, wanted: Sequence[str]) -> None:
+    """Refuse a rate that the file's own time column contradicts."""
+    time = named_time(path)
+    if time is None or time.names[0] in wanted:
+        return
+    step = float(np.median(np.diff(time.values[0])))
+    units = (1.0, 1e3, 1e6, rate_hz)  # s, ms, us, or samples that are counted
+    if step > 0.0 and all(abs(step * rate_hz / unit - 1.0) > OTHER_RATE for unit in units):
+        raise InputError(
+            str(path),
+            f"the rate given is {rate_hz:g} Hz, but its column {time.names[0]} goes on by {step:.6g}, which "
+            f"is {1.0 / step:.6g} Hz; give --time {time.names[0]} in place of --rate, or the right rate",
+        )
 
 
 def _sample_time(columns: Columns) -> tuple[list[Mistake], float]:

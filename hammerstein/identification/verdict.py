@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,10 +39,18 @@ FELT = 0.02
 LOST = 1e-3
 """Smallest gain, in parts of the largest at low frequency, that can be inverted."""
 LINES = 400
+UNTOLD = (
+    "Dynamics were asked for, but the records tell none: THIS MODEL IS STATIC. Add records nearer to the "
+    "resonance, such as faster sines, steps or a multisine."
+)
 
 
-def verdict(scores: Mapping[Kind, Score], held_back: bool, flags: Sequence[str]) -> str:
+def verdict(
+    scores: Mapping[Kind, Score], held_back: bool, flags: Sequence[str], dynamics: str = "none"
+) -> str:
     """Say which block earns its place, from the mean errors of the kinds of model.
+
+    ``dynamics`` are those that were asked for; where the records tell none, this is said first.
 
     Examples
     --------
@@ -62,6 +71,8 @@ its place: it lowers the error from 7.4 to 0.8 %.
         sentences.append(_earns("The linear dynamics", errors["static_hysteresis"], errors["hammerstein"]))
     else:
         sentences.append(_earns("Hysteresis", errors["linear"], errors["static_hysteresis"]))
+    if dynamics != "none" and "hammerstein" not in errors:
+        sentences.insert(0, UNTOLD)
     if flags:
         sentences.append("The classical model does not represent these records: " + "; ".join(flags) + ".")
     return " ".join(sentences)
@@ -193,10 +204,11 @@ def invertibility_of(
     dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
     amplitude_v: float,
     sample_time_s: float,
+    inputs: Sequence[str],
 ) -> tuple[bool, str]:
     """Whether a model has an inverse, and a sentence that names the slope or the frequency to blame."""
     try:
-        static = invertibility(hysteresis, amplitude_v)
+        static = replace(invertibility(hysteresis, amplitude_v), inputs=tuple(inputs))
         static_ok, sentence = static.invertible, static.statement()
     except (InputError, SimulationError) as error:
         static_ok, sentence = False, f"The static block has no inverse: {error}"

@@ -1,0 +1,123 @@
+"""What the records tell of each input: whether an output answers to it at all, and whether it ever turned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import IdentificationError
+from hammerstein.identification.noise import noise_rms, quantum
+from hammerstein.identification.prediction import Candidate
+from hammerstein.identification.records import Record
+from hammerstein.identification.regressors import Start
+from hammerstein.identification.static_block import half_swing
+from hammerstein.identification.turning_points import turning_points
+
+Array = NDArray[np.float64]
+
+ANSWERED = 1.0
+"""Answer of an output to an input, in parts of what the fit leaves, below which there is none."""
+TOLD = 10.0
+"""The same, below which the single weights of an input are guesses, where it was driven but little."""
+SMALL = 0.1
+"""Part of the largest half swing below which an input was driven but little."""
+ROUGH = 1.3
+"""Standard deviation of a signal, in parts of the rms noise found in it, up to which it is noise alone."""
+
+
+def answers(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
+    """Largest rms answer of an output to each input alone (input,), in parts of what the model leaves.
+
+    Parameters
+    ----------
+    candidate : model that was fitted to the records
+    records, starts : what was fitted, and what went before each
+    """
+    power = np.zeros((len(records[0].u_v), len(records[0].y_um)))
+    left = np.zeros(len(records[0].y_um))
+    for record, start in zip(records, starts, strict=True):
+        left += (candidate.residual(record, start) ** 2).sum(axis=1)
+        for k in range(len(power)):
+            answer = candidate.predict(_alone(record, k), start)[:, start.first :]
+            power[k] += answer.var(axis=1) * answer.shape[1]
+    return np.asarray(np.sqrt((power / np.maximum(left, np.finfo(float).tiny)).max(axis=1)))
+
+
+def _alone(record: Record, k: int) -> Record:
+    """The record with one voltage; the effects of the inputs add up."""
+    u = np.zeros_like(record.u_v)
+    u[k] = record.u_v[k]
+    return replace(record, u_v=u, verified=True)
+
+
+def refuse_noise(records: Sequence[Record], answer: Array) -> None:
+    """Refuse outputs that are all noise, and inputs that carry nothing else.
+
+    A record that the model cannot represent, such as a butterfly, is no noise, though nothing answers.
+
+    Parameters
+    ----------
+    records : what was fitted
+    answer : what ``answers`` gave
+
+    Raises
+    ------
+    IdentificationError : names every such input, how far it moved, and what to do
+    """
+    silent = answer < ANSWERED
+    if silent.all() and all(_is_noise(y) for record in records for y in record.y_um):
+        raise IdentificationError(
+            "no output follows a voltage: the readings are noise; check the columns, the wiring and the "
+            "sensor"
+        )
+    names, swing = records[0].inputs, half_swing(records)
+    for k in np.flatnonzero(silent & (swing < SMALL * swing.max())):
+        if all(_is_noise(record.u_v[k]) for record in records):
+            raise IdentificationError(
+                f"input {names[k]} is never driven: it moves by {2.0 * swing[k]:.3g} V of noise, and no "
+                "output answers; drive it in a record of its own, or leave it out of the inputs"
+            )
+
+
+def _is_noise(x: Array) -> bool:
+    """Whether a signal stands still or is as rough as white noise."""
+    return float(np.std(x)) <= ROUGH * noise_rms(x) or float(np.ptp(x)) <= 1.5 * quantum(x)
+
+
+def refuse_one_way(records: Sequence[Record]) -> None:
+    """Refuse records in which no voltage ever turns.
+
+    Raises
+    ------
+    IdentificationError : they cannot tell hysteresis from curvature
+    """
+    if not any(_turns(record, k) for record in records for k in range(len(record.u_v))):
+        raise IdentificationError(
+            "no voltage turns in any record, so that hysteresis and curvature are the same; record a full "
+            "cycle or more"
+        )
+
+
+def excitation_statements(records: Sequence[Record], answer: Array) -> list[str]:
+    """What the voltages could not tell, because they were too small or never turned."""
+    names, swing = records[0].inputs, half_swing(records)
+    found = [
+        f"single weights of {names[k]}: its {2.0 * swing[k]:.3g} V move the outputs by {answer[k]:.2g} times "
+        "what the model leaves; drive it by more"
+        for k in range(len(names))
+        if answer[k] < TOLD and swing[k] < SMALL * swing.max()
+    ]
+    return found + [
+        f"hysteresis of {name}: its voltage never turns, so that lag and curvature are the same; record a "
+        "full cycle or more"
+        for k, name in enumerate(names)
+        if not any(_turns(record, k) for record in records)
+    ]
+
+
+def _turns(record: Record, k: int) -> bool:
+    """Whether a voltage comes back; the ends of the record are no turns."""
+    return len(turning_points(record.u_v[k])) > 2
