@@ -51,17 +51,24 @@ def answer(report: Report, quote: Quote = str) -> str:
 
 
 def _compared(report: Report, quote: Quote) -> Iterator[str]:
-    """Sentences on every merit: of the reading, and of the true position where a path is followed."""
+    """Sentences on every merit, of the reading and of the true position.
+
+    The paper tells what the sensor reads, so that a scenario of a figure of it begins with the reading.
+    """
     target = "reference" if report.scenario.reference is not None else "prediction"
     if is_path(report):
         prefix, words = ("euclidean_", "distance") if len(report.axes) > 1 else ("", "error")
         reading = Merit(f"{prefix}max_um", f"worst {words} of the reading from the {target}")
         true = Merit(f"{prefix}max_true_um", f"worst {words} of the true position from the {target}")
-        yield from _sentences(report.rows, reading, quote)
-        yield from _sentences(report.rows, true, quote)
+        for merit in (reading, true) if report.scenario.paper_figure else (true, reading):
+            yield from _sentences(report.rows, merit, quote)
         return
     direct = [row for row in report.rows if is_direct(report, row)]
     crossed = [row for row in report.rows if not is_direct(report, row)]
+    if not report.scenario.paper_figure:
+        yield from _sentences(
+            direct, Merit("rms_true_um", "rms error of the true position, direct transfers,"), quote
+        )
     yield from _sentences(direct, Merit("rms_um", "rms error of the direct transfers"), quote)
     yield from _sentences(crossed, Merit("rms_um", "rms error of the cross-couplings"), quote)
 

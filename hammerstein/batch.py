@@ -99,8 +99,17 @@ def _outcome(
         report = run(scenario, name, jobs, progress)
         finish(report)
     except HammersteinError as error:
-        return Outcome(name, None, error)
+        return Outcome(name, None, _of(name, error))
     return Outcome(name, report.without_traces())
+
+
+def _of(name: str, error: HammersteinError) -> HammersteinError:
+    """The error with the name of its scenario."""
+    if str(error).startswith(name):
+        return error
+    if isinstance(error, InputError):
+        return InputError(f"{name}: {error.source}", error.mistakes)
+    return type(error)(f"{name}: {error}")
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,24 @@ class Compensation:
         largest = {
             n: float(np.abs(row).max()) for n, row in zip(self.model.inputs, self.drive_v, strict=True)
         }
-        return {"axes": axes, "largest_v": largest, "unreached_samples": self.unreached_samples()}
+        return {
+            "axes": axes,
+            "largest_v": largest,
+            "statements": self.statements(),
+            "unreached_samples": self.unreached_samples(),
+        }
+
+    def statements(self) -> list[str]:
+        """Say what a user must know of the numbers before the voltages are sent."""
+        said = [
+            "Predicted: the error if the actuator were exactly the model. Its fit report says how far it is."
+        ]
+        said += [text] if (text := self.law.statement()) else []
+        if self.resampled:
+            said.append(
+                "The file was interpolated linearly onto the drive's sample time; corners may need filter_hz."
+            )
+        return said
 
     def to_csv(self) -> str:
         """Text of the drive file: time, voltages to send, reference, predicted position."""
@@ -139,8 +156,8 @@ def _on_grid(path: Path, model: HammersteinModel, sample_time_s: float) -> tuple
         )
     if set(names) == set(model.outputs):  # named like the outputs: their order in the file does not matter
         values = values[[names.index(name) for name in model.outputs]]
-    samples = math.floor(times[-1] / sample_time_s + 1e-6) + 1
-    grid = np.arange(samples) * sample_time_s
+    samples = math.floor((times[-1] - times[0]) / sample_time_s + 1e-6) + 1
+    grid = times[0] + np.arange(samples) * sample_time_s
     same = samples == len(times) and bool(np.abs(times - grid).max() < 1e-3 * sample_time_s)
     if samples < 2:
         raise InputError(str(path), f"is shorter than two samples of {sample_time_s:g} s")

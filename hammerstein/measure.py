@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -22,6 +23,7 @@ from hammerstein.signals import OneFrequency
 Array = NDArray[np.float64]
 
 RECOVERY_S = 0.01  # a cut voltage leaves a resonance ringing
+LAGGING = 2.0  # reading against true position: from here on most of the error is the sensor's
 SETTLED_FRACTION = 1e-3  # cycles may differ by this part of the range, beside the sensor's noise
 
 
@@ -216,9 +218,29 @@ def _settled(setup: SetUp, case: Case, response: Response, window: Window) -> bo
     return float(np.abs(first[:, : last.shape[1]] - last).max()) <= allowed + 1e-9
 
 
+def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
+    """Say where the reading is off because the sensor lags, not because the actuator is."""
+    bandwidth = setup.plant.instruments.sensor.bandwidth_hz
+    seen = [(row.rms_um, row.rms_true_um, row) for row in rows if setup.scenario.reference is not None]
+    lagging = [
+        (reading, true, row)
+        for reading, true, row in seen
+        if reading is not None and true is not None and reading > LAGGING * true
+    ]
+    if math.isinf(bandwidth) or not lagging:
+        return []
+    reading, true, row = max(lagging, key=lambda found: found[0] - found[1])
+    return [
+        f"The sensor of {bandwidth:g} Hz lags: with {row.compensator} at {row.frequency_hz:g} Hz its reading "
+        f"on {row.measured_axis} is {reading:.3g} um rms off the reference, the true position {true:.3g} um. "
+        "A compensator is to be judged by the true position."
+    ]
+
+
 def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     """What a reader of the report must know: convergence, saturation, and what did not settle."""
     statements = [f"{label}: {text}" for label, law in setup.laws.items() if (text := law.statement())]
+    statements += _sensor_lag(setup, [row for result in results for row in result.rows])
     for result in results:
         row = result.rows[0]
         where = (

@@ -103,7 +103,7 @@ class HammersteinModel:
     def to_json(self) -> str:
         """Text of the model file: full precision, sorted keys."""
         content = json.loads(ModelFile.of(self).model_dump_json(exclude_none=True))
-        return json.dumps(content, indent=1, sort_keys=True) + "\n"
+        return json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n"
 
 
 class PairFile(BaseModel):

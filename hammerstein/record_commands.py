@@ -238,13 +238,6 @@ def compensate(
         typer.echo(json.dumps({"drive": str(out), **found.summary()}))
         return
     show(compensation_table(found))
-    typer.echo(
-        "Predicted: the error if the actuator were exactly the model. Its fit report says how far it is."
-    )
-    if text := found.law.statement():
+    for text in found.statements():
         typer.echo(text)
-    if found.resampled:
-        typer.echo(
-            "The file was interpolated linearly onto the drive's sample time; corners may need filter_hz."
-        )
     typer.echo(f"voltages in {out}")

@@ -165,9 +165,11 @@ def load_scenario(path: str | Path) -> Scenario:
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(str(path), f"is not TOML: {error}") from None
+        what = f"is not TOML: {error}; a line is a [table], or key = value with text in quotes"
+        raise InputError(str(path), what) from None
     try:
-        scenario = Scenario.model_validate(data)
+        # As JSON, so that a number in quotes is refused while a list still makes a tuple.
+        scenario = Scenario.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         raise InputError(str(path), _split(mistakes_of(error, Scenario))) from None
     return _relative_to(scenario, path.parent)

@@ -214,11 +214,12 @@ def _check_signal(scenario: Scenario, plant: Plant, source: str) -> None:
     """Refuse what no run could answer: too fast for the sample time, wrong axes, out of reach."""
     n_axes = len(scenario_axes(scenario, plant.model))
     nyquist = 0.5 / plant.sample_time_s
+    kind = "sweep" if scenario.sweep.frequency_hz else "drive" if scenario.reference is None else "reference"
     mistakes = []
     for signal in scenario.signals():
         if signal.highest_frequency_hz >= nyquist:
             message = f"{signal.highest_frequency_hz:g} Hz is not below half the sample rate, {nyquist:g} Hz"
-            mistakes.append(Mistake("frequency_hz", message))
+            mistakes.append(Mistake(f"{kind}.frequency_hz", message))
         if isinstance(signal, OnAxes) and isinstance(signal.axis, int) and not 1 <= signal.axis <= n_axes:
             mistakes.append(Mistake("axis", f"{signal.axis} does not exist; the actuator has {n_axes}"))
         if isinstance(signal, FromFile):

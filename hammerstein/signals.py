@@ -254,8 +254,12 @@ class FromFile(Shape):
         return self.scale * np.stack([np.interp(time_s, times, axis) for axis in values])
 
     def table(self) -> tuple[Array, Array, list[str]]:
-        """Times (row,) [s], values (axis, row) and column names; InputError names the row that is wrong."""
-        return read_signal(Path(self.path))
+        """Times (row,) from the first row on [s], values (axis, row) and column names.
+
+        InputError names the row that is wrong.
+        """
+        times, values, names = read_signal(Path(self.path))
+        return times - times[0], values, names
 
     @property
     def periodic(self) -> bool:
@@ -277,7 +281,7 @@ class FromFile(Shape):
 def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     """Read a CSV file with a column ``time_s`` and one column an axis.
 
-    Returns times (row,) [s] from the first row on, values (axis, row), and the names of the axes' columns.
+    Returns times (row,) [s], values (axis, row), and the names of the axes' columns.
     InputError names the row and column that are wrong.
     """
     import pandas as pd
@@ -308,7 +312,7 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     if len(late):
         raise InputError(str(path), f"row {int(late[0]) + first_row + 1}: time_s does not increase")
     axes = frame.drop(columns="time_s")
-    return times - times[0], axes.to_numpy(dtype=float).T, [str(name) for name in axes.columns]
+    return times, axes.to_numpy(dtype=float).T, [str(name) for name in axes.columns]
 
 
 def _require_two_axes(n_axes: int, kind: str) -> None:

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from hammerstein.cli import main
+from hammerstein.compensate import compensate
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import smooth_step
 
@@ -123,3 +124,20 @@ def test_input_files_are_not_overwritten(tmp_path, capsys, name):
     assert _call("compensate", "duo_bimorph", tmp_path / "path.csv", "--out", tmp_path / name) == 2
     assert "choose another name" in capsys.readouterr().err or name == "."
     assert (tmp_path / "path.csv").read_bytes() == before
+
+
+def test_the_drive_keeps_the_time_of_the_reference_file(tmp_path):
+    time_s = 3.0 + 50e-6 * np.arange(400)
+    wave = 10.0 * np.sin(2.0 * np.pi * 50.0 * (time_s - 3.0))
+    for name, start in (("late", 0.0), ("early", 3.0)):
+        pd.DataFrame({"time_s": time_s - start, "x": wave, "y": 0.5 * wave}).to_csv(
+            tmp_path / f"{name}.csv", index=False
+        )
+    late, early = (
+        compensate("duo_bimorph", tmp_path / f"{n}.csv", "exact_inverse", {}) for n in ("late", "early")
+    )
+    assert late.time_s[0] == pytest.approx(3.0)
+    assert early.time_s[0] == 0.0
+    assert (late.drive_v == early.drive_v).all()
+    assert not late.resampled
+    assert late.summary()["statements"] == late.statements()

@@ -198,3 +198,18 @@ def test_shipped_scenarios_are_valid():
     files = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
     assert len(files) >= 10
     assert len({load_scenario(file).digest() for file in files}) == len(files)
+
+
+def test_the_lag_of_the_sensor_is_told_from_the_error_of_the_actuator():
+    content = {
+        "question": "?",
+        "actuator": "duo_bimorph",
+        "reference": {"kind": "sine", "amplitude_um": 20.0, "frequency_hz": 100.0, "axis": 1},
+        "compensators": [{"label": "inverse", "law": "hammerstein_inverse", "model": "duo_bimorph"}],
+    }
+    said = run(Scenario.model_validate(content)).statements
+    lag = 20.0 / np.sqrt(2.0) * 100.0 / 2000.0  # first order, small angle
+    (text,) = [text for text in said if text.startswith("The sensor of 2000 Hz lags")]
+    assert float(text.split("its reading on x is ")[1].split()[0]) == pytest.approx(lag, rel=0.05)
+    prompt = {**content, "instruments": {"sensor": {"bandwidth_hz": float("inf")}}}
+    assert not [t for t in run(Scenario.model_validate(prompt)).statements if "lags" in t]

@@ -37,17 +37,17 @@ def report_of(**content: Any) -> Report:
 
 @cache
 def circle() -> Report:
-    return report_of(reference=CIRCLE, compensators=[PAPER, NONE])
+    return report_of(reference=CIRCLE, compensators=[PAPER, NONE], paper_figure="Fig. 10")
 
 
 @cache
 def sine() -> Report:
-    return report_of(reference=SINE_UM, compensators=[PAPER, NONE])
+    return report_of(reference=SINE_UM, compensators=[PAPER, NONE], paper_figure="Fig. 8")
 
 
 @cache
 def swept() -> Report:
-    return report_of(reference=SINE_UM, sweep=SIX, compensators=[PAPER, NONE])
+    return report_of(reference=SINE_UM, sweep=SIX, compensators=[PAPER, NONE], paper_figure="Fig. 9")
 
 
 def with_rms(report: Report, rms_of: Any) -> Report:
@@ -73,7 +73,7 @@ def test_page_opens_with_the_question_and_the_paper_s_figure() -> None:
 
 
 def test_equal_reports_give_equal_pages() -> None:
-    again = report_of(reference=CIRCLE, compensators=[PAPER, NONE])
+    again = report_of(reference=CIRCLE, compensators=[PAPER, NONE], paper_figure="Fig. 10")
     assert render(again, ["path.png"]) == render(circle(), ["path.png"])
 
 
@@ -98,6 +98,15 @@ def test_answer_tells_the_errors_of_a_single_frequency() -> None:
         "The rms error of the cross-couplings is 0.0500 um with none and 0.300 um with paper. "
         "The drive's range cut no voltage. Every run had settled."
     )
+
+
+def test_beyond_the_paper_the_true_position_comes_first() -> None:
+    paths, sines = (
+        replace(report, scenario=report.scenario.model_copy(update={"paper_figure": None}))
+        for report in (circle(), sine())
+    )
+    assert answer(paths).startswith("The worst distance of the true position from the reference is")
+    assert answer(sines).startswith("The rms error of the true position, direct transfers, is")
 
 
 def test_answer_tells_who_is_best_where_and_the_course_of_the_best() -> None:

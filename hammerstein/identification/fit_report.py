@@ -75,7 +75,7 @@ def fit_json(model: HammersteinModel, fit: Fit) -> str:
         "records": [PurePath(record.source).name for record in fit.records],
         "held_records": [PurePath(record.source).name for record in fit.held],
     }
-    return json.dumps(plain, indent=1, sort_keys=True) + "\n"
+    return json.dumps(plain, indent=1, sort_keys=True, allow_nan=False) + "\n"
 
 
 def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> str:
