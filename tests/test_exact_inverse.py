@@ -166,7 +166,7 @@ def test_both_ways_to_examine_determinants_agree():
 def test_printed_table_has_an_inverse_and_is_solved():
     law = ExactInverse(_table(), 10.0)
     assert "225 slope matrices have one sign" in law.statement()
-    assert "0.14, 0.14 V" in law.statement()
+    assert "its drive jumps: 0.14 V on input u0, 0.14 V on input u1." in law.statement()
     angle = 2.0 * np.pi * np.arange(800) / 400
     path = 50.0 * np.stack([np.cos(angle), np.sin(angle)])
     drive, _ = law.respond(path)
