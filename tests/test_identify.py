@@ -124,14 +124,17 @@ def test_nested_loops_together_are_missed_and_named():
 
 
 @needs_cubespec
-def test_mirror_needs_dynamics_and_no_hysteresis():
+@pytest.mark.parametrize(("level_mv", "percent"), [(100, 8.4), (200, 8.0), (300, 5.6)])
+def test_mirror_needs_dynamics_and_no_hysteresis(level_mv, percent):
     def read(part):
-        files = [CUBESPEC / f"{axis}_100mV_{part}.npy" for axis in "uy"]
+        files = [CUBESPEC / f"{axis}_{level_mv}mV_{part}.npy" for axis in "uy"]
         axes = ("sample", "channel", "experiment", "period")
-        return read_paired_records(*files, axes=axes, rate_hz=6400.0, output_scale=1e6)[:3]
+        return read_paired_records(*files, axes=axes, rate_hz=6400.0, output_scale=1e6)
 
-    settings = Settings(dynamics="state_space", order=4, operators=2, **QUICK)
+    settings = Settings(dynamics="state_space", order=28, operators=2, **QUICK)
     model, fit = identify(read("train"), settings, validation=read("test"))
+    for kind in ("linear_dynamics", "hammerstein"):
+        assert np.mean(fit.validation[kind].output_percent) <= percent
     assert "The hysteresis block does not earn its place" in fit.verdict
     assert "The linear dynamics earn their place" in fit.verdict
     assert isinstance(model.dynamics, StateSpaceDynamics)

@@ -1,0 +1,124 @@
+"""Identify the actuators of three public sets of measured records, and write what came out beside this file.
+
+    python reports/measured/make.py FOLDER
+
+FOLDER holds the sets, each in a folder of its own: `dbo_piezo_micromanipulator`, `cubespec_fsm` and
+`ja_magnetic_loops`. README.md says where they come from.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from hammerstein.fit_output import write_fit
+from hammerstein.identification import Settings, identify, read_paired_records, read_records
+from hammerstein.identification.fit import Fit
+from hammerstein.model import HammersteinModel
+
+HERE = Path(__file__).parent
+NOTES = """# Measured records
+
+What `hammerstein` makes of public records of real actuators and magnets, fitted with 15 play operators unless the table
+says otherwise. This page and the fit reports are written by `python reports/measured/make.py FOLDER`; the records themselves are
+not in this repository:
+
+* **micromanipulator**: piezo stage with a flexure, capacitive sensor, 200 Hz, 1 Hz sine. Aye, github.com/yan9a/DiscreteBacklashOperator (MIT).
+* **mirror**: fine steering mirror, 3 x 3, 6400 Hz, random-phase multisines. Floren et al., github.com/merijnfloren/fsm-benchmark-data (CC BY 4.0).
+* **ferrite, steel, amorphous**: quasi-static magnetic loops, field for the voltage and flux density for the displacement (no um and no V: only the percentages have a meaning). Szewczyk, github.com/romanszewczyk/JAmodel (MIT).
+
+Errors are rms values in percent of the range of the output; for the mirror also in percent of the rms of the output (mean of the
+three outputs). Held back: records that the fit has not seen.
+
+| record | model | fitted [%] | held back [%] | what is said |
+| --- | --- | ---: | ---: | --- |
+"""
+MAGNETS = (
+    ("11_TwoStepSolver_{}_MnZn_HP_ferrite.mat", "ferrite, high permeability"),
+    ("12_Automation2018_{}_MnZn_ferrite.mat", "ferrite, 2018"),
+    ("1_isotropic_{}_MnZn_ferrite.mat", "ferrite, isotropic"),
+    ("2_anisotropic_{}_amorf.mat", "amorphous"),
+    ("10_APPA_{}_M130_27s.mat", "steel, grain-oriented"),
+)
+
+
+def micromanipulator(folder: Path) -> Iterator[str]:
+    def read(name: str):
+        return read_records([folder / name], inputs=["1"], outputs=["5"], rate_hz=200.0)
+
+    records, held = read("Model_Vi_Do.dat"), read("Test_Vi_Do_Di.dat")
+    cases = (
+        ("micromanipulator", "bounded partial sums, delay found", {}),
+        ("", "the same without delay", {"delay_samples": 0}),
+        ("", "closed form (paper), delay found", {"method": "closed_form"}),
+    )
+    for name, what, options in cases:
+        model, fit = identify(records, Settings(**options), validation=held, name="micromanipulator")
+        delay = f"delay of {fit.delay_samples} sample; " if fit.delay_samples else ""
+        errors = (fit.fit, fit.validation)
+        cells = [f"{scores[fit.kind].nrmse_percent[0]:.3f}" for scores in errors]
+        linear = f"linear gain {fit.validation['linear'].nrmse_percent[0]:.2f}"
+        yield row(link(model, fit, name), what, *cells, f"{delay}{linear} held back")
+
+
+def mirror(folder: Path) -> Iterator[str]:
+    def read(level: int, part: str):
+        files = [folder / f"{axis}_{level}mV_{part}.npy" for axis in "uy"]
+        axes = ("sample", "channel", "experiment", "period")
+        return read_paired_records(*files, axes=axes, rate_hz=6400.0, output_scale=1e6)
+
+    settings = Settings(dynamics="state_space", order=28, operators=2, error_curve=False)
+    for level in (100, 200, 300):
+        model, fit = identify(
+            read(level, "train"), settings, validation=read(level, "test"), name=f"mirror at {level} mV"
+        )
+        cells = []
+        for scores in (fit.fit, fit.validation):
+            score = scores["linear_dynamics"]
+            relative = sum(score.output_percent) / len(score.output_percent)
+            cells.append(f"{score.mean_percent:.3f} ({relative:.2f} of rms)")
+        said = fit.verdict.split(" of the range. ")[1].split(":")[0]
+        name = link(model, fit, f"mirror_{level}mV")
+        yield row(name, "linear dynamics of order 28", *cells, said)
+
+
+def magnets(folder: Path) -> Iterator[str]:
+    for pattern, name in MAGNETS:
+        field, flux = (folder / pattern.format(quantity) for quantity in "HB")
+        records = read_paired_records(field, flux, axes=("sample", "experiment"), rate_hz=100.0)
+        for record in sorted(records, key=lambda r: float(r.u_v.max())):
+            _, fit = identify([record], Settings(error_curve=False))
+            percent = fit.fit["static_hysteresis"].nrmse_percent[0]
+            said = "; ".join(flag.split(":")[0] for flag in fit.flags) or "follows"
+            loop = f"{name}, up to {record.u_v.max():.3g} A/m"
+            yield row(loop, "Prandtl-Ishlinskii", f"{percent:.3f}", "", said.replace("y1 ", ""))
+
+
+def link(model: HammersteinModel, fit: Fit, name: str) -> str:
+    """Write the fit report of a named case, and give a link to it."""
+    if not name:
+        return ""
+    with tempfile.TemporaryDirectory() as scratch:
+        write_fit(model, fit, Path(scratch) / "model.json", HERE / name)
+    return f"[{name.replace('_', ', ')}]({name}/report.md)"
+
+
+def row(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def main(folder: Path) -> None:
+    lines = [
+        *micromanipulator(folder / "dbo_piezo_micromanipulator"),
+        *mirror(folder / "cubespec_fsm"),
+        *magnets(folder / "ja_magnetic_loops"),
+    ]
+    (HERE / "README.md").write_text(NOTES + "\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit(__doc__)
+    main(Path(sys.argv[1]))
