@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
+
 
 @njit(cache=True, nogil=True)
 def respond_linear(start, column, value, x, v, y):  # type: ignore[no-untyped-def]
@@ -14,23 +16,22 @@ def respond_linear(start, column, value, x, v, y):  # type: ignore[no-untyped-de
     x : (n,) state, updated in place; v : (m, N) inputs; y : (p, N) outputs, overwritten
     """
     n, m, p = x.shape[0], v.shape[0], y.shape[0]
-    z = np.empty(n + m)
-    # Not in slices: numba takes seconds to compile their assignment.
-    for i in range(n):
-        z[i] = x[i]
-    new = np.empty(n)
+    now, later = np.empty(n + m), np.empty(n + m)
+    for i in range(n):  # not in slices: numba takes seconds to compile their assignment
+        now[i] = x[i]
     for t in range(v.shape[1]):
         for j in range(m):
-            z[n + j] = v[j, t]
+            now[at(n + j)] = v[at(j), at(t)]
+        e = at(start[0])
         for i in range(n + p):
-            total = 0.0
-            for e in range(start[i], start[i + 1]):
-                total += value[e] * z[column[e]]
+            total, stop = 0.0, at(start[at(i + 1)])
+            while e < stop:
+                total += value[e] * now[at(column[e])]
+                e += at(1)
             if i < n:
-                new[i] = total
+                later[at(i)] = total
             else:
-                y[i - n, t] = total
-        for i in range(n):
-            z[i] = new[i]
+                y[at(i - n), at(t)] = total
+        now, later = later, now
     for i in range(n):
-        x[i] = z[i]
+        x[i] = now[i]

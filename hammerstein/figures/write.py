@@ -52,11 +52,16 @@ def save_figures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
 def images(figure: Figure) -> dict[str, bytes]:
     """Give the bytes of a figure as ``svg`` and ``png``, without date or version."""
     with styled():
-        layout = figure.get_layout_engine()
-        if layout is not None:
-            layout.execute(figure)
-            figure.set_layout_engine(None)  # found once, it holds for both files
+        _laid_out(figure)
         return {"svg": _svg(figure), "png": _png(figure)}
+
+
+def _laid_out(figure: Figure) -> None:
+    """Find the layout once; it holds for both files."""
+    layout = figure.get_layout_engine()
+    if layout is not None:
+        layout.execute(figure)
+        figure.set_layout_engine(None)
 
 
 def _svg(figure: Figure) -> bytes:

@@ -21,16 +21,20 @@ from hammerstein.model import HammersteinModel
 HERE = Path(__file__).parent
 NOTES = """# Measured records
 
-What `hammerstein` makes of public records of real actuators and magnets, fitted with 15 play operators unless the table
-says otherwise. This page and the fit reports are written by `python reports/measured/make.py FOLDER`; the records themselves are
-not in this repository:
+What `hammerstein` makes of public records of real actuators and magnets, fitted with 15 play operators unless
+the table says otherwise. This page and the fit reports are written by
+`python reports/measured/make.py FOLDER`; the records themselves are not in this repository:
 
-* **micromanipulator**: piezo stage with a flexure, capacitive sensor, 200 Hz, 1 Hz sine. Aye, github.com/yan9a/DiscreteBacklashOperator (MIT).
-* **mirror**: fine steering mirror, 3 x 3, 6400 Hz, random-phase multisines. Floren et al., github.com/merijnfloren/fsm-benchmark-data (CC BY 4.0).
-* **ferrite, steel, amorphous**: quasi-static magnetic loops, field for the voltage and flux density for the displacement (no um and no V: only the percentages have a meaning). Szewczyk, github.com/romanszewczyk/JAmodel (MIT).
+* **micromanipulator**: piezo stage with a flexure, capacitive sensor, 200 Hz, 1 Hz sine. Aye,
+  github.com/yan9a/DiscreteBacklashOperator (MIT).
+* **mirror**: fine steering mirror, 3 x 3, 6400 Hz, random-phase multisines. Floren et al.,
+  github.com/merijnfloren/fsm-benchmark-data (CC BY 4.0).
+* **ferrite, steel, amorphous**: quasi-static magnetic loops, field in place of the voltage and flux density
+  in place of the displacement, so that only the percentages have a meaning. Szewczyk,
+  github.com/romanszewczyk/JAmodel (MIT).
 
-Errors are rms values in percent of the range of the output; for the mirror also in percent of the rms of the output (mean of the
-three outputs). Held back: records that the fit has not seen.
+Errors are rms values in percent of the range of the output; for the mirror also in percent of the rms of the
+output (mean of the three outputs). Held back: records that the fit has not seen.
 
 | record | model | fitted [%] | held back [%] | what is said |
 | --- | --- | ---: | ---: | --- |
@@ -45,6 +49,8 @@ MAGNETS = (
 
 
 def micromanipulator(folder: Path) -> Iterator[str]:
+    """One axis, with and without its delay, and by the closed form."""
+
     def read(name: str):
         return read_records([folder / name], inputs=["1"], outputs=["5"], rate_hz=200.0)
 
@@ -64,6 +70,8 @@ def micromanipulator(folder: Path) -> Iterator[str]:
 
 
 def mirror(folder: Path) -> Iterator[str]:
+    """Three axes at three amplitudes, linear dynamics and hysteresis beside each other."""
+
     def read(level: int, part: str):
         files = [folder / f"{axis}_{level}mV_{part}.npy" for axis in "uy"]
         axes = ("sample", "channel", "experiment", "period")
@@ -85,6 +93,7 @@ def mirror(folder: Path) -> Iterator[str]:
 
 
 def magnets(folder: Path) -> Iterator[str]:
+    """Each loop alone, from the smallest field to saturation."""
     for pattern, name in MAGNETS:
         field, flux = (folder / pattern.format(quantity) for quantity in "HB")
         records = read_paired_records(field, flux, axes=("sample", "experiment"), rate_hz=100.0)
@@ -106,10 +115,12 @@ def link(model: HammersteinModel, fit: Fit, name: str) -> str:
 
 
 def row(*cells: str) -> str:
+    """One line of the table."""
     return f"| {' | '.join(cells)} |"
 
 
 def main(folder: Path) -> None:
+    """Write the page."""
     lines = [
         *micromanipulator(folder / "dbo_piezo_micromanipulator"),
         *mirror(folder / "cubespec_fsm"),

@@ -1,0 +1,123 @@
+"""What a person waits for: all shipped scenarios, the first run after installation, an identification."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cases import SAMPLE_TIME_S, sines
+from ratios import Row
+
+from hammerstein.identification import Record, Settings, identify
+
+ROOT = Path(__file__).resolve().parents[2]
+RUN = "Waiting time on the wall (ratio: part of what is allowed)"
+PARTS = "Where the time of all shipped scenarios goes, in one process (ratio: part of the whole)"
+
+SPLIT = """
+import os, time
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+begin = time.process_time()
+import importlib
+from pathlib import Path
+from hammerstein.processes import LOADED_ONCE
+for name in LOADED_ONCE:
+    importlib.import_module(name)
+spent = {"loading the libraries": time.process_time()}
+
+def clocked(module, name, what):
+    function = getattr(module, name)
+    def timed(*arguments, **options):
+        start = time.process_time()
+        try:
+            return function(*arguments, **options)
+        finally:
+            spent[what] = spent.get(what, 0.0) + time.process_time() - start
+    setattr(module, name, timed)
+
+from hammerstein import batch, experiment
+from hammerstein.figures import write
+clocked(experiment, "prepare", "models, kept from the run before, and laws")
+clocked(batch, "run", "run")
+clocked(write, "figures_of", "building the figures")
+clocked(write, "_laid_out", "laying them out")
+clocked(write, "_svg", "drawing them as SVG")
+clocked(write, "_png", "drawing them as PNG")
+clocked(batch, "write_report", "write")
+import sys
+for outcome in batch.run_all(batch.load_all([Path(sys.argv[1])]), batch.Writer(Path(sys.argv[2])), 1):
+    assert outcome.error is None, outcome.error
+figures = [what for what in spent if what.startswith(("building", "laying", "drawing"))]
+run, wrote = spent.pop("run"), spent.pop("write")
+spent["simulation and figures of merit"] = run - spent["models, kept from the run before, and laws"]
+spent["pages and tables"] = wrote - sum(spent[what] for what in figures)
+for what, seconds in spent.items():
+    print(f"{seconds:.6f} {what}")
+"""
+
+
+def python(*arguments, **environment):
+    """Seconds on the wall, and the output, of a Python of its own."""
+    start = time.perf_counter()
+    answer = subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+        env=os.environ | environment,
+    )
+    return time.perf_counter() - start, answer.stdout
+
+
+def within(bench, what, seconds, allowed):
+    """Row of a waiting time; a machine that is busy is forgiven more than a ratio."""
+    row = bench.table.add(Row(RUN, what, "limit", seconds, allowed, "s", seconds / allowed, "<=", 1.0))
+    assert row.ratio <= 2.0, f"{what} took {seconds:.3g} s, allowed are {allowed:g} s"
+
+
+def test_help_comes_at_once(bench):
+    python("-m", "hammerstein", "--help")
+    within(bench, "hammerstein --help", min(python("-m", "hammerstein", "--help")[0] for _ in range(3)), 0.3)
+
+
+def test_all_shipped_scenarios(bench, tmp_path):
+    if bench.short:
+        pytest.skip("the full form times all scenarios")
+    command = ("-m", "hammerstein", "run", "scenarios", "--jobs", "2", "--out", tmp_path)
+    python(*command)
+    count = len(list((ROOT / "scenarios").glob("*.toml")))
+    within(bench, f"{count} scenarios with figures, two jobs", python(*command)[0], 20.0)
+    _, printed = python("-c", SPLIT, "scenarios", tmp_path)
+    parts = [(float(line.split(" ", 1)[0]), line.split(" ", 1)[1]) for line in printed.splitlines()]
+    whole = sum(seconds for seconds, _ in parts)
+    for seconds, what in sorted(parts, reverse=True):
+        bench.table.add(Row(PARTS, what, "the whole", seconds, whole, "s", seconds / whole))
+
+
+def test_first_run_after_installation(bench, tmp_path):
+    if bench.short:
+        pytest.skip("the full form compiles everything anew")
+    scenario = ROOT / "scenarios" / "beyond_circles.toml"
+    command = ("-m", "hammerstein", "run", scenario, "--no-figures", "--out", tmp_path / "reports")
+    caches = {"NUMBA_CACHE_DIR": str(tmp_path / "numba")}
+    first, later = (python(*command, **caches)[0] for _ in range(2))
+    within(bench, "first run after installation, more than later", first - later, 20.0)
+
+
+def test_least_squares_on_a_long_record(bench, published):
+    u = sines(bench.samples) * np.array([[1.0], [0.9]])
+    u[1] = np.roll(u[1], 77) * np.sin(2.0 * np.pi * 1.3 * SAMPLE_TIME_S * np.arange(bench.samples))
+    noise = 0.04 * np.random.default_rng(0).standard_normal(u.shape)
+    record = Record(u, published.hysteresis.respond(u)[0] + noise, SAMPLE_TIME_S)
+    settings = Settings(error_curve=False)
+    identify([record.part(0, 20_000)], settings)
+    start = time.perf_counter()
+    _, fit = identify([record], settings)
+    seconds = time.perf_counter() - start
+    assert max(fit.fit["static_hysteresis"].rms_um) < 0.08
+    within(bench, f"identify, 2 x 2, 15 operators, {bench.samples:,} samples", seconds, 5.0)
