@@ -40,7 +40,7 @@ if TYPE_CHECKING:
         SimulationError,
         ToleranceError,
     )
-    from hammerstein.experiment import run, simulate
+    from hammerstein.experiment import run, simulate, simulate_in_stretches
     from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii, play
     from hammerstein.instruments import Drive, Instruments, Sensor
     from hammerstein.model import HammersteinModel
@@ -67,7 +67,7 @@ _HOMES = {
         "SimulationError",
         "ToleranceError",
     ),
-    "experiment": ("run", "simulate"),
+    "experiment": ("run", "simulate", "simulate_in_stretches"),
     "hysteresis": ("Pair", "PlayState", "PrandtlIshlinskii", "play"),
     "instruments": ("Drive", "Instruments", "Sensor"),
     "model": ("HammersteinModel",),
@@ -106,6 +106,7 @@ __all__ = [
     "play",
     "run",
     "simulate",
+    "simulate_in_stretches",
 ]
 
 

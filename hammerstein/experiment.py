@@ -5,6 +5,8 @@ reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
 from hammerstein.bands import bands_of
 from hammerstein.claims import verdicts
 from hammerstein.errors import InputError
@@ -45,6 +47,47 @@ def simulate(
     >>> response.position_um.shape
     (2, 2000)
     """
+    setup, case = _chosen(scenario, compensator, excited_axis, values)
+    return setup.simulate(case)
+
+
+def simulate_in_stretches(
+    scenario: Scenario,
+    samples: int = 1_000_000,
+    compensator: str | None = None,
+    excited_axis: str | None = None,
+    **values: float,
+) -> Iterator[Response]:
+    """Simulate one case of a scenario stretch by stretch, for runs that do not fit the memory.
+
+    The state is carried over: the stretches, one after the other, are what ``simulate`` gives in one piece,
+    to the last bit. Drop each response before the next, and memory stays that of one stretch.
+
+    Parameters
+    ----------
+    scenario, compensator, excited_axis, values : as for ``simulate``
+    samples : length of a stretch
+
+    Raises
+    ------
+    InputError : no such case, or a law that knows the whole path ahead or reads the sensor
+
+    Examples
+    --------
+    >>> scenario = Scenario.model_validate({
+    ...     "question": "How far does it get?", "actuator": "duo_bimorph_static",
+    ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}})
+    >>> stretches = simulate_in_stretches(scenario, 600)
+    >>> round(max(float(abs(part.position_um).max()) for part in stretches), 2)
+    58.4
+    """
+    setup, case = _chosen(scenario, compensator, excited_axis, values)
+    return setup.stretches(case, samples)
+
+
+def _chosen(
+    scenario: Scenario, compensator: str | None, excited_axis: str | None, values: Mapping[str, float]
+) -> tuple[SetUp, Case]:
     swept = {key: (value,) for key, value in values.items()}
     chosen = scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update=swept)})
     setup = prepare(chosen)
@@ -52,7 +95,7 @@ def simulate(
     for case in setup.cases():
         right_axis = excited_axis is None or case.axis is None or names[case.axis] == excited_axis
         if right_axis and (compensator is None or case.label == compensator):
-            return setup.simulate(case)
+            return setup, case
     raise InputError("simulate", f"the scenario has no case {compensator!r} on axis {excited_axis!r}")
 
 

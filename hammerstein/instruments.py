@@ -49,9 +49,14 @@ class Sensor(BaseModel):
 
     def read(self, filtered_um: Array, generator: np.random.Generator) -> Array:
         """Readings (output, sample) of positions that have passed the sensor's bandwidth."""
-        noise = generator.standard_normal(filtered_um.shape) if self.noise_um else 0.0
+        noise = standard_noise(generator, *filtered_um.shape) if self.noise_um else 0.0
         noisy = filtered_um + self.noise_um * noise
         return _rounded(np.clip(noisy, -self.range_um, self.range_um), self.resolution_um)
+
+
+def standard_noise(generator: np.random.Generator, outputs: int, samples: int) -> Array:
+    """Standard normal numbers (output, sample), drawn sample by sample: a run in pieces draws the same."""
+    return np.ascontiguousarray(generator.standard_normal((samples, outputs)).T)
 
 
 class Instruments(BaseModel):

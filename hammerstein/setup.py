@@ -18,7 +18,8 @@ from hammerstein.compensators.feedback import Feedback, closed_loop
 from hammerstein.compensators.law import Law
 from hammerstein.compensators.specs import Compensator
 from hammerstein.errors import InputError, Mistake, SimulationError
-from hammerstein.instruments import Instruments
+from hammerstein.instruments import Instruments, standard_noise
+from hammerstein.memory import refuse_too_long
 from hammerstein.model import HammersteinModel
 from hammerstein.plant import Plant, Response
 from hammerstein.scenario import Scenario
@@ -87,7 +88,10 @@ class SetUp:
                     yield Case(signal, axis, label)
 
     def simulate(self, case: Case) -> Response:
-        """Response of one case."""
+        """Response of one case.
+
+        Raises SimulationError where it does not fit the memory.
+        """
         return self.experiment(case)(self.plant, self.scenario.seed)
 
     def experiment(self, case: Case) -> Experiment:
@@ -97,8 +101,9 @@ class SetUp:
         """
         scenario, plant = self.scenario, self.plant
         window = Window.of(scenario, case.signal, plant.sample_time_s)
-        time_s = np.linspace(0.0, (window.total - 1) * plant.sample_time_s, window.total)
-        values = values_of(case, time_s, len(scenario_axes(scenario, plant.model)))
+        hysteresis = plant.model.hysteresis
+        refuse_too_long("the run", window.total, hysteresis.n_inputs, hysteresis.n_outputs)
+        values = self._values(case, 0, window.total)
         if scenario.drive is not None:
             return lambda plant, seed: plant.respond(values, case.seed(seed))
         law = self.laws[case.label]
@@ -107,10 +112,39 @@ class SetUp:
         voltages = law.drive_for(values)
         return lambda plant, seed: plant.respond(voltages, case.seed(seed), reference_um=values)
 
+    def stretches(self, case: Case, samples: int) -> Iterator[Response]:
+        """Response of one case, stretch by stretch: for runs that do not fit the memory.
+
+        Raises InputError where the law knows the reference ahead or reads the sensor.
+        """
+        scenario, plant = self.scenario, self.plant
+        total = Window.of(scenario, case.signal, plant.sample_time_s).total
+        law = None if scenario.drive is not None else self.laws[case.label]
+        if isinstance(law, Feedback) or (law is not None and law.preview_samples):
+            raise InputError(
+                f"compensator {case.label!r}",
+                "works on the whole path, not on stretches; use a law that neither looks ahead nor feeds "
+                "back",
+            )
+        state, memory = plant.rest(case.seed(scenario.seed)), None if law is None else law.rest()
+        for first in range(0, total, samples):
+            values = self._values(case, first, min(first + samples, total))
+            reference, voltages = (None, values) if law is None else (values, values)
+            if law is not None:
+                voltages, memory = law.respond(values, memory)
+            response, state = plant.carry_on(voltages, state, reference)
+            yield response
+            del response, values, reference, voltages  # the next stretch needs the memory
+
+    def _values(self, case: Case, first: int, stop: int) -> Array:
+        """Values (axis, sample) of the signal of a case from one sample to before another."""
+        time_s = self.plant.sample_time_s * np.arange(first, stop, dtype=np.float64)
+        return values_of(case, time_s, len(scenario_axes(self.scenario, self.plant.model)))
+
 
 def _closed(plant: Plant, law: Feedback, reference_um: Array, seed: list[int]) -> Response:
     """Response of an actuator whose voltages depend on what the sensor reads, from rest."""
-    noise = np.random.default_rng(seed).standard_normal(reference_um.shape)
+    noise = standard_noise(np.random.default_rng(seed), *reference_um.shape)
     instruments = plant.instruments
     wires = closed_loop(
         law,

@@ -21,6 +21,9 @@ from hammerstein.errors import InputError
 Array = NDArray[np.float64]
 
 
+PEAK_POINTS = 16  # of a multisine, in a period of its highest line
+
+
 class Shape(BaseModel, ABC):
     """A signal of any kind.
 
@@ -217,14 +220,16 @@ class Multisine(Shape):
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         generator = np.random.default_rng(self.seed)
-        lines = np.arange(1, math.floor(self.highest_hz / self.lowest_hz) + 1) * self.lowest_hz
+        count = math.floor(self.highest_hz / self.lowest_hz)
+        lines = self.lowest_hz * np.arange(1, count + 1, dtype=np.float64)
         phases = generator.uniform(0.0, 2.0 * np.pi, (n_axes, len(lines)))
-        wave = np.zeros((n_axes, len(time_s)))
-        for line, phase in zip(lines, phases.T, strict=True):
-            wave += np.sin(2.0 * np.pi * line * time_s + phase[:, None])
-        wave *= self.amplitude / 3.0 * math.sqrt(2.0 / len(lines))
-        peak = np.abs(wave).max(axis=1, keepdims=True)
-        return np.asarray(wave * np.minimum(1.0, self.amplitude / np.maximum(peak, 1e-300)))
+        size = self.amplitude / 3.0 * math.sqrt(2.0 / len(lines))
+        # The peak of a period, not of the times asked for: a part of a signal is what it is in the whole.
+        period = np.linspace(0.0, self.period_s, PEAK_POINTS * len(lines), endpoint=False)
+        peak = size * np.abs(_sum_of_sines(period, lines, phases)).max(axis=1, keepdims=True)
+        return np.asarray(
+            size * np.minimum(1.0, self.amplitude / peak) * _sum_of_sines(time_s, lines, phases)
+        )
 
     @property
     def period_s(self) -> float:
@@ -235,6 +240,13 @@ class Multisine(Shape):
     def highest_frequency_hz(self) -> float:
         """Frequency of the highest line."""
         return self.highest_hz
+
+
+def _sum_of_sines(time_s: Array, lines_hz: Array, phases: Array) -> Array:
+    wave = np.zeros((len(phases), len(time_s)))
+    for line, phase in zip(lines_hz, phases.T, strict=True):
+        wave += np.sin(2.0 * np.pi * line * time_s + phase[:, None])
+    return wave
 
 
 class FromFile(Shape):

@@ -7,12 +7,12 @@ import pytest
 import theory_linear as theory
 
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.experiment import run, simulate
+from hammerstein.experiment import run, simulate, simulate_in_stretches
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.plant import Plant
-from hammerstein.scenario import Scenario, load_scenario
+from hammerstein.scenario import Measure, Scenario, load_scenario
 
 
 def _scenario(**tables):
@@ -213,3 +213,49 @@ def test_the_lag_of_the_sensor_is_told_from_the_error_of_the_actuator():
     assert float(text.split("its reading on x is ")[1].split()[0]) == pytest.approx(lag, rel=0.05)
     prompt = {**content, "instruments": {"sensor": {"bandwidth_hz": float("inf")}}}
     assert not [t for t in run(Scenario.model_validate(prompt)).statements if "lags" in t]
+
+
+LONG = {"measure": {"settle_cycles": 3, "measured_cycles": 4}}
+PATH = {"kind": "lissajous", "amplitude_um": 20.0, "frequency_x_hz": 60.0, "frequency_y_hz": 40.0}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"drive": {"kind": "triangle", "amplitude_v": 10.0, "frequency_hz": 70.0}},
+        {"drive": {"kind": "multisine", "amplitude_v": 10.0, "lowest_hz": 10.0, "highest_hz": 300.0}},
+        *(
+            {
+                "reference": PATH | {"smooth_start_s": 0.01},
+                "compensators": [{"label": law, "law": law, "model": "duo_bimorph"}],
+            }
+            for law in ("none", "inverse_multiplicative", "decoupled_inverse", "exact_inverse")
+        ),
+    ],
+)
+@pytest.mark.parametrize("samples", [1, 777, 10_000])
+def test_a_run_in_stretches_is_the_run_in_one_piece(content, samples):
+    scenario = _scenario(actuator="duo_bimorph_creep", **LONG, **content)
+    if samples == 1:
+        scenario = scenario.model_copy(
+            update={"measure": Measure(settle_cycles=0, settle_s=0.0, measured_cycles=1)}
+        )
+    whole = simulate(scenario)
+    parts = list(simulate_in_stretches(scenario, samples))
+    for name in ("requested_v", "drive_v", "hysteresis_um", "position_um", "reading_um", "saturated"):
+        joined = np.concatenate([getattr(part, name) for part in parts], axis=1)
+        assert (joined == getattr(whole, name)).all(), name
+    assert (parts[0].reference_um is None) == (scenario.reference is None)
+
+
+@pytest.mark.parametrize("law", ["hammerstein_inverse", "feedback"])
+def test_laws_that_need_the_whole_path_say_so(law):
+    compensators = [{"label": "c", "law": law, "model": "duo_bimorph"}]
+    with pytest.raises(InputError, match="works on the whole path"):
+        list(simulate_in_stretches(_scenario(reference=PATH, compensators=compensators)))
+
+
+def test_a_run_that_does_not_fit_the_memory_is_refused_before_it_begins():
+    slow = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 1e-7}
+    with pytest.raises(SimulationError, match=r"needs about .* GB of memory.*simulate_in_stretches"):
+        run(_scenario(drive=slow))

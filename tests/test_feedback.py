@@ -11,7 +11,7 @@ from hammerstein.compensators.tuning import Gains
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.instruments import Drive, Instruments, Sensor
+from hammerstein.instruments import Drive, Instruments, Sensor, standard_noise
 from hammerstein.model import HammersteinModel
 
 T = 50e-6
@@ -41,7 +41,7 @@ def law(model):
 
 def _run(law, model, path, sensor=SENSOR, drive=None, seed=3):
     block = discretise(model.dynamics, law.sample_time_s, sensor.bandwidth_hz)
-    noise = np.random.default_rng(seed).standard_normal(path.shape)
+    noise = standard_noise(np.random.default_rng(seed), *path.shape)
     return closed_loop(law, path, model.hysteresis, block, drive or Drive(), sensor, noise)
 
 

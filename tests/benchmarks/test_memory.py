@@ -60,6 +60,23 @@ wires = (r.reference_um, r.requested_v, r.drive_v, r.hysteresis_um, r.position_u
 kept = sum(wire.nbytes for wire in wires)
 """
 
+STRETCHES = (
+    EXPERIMENT.split("def run")[0]
+    + """
+from hammerstein import simulate_in_stretches
+kept = 0
+def run(cycles):
+    global kept
+    for r in simulate_in_stretches(scenario(cycles), 1_000_000):
+        names = "reference_um requested_v drive_v hysteresis_um position_um reading_um saturated"
+        kept = max(kept, sum(getattr(r, name).nbytes for name in names.split()))
+        del r
+run(5)
+before = psutil.Process().memory_info().rss
+run(samples // 400)
+"""
+)
+
 END = r"""
 status = Path("/proc/self/status").read_text()
 peak = 1024 * int(re.search(r"VmHWM:\s*(\d+) kB", status)[1])
@@ -73,6 +90,7 @@ print(peak - before, kept)
         ("hysteresis, 2 x 2, in one piece", WHOLE, 5_000_000, 3.0),
         ("the same in blocks of a million samples", BLOCKS, 100_000_000, 3.0),
         ("whole experiment, every wire kept", EXPERIMENT, 2_000_000, 3.0),
+        ("the same in stretches of a million samples", STRETCHES, 100_000_000, 3.0),
     ],
 )
 def test_memory(bench, what, program, samples, required):
