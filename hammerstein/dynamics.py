@@ -287,7 +287,7 @@ class LinearBlock:
             raise InputError("signal", f"has {v.shape[0]} axes, the block wants {self.n_inputs}")
         x = self.rest() if start is None else np.array(start, dtype=np.float64)
         y = np.empty((self.n_outputs, v.shape[1]))
-        respond_linear(*self._rows, x, v, y)
+        respond_linear(*self.rows, x, v, y)
         return y, x
 
     def step(self, v_um: ArrayLike, state: Array) -> tuple[Array, Array]:
@@ -296,7 +296,7 @@ class LinearBlock:
         return y[:, 0], after
 
     @cached_property
-    def _rows(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    def rows(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
         """Non-zero entries of [[A, B], [C, D]] row by row: axes that do not couple cost nothing."""
         full = np.block([[self.A, self.B], [self.C, self.D]])
         filled = full != 0.0

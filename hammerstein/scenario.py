@@ -137,10 +137,17 @@ class Scenario(BaseModel):
         content = json.loads(self.model_dump_json(exclude_none=True))
         return {key: _without_folders(value, key) for key, value in content.items()}
 
+    def _files(self) -> list[Path]:
+        """Model files and signals that the scenario names, as far as they exist."""
+        named = [self.actuator, *(s.model for s in (*self.compensators, *self.models) if s.model)]
+        signals = [self.signal.path] if isinstance(self.signal, FromFile) else []
+        return [Path(name) for name in (*named, *signals) if Path(name).is_file()]
+
     def digest(self) -> str:
-        """Short hash of everything in the scenario that changes its numbers."""
+        """Short hash of everything in the scenario that changes its numbers, what its files hold included."""
         words = {"question", "paper_figure", "tolerances", "claims", "claims_also_on"}
         content = {key: value for key, value in self.portable().items() if key not in words}
+        content |= {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in self._files()}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 

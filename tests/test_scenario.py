@@ -112,3 +112,14 @@ def test_infinite_ranges_survive_the_report(tmp_path):
     text = GOOD + "[instruments.drive]\nrange_v = inf\n[instruments.sensor]\nbandwidth_hz = inf\n"
     scenario = _load(tmp_path, text)
     assert Scenario.model_validate(json.loads(json.dumps(scenario.portable(), allow_nan=False))) == scenario
+
+
+def test_digest_follows_what_the_files_hold(tmp_path):
+    text = 'question = "?"\n[reference]\nkind = "file"\npath = "path.csv"\n'
+    text += '[[compensators]]\nlabel = "none"\nlaw = "none"\nmodel = "duo_bimorph"\n'
+    (tmp_path / "s.toml").write_text(text)
+    digests = []
+    for end in ("1", "2", "1"):
+        (tmp_path / "path.csv").write_text(f"time_s,x,y\n0,0,0\n0.1,{end},0\n")
+        digests.append(load_scenario(tmp_path / "s.toml").digest())
+    assert digests[0] == digests[2] != digests[1]

@@ -212,7 +212,7 @@ def closed_loop(
         np.array(effects),
         (bank.r, bank.slope, bank.moment),
         plays,
-        block._rows,
+        block.rows,
         block.rest(),
         (requested, driven, static, position, reading),
     )
