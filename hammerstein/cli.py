@@ -89,8 +89,11 @@ def run(
     from hammerstein.compilation import compile_once
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable, write_atomic
+    from hammerstein.processes import begin_loading
     from hammerstein.tables import claims_table, result_table, show
 
+    if jobs > 1 and (len(paths) > 1 or paths[0].is_dir()):
+        begin_loading()
     refuse_unwritable("--out", out)
     if page is not None:
         refuse_unwritable("--page", page)

@@ -43,12 +43,23 @@ def side_by_side(tasks: Iterable[Callable[[], T]], processes: int) -> Iterator[T
             raise
 
 
+def begin_loading() -> None:
+    """Let the libraries be loaded beside what this process does before it needs the others."""
+    if _has_server():
+        from multiprocessing import forkserver
+
+        multiprocessing.set_forkserver_preload(list(LOADED_ONCE))
+        forkserver.ensure_running()
+
+
+def _has_server() -> bool:
+    """Whether one server can load the libraries and fork every process."""
+    return "forkserver" in multiprocessing.get_all_start_methods()
+
+
 def _pool(processes: int) -> ProcessPoolExecutor:
-    """Where the system can, one server loads the libraries and forks every process."""
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return ProcessPoolExecutor(processes, initializer=_ready)
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(list(LOADED_ONCE))
+    begin_loading()
+    context = multiprocessing.get_context("forkserver" if _has_server() else None)
     return ProcessPoolExecutor(processes, mp_context=context, initializer=_ready)
 
 
