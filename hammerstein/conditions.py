@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from hammerstein.report import Report
 from hammerstein.rows import Row
 
+TINY = 1e-6  # um; smaller values are rounding errors
+
 
 @dataclass(frozen=True, order=True)
 class Condition:
@@ -90,11 +92,13 @@ def largest(rows: Iterable[Row], name: str) -> float | None:
 def significant(value: float) -> str:
     """Write a number with three digits that count, trailing zeros included.
 
-    >>> significant(8.0), significant(0.04567), significant(1234.4)
-    ('8.00', '0.0457', '1234')
+    >>> significant(8.0), significant(0.04567), significant(1234.4), significant(1.11e-16)
+    ('8.00', '0.0457', '1234', '1.1e-16')
     """
     if value == 0.0:
         return "0"
+    if abs(value) < TINY:
+        return f"{value:.2g}"
     return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
 
 

@@ -240,6 +240,11 @@ def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
 def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     """What a reader of the report must know: convergence, saturation, and what did not settle."""
     statements = [f"{label}: {text}" for label, law in setup.laws.items() if (text := law.statement())]
+    statements += [
+        f"{label}: its model is the simulated actuator itself. On a real one the model's error comes on top."
+        for label in setup.laws
+        if setup.models[label].digest() == setup.plant.model.digest()
+    ]
     statements += _sensor_lag(setup, [row for result in results for row in result.rows])
     for result in results:
         row = result.rows[0]

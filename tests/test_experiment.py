@@ -259,3 +259,13 @@ def test_a_run_that_does_not_fit_the_memory_is_refused_before_it_begins():
     slow = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 1e-7}
     with pytest.raises(SimulationError, match=r"needs about .* GB of memory.*simulate_in_stretches"):
         run(_scenario(drive=slow))
+
+
+def test_a_law_that_knows_the_actuator_itself_says_so():
+    reference = {"kind": "sine", "amplitude_um": 20.0, "frequency_hz": 50.0, "axis": 1}
+    sources = ({"model": "duo_bimorph"}, {"model": "duo_bimorph_static"}, {"identification": {}})
+    laws = [{"label": f"law {k}", "law": "none", **source} for k, source in enumerate(sources)]
+    said = [s for s in run(_scenario(reference=reference, compensators=laws)).statements if "itself" in s]
+    assert said == [
+        "law 0: its model is the simulated actuator itself. On a real one the model's error comes on top."
+    ]

@@ -132,10 +132,13 @@ class HammersteinInverse(Law[PathState]):
         """Say what the law does before a run: inverse of the hysteresis, preview, delay, large gains."""
         parts = [self.exact.invertibility.statement(), self.linear.statement()]
         ahead = self.preview_samples
-        parts.append(
-            f"The reference must be known {ahead} samples ahead ({ahead * self.sample_time_s:.3g} s)"
-            + (f"; the position follows it {self.delay_s:.3g} s late." if self.delay_samples else ".")
-        )
+        samples = "1 sample" if ahead == 1 else f"{ahead} samples"
+        if ahead != self.linear.preview_samples or self.delay_samples:
+            parts.append(
+                f"With its filter the reference must be known {samples} ahead "
+                f"({ahead * self.sample_time_s:.3g} s)"
+                + (f"; the position follows it {self.delay_s:.3g} s late." if self.delay_samples else ".")
+            )
         return " ".join(parts)
 
     def rest(self) -> PathState:

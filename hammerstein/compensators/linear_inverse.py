@@ -83,7 +83,8 @@ class LinearInverse:
         """Say how far ahead it looks, and at which frequencies it asks for much drive."""
         ahead = self.preview_samples
         seconds = ahead * self.block.sample_time_s
-        text = f"The inverse of the dynamics looks {ahead} samples ahead ({seconds:.3g} s)"
+        samples = "1 sample" if ahead == 1 else f"{ahead} samples"
+        text = f"The inverse of the dynamics looks {samples} ahead ({seconds:.3g} s)"
         outside = self.zeros[np.abs(self.zeros) > 1.0]
         if len(outside):
             slowest = float(np.abs(outside).min())
