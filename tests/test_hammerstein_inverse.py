@@ -110,7 +110,7 @@ def test_preview_is_one_sample_for_a_resonant_axis_and_stated_for_others():
     law = HammersteinInverse(_model(_of(RESONANT * (1.0 - S / 2000.0))), 10.0, T)
     # What a zero at exp(T 2000/s) wants of the future halves every ln 2 / (2000 T) samples.
     assert 100 < law.preview_samples < 300
-    assert f"known {law.preview_samples} samples ahead" in law.statement()
+    assert f"looks {law.preview_samples} samples ahead" in law.statement()
     assert "1 zeros outside the unit circle (the slowest at |z| = 1.105)" in law.statement()
 
 
