@@ -75,6 +75,15 @@ def test_noise_free_records_return_their_weights(inputs, outputs, seed):
     assert fit.open == ()
 
 
+def test_an_output_without_a_direct_pair_has_no_bounds():
+    generator = np.random.default_rng(3)
+    thresholds, weights = random_model(generator, 1, 2)
+    weights = [[np.abs(w) for w in row] for row in weights]
+    record = record_of(random_walk(generator, 1), thresholds, weights)
+    fit = fit_static([record], thresholds, method="invertible")
+    assert worst(fit.hysteresis, weights) < 1e-8
+
+
 def test_several_records_with_their_own_offsets_are_one_problem():
     generator = np.random.default_rng(1)
     thresholds, weights = random_model(generator, 2, 2)

@@ -239,6 +239,8 @@ def _bounded(root: Array, target: Array, bounds: Bounds) -> tuple[Array, NDArray
     The free unknowns are eliminated; what is left is a problem with non-negative unknowns.
     """
     held = bounds.side != 0.0
+    if not held.any():  # scipy's nnls destroys memory if it is given no unknown
+        return np.asarray(np.linalg.lstsq(root, target, rcond=None)[0]), ~held
     x = np.where(held, bounds.bound, 0.0)
     others = np.linalg.qr(root[:, ~held])[0]
     left = root[:, held] * bounds.side[held]
