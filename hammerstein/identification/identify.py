@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,10 +31,10 @@ from hammerstein.identification.prediction import Candidate, Score, ranges, scor
 from hammerstein.identification.preparation import driven_inputs, prepare, refuse_swapped
 from hammerstein.identification.records import Record
 from hammerstein.identification.regressors import Start
-from hammerstein.identification.second_order import FirstGuess, search_axes
+from hammerstein.identification.second_order import FirstGuess, checked_delay, search_axes
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.starts import StartMode, cautious_start, closed, judged_starts, shortened
-from hammerstein.identification.static_block import direct_pairs, fit_static, half_swing
+from hammerstein.identification.static_block import Layout, direct_pairs, fit_static, half_swing
 from hammerstein.identification.verdict import (
     axis_statements,
     bound_notes,
@@ -108,6 +109,7 @@ def identify(
     tell("looking at how the records begin")
     guess, first = _first_model(ready, settings, tell)
     task, curve = _task(ready, settings, guess, first, tell)
+    task, guess = _with_checked_delay(task, guess)
     built = _build(task, guess)
     best = built.candidates[built.kind]
     held_starts = judged_starts(held, best.predict, _settle_s(guess), _start_mode(settings))
@@ -210,6 +212,21 @@ def _task(
         curve = error_curve(records, starts, partition=settings.partition, delay_samples=delay, through=paths)
     chosen = enough_operators(curve) if curve else 15
     return Task(records, starts, settings.thresholds(records, chosen), delay, settings, tell), curve
+
+
+def _with_checked_delay(task: Task, guess: FirstGuess | None) -> tuple[Task, FirstGuess | None]:
+    """Task and resonances with the delay that is best with the thresholds of the task."""
+    if guess is None:
+        return task, None
+    task.progress("checking the delay")
+    checked = checked_delay(
+        task.records,
+        task.starts,
+        Layout.of(task.thresholds_v).grids,
+        guess,
+        sensor_bandwidth_hz=task.settings.sensor_bandwidth_hz,
+    )
+    return replace(task, delay_samples=checked.delay_samples), checked
 
 
 def _build(task: Task, guess: FirstGuess | None) -> Built:
