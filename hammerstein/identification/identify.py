@@ -273,7 +273,7 @@ def _account(
         error_curve=curve,
         not_identifiable=tuple(_unknown(record, built)),
         flags=tuple(flags),
-        notes=(*notes, *bounds),
+        notes=(*notes, *built.notes, *bounds),
         invertible=invertible,
         invertibility=sentence,
         verdict=verdict(judged or fitted, bool(judged), flags),
