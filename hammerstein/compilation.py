@@ -49,6 +49,7 @@ def _use_inverse() -> None:
 
 def _use_the_others() -> None:
     from hammerstein.identification import Record, Settings, identify
+    from hammerstein.identification.regressors import Start, regressor_blocks
     from hammerstein.scenario import Scenario
     from hammerstein.setup import prepare
 
@@ -65,6 +66,8 @@ def _use_the_others() -> None:
     responses = [setup.simulate(case) for case in setup.cases()]
     records = [Record(found.drive_v, found.reading_um, SAMPLE_TIME_S) for found in responses[:2]]
     identify(records, Settings(dynamics="second_order", error_curve=False))
+    for _ in regressor_blocks(_path(), Start("rest"), [np.zeros(1)] * 2, with_derivatives=True):
+        pass
 
 
 def _path() -> NDArray[np.float64]:

@@ -109,7 +109,9 @@ def identify(
         list[Path] | None, typer.Option(metavar="FILE", help="Records held back; may be repeated.")
     ] = None,
     operators: Annotated[str, typer.Option(help="Thresholds of each pair, or auto.")] = "15",
-    partition: Annotated[str, typer.Option(help="Thresholds uniform in: time, voltage.")] = "time",
+    partition: Annotated[
+        str, typer.Option(help="Thresholds: uniform in time or voltage, or fitted to the records.")
+    ] = "time",
     method: Annotated[
         str, typer.Option(help="invertible, least_squares, nonnegative or closed_form.")
     ] = "invertible",

@@ -39,7 +39,8 @@ class JointFitSpec(BaseModel):
     """Identify hysteresis and dynamics together by least squares through the linear block and the sensor.
 
     Each input in turn is driven by sines at the given frequencies, then by a multisine; with creep, slow
-    steps on all inputs come last. The sensor's bandwidth is taken from its data sheet.
+    steps on all inputs come last. The sensor's bandwidth is taken from its data sheet. With partition
+    ``fitted`` the thresholds are fitted, too, and ``operators`` is the most there are.
     """
 
     model_config = _STRICT
@@ -47,7 +48,7 @@ class JointFitSpec(BaseModel):
     method: Literal["hammerstein"]
     amplitude_v: PositiveFloat = 10.0
     operators: PositiveInt = 15
-    partition: Literal["time", "voltage"] = "time"
+    partition: Literal["time", "voltage", "fitted"] = "time"
     frequencies_hz: Frequencies = (50.0,)
     record_s: PositiveFloat = Field(default=0.1, description="length of each sine, and of the multisine")
     sample_time_s: PositiveFloat | None = Field(

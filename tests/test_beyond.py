@@ -102,3 +102,14 @@ def test_feedback_alone_cannot_follow_what_feedforward_can():
     worst = {row.compensator: row.euclidean_max_true_um for row in rows}
     assert worst["feedback"] > 10.0
     assert worst["both"] <= 0.3
+
+
+@pytest.mark.parametrize("reference", [CIRCLE, _lissajous(50, 100 / 3)])
+def test_fitted_thresholds_follow_an_actuator_with_other_ones(reference):
+    worst = {}
+    for partition in ("time", "fitted"):
+        joint = DYNAMIC | {"identification": JOINT | {"operators": 20, "partition": partition}}
+        rows = _rows(reference, joint, actuator="duo_bimorph_dense")
+        worst[partition] = max(row.euclidean_max_true_um for row in rows)
+    assert worst["fitted"] <= 0.2
+    assert worst["fitted"] <= 0.5 * worst["time"]

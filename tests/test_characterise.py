@@ -1,6 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from hammerstein.actuators.build import with_thresholds
 from hammerstein.characterise import identify_by_experiment
 from hammerstein.dynamics import discretise
 from hammerstein.errors import IdentificationError
@@ -76,3 +79,14 @@ def test_too_many_operators_for_the_samples():
 def test_a_voltage_that_the_drive_cuts_is_refused():
     with pytest.raises(IdentificationError, match="the drive gives 10 V"):
         identify_by_experiment(_plant("duo_bimorph"), ClosedFormSpec(amplitude_v=11), 1)
+
+
+def test_a_delay_is_not_taken_for_hysteresis_between_coarse_thresholds():
+    plant = _plant("duo_bimorph_dense")
+    thresholds = 0.18 + 9.7 * np.arange(28) / 28  # nothing moves within the first of them
+    block = with_thresholds(plant.model.hysteresis, thresholds, 10.0)
+    dead = Plant(replace(plant.model, hysteresis=block), plant.instruments)
+    model = identify_by_experiment(dead, JOINT.model_copy(update={"operators": 20}), 1)
+    assert model.dynamics.input_delay_s == 0.0
+    for found, true in zip(model.dynamics.axes, plant.model.dynamics.axes, strict=True):
+        assert found.resonance_hz == pytest.approx(true.resonance_hz, rel=3e-3)

@@ -9,6 +9,9 @@ Looking back through a resonance, the loop hardly tells neighbouring weights apa
 slopes that jump up and down between 4.3 and 5.6 um/V. Of all blocks that explain the loop nearly as well, the
 one whose slopes bend least is taken (Phillips-Tikhonov): a small penalty on the second differences of the
 slopes moves the rms residual on x from 0.070 to 0.083 um of a loop 117 um high.
+
+The dense actuator has other thresholds than the printed partition, so that a model identified with that
+partition cannot be the actuator itself; its slopes follow those of the first.
 """
 
 from __future__ import annotations
@@ -23,6 +26,8 @@ from numpy.typing import NDArray
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, discretise, natural_frequency_hz
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, play
 from hammerstein.model import HammersteinModel
+
+DENSE = 28  # thresholds of the dense actuator, uniform in voltage
 
 Array = NDArray[np.float64]
 
@@ -90,6 +95,28 @@ def _smoothest(regressors: Array, wanted: Array) -> Array:
     return np.asarray(to_weights @ slopes)
 
 
+def with_thresholds(block: PrandtlIshlinskii, thresholds_v: Array, amplitude_v: float) -> PrandtlIshlinskii:
+    """Static block with other thresholds, whose slopes lie on the line through those of a given block.
+
+    A slope, the sum of the weights up to a threshold, stands for the middle between it and the next one.
+
+    Parameters
+    ----------
+    block : static block to follow
+    thresholds_v : (operator,) thresholds of every pair [V], increasing, below the amplitude
+    amplitude_v : end of the last step between thresholds [V]
+    """
+
+    def middles(r: Array) -> Array:
+        return np.asarray(0.5 * (r + np.append(r[1:], amplitude_v)))
+
+    def pair(old: Pair) -> Pair:
+        slopes = np.interp(middles(thresholds_v), middles(old.thresholds_v), np.cumsum(old.weights_um_per_v))
+        return Pair(thresholds_v, np.diff(slopes, prepend=0.0))
+
+    return PrandtlIshlinskii(tuple(tuple(map(pair, row)) for row in block.pairs))
+
+
 def build(folder: Path) -> list[Path]:
     """Write the actuators with dynamics into a folder; the printed table must stand there."""
     printed = HammersteinModel.load(folder / "duo_bimorph_static.json")
@@ -116,7 +143,23 @@ def build(folder: Path) -> list[Path]:
         )
         paths.append(folder / f"{name}.json")
         model.save(paths[-1])
-    return paths
+    return [*paths, _dense(folder, HammersteinModel.load(paths[0]))]
+
+
+def _dense(folder: Path, model: HammersteinModel) -> Path:
+    thresholds = model.amplitude_v * np.arange(DENSE) / DENSE
+    dense = replace(
+        model,
+        name="duo_bimorph_dense",
+        hysteresis=with_thresholds(model.hysteresis, thresholds, model.amplitude_v),
+        provenance={
+            "source": f"slopes of {model.name}, drawn through {DENSE} thresholds uniform in voltage",
+            "command": "python -m hammerstein.actuators.build",
+        },
+    )
+    path = folder / f"{dense.name}.json"
+    dense.save(path)
+    return path
 
 
 if __name__ == "__main__":

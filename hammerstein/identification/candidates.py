@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,6 +20,7 @@ from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.coupled import fit_linear, fit_static_coupled, refit_linear
 from hammerstein.identification.fit import Kind
+from hammerstein.identification.fitted_thresholds import criterion, fit_thresholds, gained
 from hammerstein.identification.prediction import Candidate, score
 from hammerstein.identification.records import Record
 from hammerstein.identification.regressors import Start
@@ -30,14 +32,21 @@ from hammerstein.identification.static_block import (
     StaticFit,
     Thresholds,
     Weighting,
+    half_swing,
     refuse_unreached,
     solve_static,
     static_moments,
 )
-from hammerstein.identification.verdict import FELT, axis_identified
+from hammerstein.identification.threshold_search import ThresholdTask
+from hammerstein.identification.verdict import FELT, axis_identified, invertibility_of
 
 MOST_ROUNDS = 8
 """Most times that the two blocks are fitted in turn; each must gain a fiftieth."""
+MOST_TURNS = 8
+"""Most times that thresholds and axes are fitted in turn; each must lower the criterion by one."""
+PATIENCE = 2
+"""Turns in a row without that, after which they end."""
+KEPT = "fitting the thresholds gains nothing: they are uniform in time"
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -106,10 +115,17 @@ class Built:
     kind: Kind
     blocks: Blocks
     axes: tuple[AxisFit, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def build_static(task: Task) -> Built:
-    """Linear gain and static hysteresis."""
+    """Linear gain and static hysteresis, the latter with fitted thresholds if they are asked for and gain."""
+    built = _unfitted_static(task)
+    return _with_thresholds(task, built) if task.settings.partition == "fitted" else built
+
+
+def _unfitted_static(task: Task) -> Built:
+    """Linear gain and static hysteresis with the thresholds of the task."""
     dynamics = StaticDynamics(n_outputs=task.outputs)
     task.progress("fitting the static block")
     linear = static_blocks(task, task.linear_thresholds(), dynamics, "least_squares")
@@ -119,6 +135,18 @@ def build_static(task: Task) -> Built:
         "static_hysteresis": task.candidate(blocks.chosen.hysteresis, dynamics),
     }
     return Built(candidates, "static_hysteresis", blocks)
+
+
+def _with_thresholds(task: Task, built: Built) -> Built:
+    """Static hysteresis with fitted thresholds; as it was if nothing is gained."""
+    dynamics = StaticDynamics(n_outputs=task.outputs)
+    task.progress("fitting the thresholds")
+    thresholds_v = _fitted(task, task.thresholds_v, dynamics)
+    blocks = static_blocks(task, thresholds_v, dynamics, task.settings.method)
+    if not gained(built.blocks.chosen, blocks.chosen) or _lost_inverse(task, built.blocks, blocks):
+        return replace(built, notes=(KEPT,))
+    candidate = task.candidate(blocks.chosen.hysteresis, dynamics)
+    return replace(built, candidates={**built.candidates, built.kind: candidate}, blocks=blocks)
 
 
 def static_blocks(
@@ -175,7 +203,8 @@ def _closed_form(task: Task, free: StaticFit) -> StaticFit:
 def build_second_order(task: Task, guess: FirstGuess) -> Built:
     """All four kinds, with second-order axes."""
     settings = task.settings
-    static = build_static(task)
+    static = _unfitted_static(task)
+    fitted = settings.partition == "fitted"
     fits: dict[bool, AxesFit] = {}
     for plays, thresholds_v in ((False, task.linear_thresholds()), (True, task.thresholds_v)):
         fits[plays] = fit_axes(
@@ -189,12 +218,17 @@ def build_second_order(task: Task, guess: FirstGuess) -> Built:
         )
     axes = fits[True].axes
     if not any(axis_identified(axis) for axis in axes):
-        return replace(static, axes=axes)
-    dynamics = dynamics_of(axes)
-    blocks = static_blocks(task, task.thresholds_v, dynamics, settings.method)
+        return replace(build_static(task) if fitted else static, axes=axes)
+    blocks = static_blocks(task, task.thresholds_v, dynamics_of(axes), settings.method)
     if not _felt(static.blocks.chosen, blocks.chosen):
         unfelt = [replace(axis, rms_um=axis.static_rms_um) for axis in axes]
-        return replace(static, axes=tuple(unfelt))
+        return replace(build_static(task) if fitted else static, axes=tuple(unfelt))
+    notes: tuple[str, ...] = ()
+    if fitted:
+        start = blocks
+        axes, blocks = _thresholds_and_axes(task, guess, axes, start)
+        notes = (KEPT,) if blocks is start else ()
+    dynamics = dynamics_of(axes)
     alone = dynamics_of(fits[False].axes)
     gains = static_blocks(task, task.linear_thresholds(), alone, "least_squares")
     candidates: dict[Kind, Candidate] = {
@@ -202,7 +236,61 @@ def build_second_order(task: Task, guess: FirstGuess) -> Built:
         "linear_dynamics": task.candidate(gains.chosen.hysteresis, alone),
         "hammerstein": task.candidate(blocks.chosen.hysteresis, dynamics),
     }
-    return Built(candidates, "hammerstein", blocks, axes)
+    return Built(candidates, "hammerstein", blocks, axes, notes)
+
+
+def _thresholds_and_axes(
+    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: Blocks
+) -> tuple[tuple[AxisFit, ...], Blocks]:
+    """Axes and static block with thresholds and axes fitted in turn; as they were if nothing is gained."""
+    settings, free = task.settings, 1 + task.outputs
+    best: tuple[tuple[AxisFit, ...], Blocks] | None = None
+    near, thresholds_v, idle = axes, task.thresholds_v, 0
+    for _ in range(MOST_TURNS):
+        task.progress("fitting the thresholds")
+        thresholds_v = _fitted(task, thresholds_v, dynamics_of(near), rounds=1)
+        begin = np.log([[fit.axis.resonance_hz, fit.axis.damping_ratio] for fit in near])
+        near = fit_axes(
+            task.records,
+            Layout.of(thresholds_v).grids,
+            task.starts,
+            replace(guess, parameters=begin),
+            creep_modes=settings.creep_modes,
+            sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
+        ).axes
+        if not any(axis_identified(axis) for axis in near):
+            break
+        trial = static_blocks(task, thresholds_v, dynamics_of(near), settings.method)
+        least = criterion(best[1].chosen, free) if best else math.inf
+        worse = criterion(trial.chosen, free) >= least - 1.0 or _lost_inverse(task, blocks, trial)
+        idle = idle + 1 if worse else 0
+        if idle >= PATIENCE:
+            break
+        best = best if idle else (near, trial)
+    return best if best and gained(blocks.chosen, best[1].chosen) else (axes, blocks)
+
+
+def _lost_inverse(task: Task, start: Blocks, found: Blocks) -> bool:
+    """Whether the static block had an inverse with the thresholds begun with, and has none any more."""
+    amplitude, record = float(half_swing(task.records).max()), task.records[0]
+    told = StaticDynamics(n_outputs=task.outputs)
+    before, now = (
+        invertibility_of(b.chosen.hysteresis, told, amplitude, record.sample_time_s, record.inputs)[0]
+        for b in (start, found)
+    )
+    return before and not now
+
+
+def _fitted(
+    task: Task,
+    thresholds_v: Thresholds,
+    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
+    rounds: int = MOST_ROUNDS,
+) -> list[list[Array]]:
+    """Thresholds fitted in front of given dynamics, the same for all outputs."""
+    fitting = ThresholdTask(task.records, task.starts, task.delay_samples, task.paths(dynamics))
+    row = list(fit_thresholds(fitting, thresholds_v[0], rounds))
+    return [row] * task.outputs
 
 
 def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,10 +38,10 @@ from hammerstein.identification.prediction import Candidate, Score, ranges, scor
 from hammerstein.identification.preparation import driven_inputs, prepare, refuse_swapped
 from hammerstein.identification.records import Record
 from hammerstein.identification.regressors import Start
-from hammerstein.identification.second_order import FirstGuess, search_axes
+from hammerstein.identification.second_order import FirstGuess, checked_delay, search_axes
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.starts import StartMode, cautious_start, closed, judged_starts, shortened
-from hammerstein.identification.static_block import direct_pairs, fit_static, half_swing
+from hammerstein.identification.static_block import Layout, direct_pairs, fit_static, half_swing
 from hammerstein.identification.verdict import (
     axis_statements,
     bound_notes,
@@ -127,6 +128,7 @@ def identify(
     tell("looking at how the records begin")
     guess, first = _first_model(ready, settings, tell)
     task, curve = _task(ready, settings, guess, first, tell)
+    task, guess = _with_checked_delay(task, guess)
     built = _build(task, guess)
     best = built.candidates[built.kind]
     answer = answers(best, ready, task.starts)
@@ -234,6 +236,21 @@ def _task(
     return Task(records, starts, settings.thresholds(records, chosen), delay, settings, tell), curve
 
 
+def _with_checked_delay(task: Task, guess: FirstGuess | None) -> tuple[Task, FirstGuess | None]:
+    """Task and resonances with the delay that is best with the thresholds of the task."""
+    if guess is None:
+        return task, None
+    task.progress("checking the delay")
+    checked = checked_delay(
+        task.records,
+        task.starts,
+        Layout.of(task.thresholds_v).grids,
+        guess,
+        sensor_bandwidth_hz=task.settings.sensor_bandwidth_hz,
+    )
+    return replace(task, delay_samples=checked.delay_samples), checked
+
+
 def _build(task: Task, guess: FirstGuess | None) -> Built:
     if guess is not None:
         return build_second_order(task, guess)
@@ -281,7 +298,7 @@ def _account(
         error_curve=curve,
         not_identifiable=tuple(_unknown(task, built, answer)),
         flags=tuple(flags),
-        notes=(*notes, *bounds),
+        notes=(*notes, *built.notes, *bounds),
         invertible=invertible,
         invertibility=sentence,
         verdict=verdict(judged or fitted, bool(judged), flags, settings.dynamics),

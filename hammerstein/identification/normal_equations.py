@@ -203,7 +203,7 @@ def solve(
     scaled = _Scaled.of(gram if penalty is None else gram + penalty)
     target = scaled.target(cross)
     root = scaled.roots[:, None] * scaled.directions.T
-    if bounds is None or not bounds.side.any():
+    if bounds is None or not bounds.side.any():  # scipy's nnls destroys memory if it is given no unknown
         free = np.ones(len(gram), dtype=np.bool_)
         found = scaled.coefficients(target)
         spread = scaled.scale[:, None] * scaled.directions / scaled.roots

@@ -27,7 +27,7 @@ from hammerstein.identification.static_block import half_swing, path_filters
 from hammerstein.identification.turning_points import find_cycles
 
 Array = NDArray[np.float64]
-Partition = Literal["time", "voltage"]
+Partition = Literal["time", "voltage", "fitted"]
 
 COUNTS = (1, 2, 3, 4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60)
 """Numbers of operators that are tried."""
@@ -49,7 +49,7 @@ def input_grids(records: Sequence[Record], operators: int, partition: Partition 
     records : voltages and displacements
     operators : number of thresholds of every input
     partition : ``time``: uniform in the time of a sine of the records' slowest cycle, as in the paper;
-        ``voltage``: uniform in the voltage, from 0
+        ``voltage``: uniform in the voltage, from 0; ``fitted``: what the fit begins with, as ``time``
     """
     grids = []
     for k, reach in enumerate(half_swing(records)):
@@ -121,11 +121,14 @@ def error_curve(
     points = []
     for n in counts:
         grids = input_grids(few, n, partition)
+        columns = sum(map(len, grids))
         squares = np.zeros(len(span))
         samples = 0
         for o in range(len(span)):
             parts = [
-                _halves(record, start, grids, delay_samples, path_filters(through, i, o, grids, len(span)), o)
+                _halves(
+                    record, start, grids, delay_samples, path_filters(through, i, o, columns, len(span)), o
+                )
                 for i, (record, start) in enumerate(zip(few, begun, strict=True))
             ]
             squares[o], samples = _held_out([p[0] for p in parts], [p[1] for p in parts])

@@ -62,7 +62,12 @@ def delayed(record: Record, start: Start, samples: int) -> Array:
 
 
 def regressor_blocks(
-    u_v: Array, start: Start, grids: Sequence[Array], filters: Sequence[Filter] = ()
+    u_v: Array,
+    start: Start,
+    grids: Sequence[Array],
+    filters: Sequence[Filter] = (),
+    *,
+    with_derivatives: bool = False,
 ) -> Iterator[tuple[int, Array]]:
     """First sample and regressors (column, sample) of each block of a record, from ``start.first`` on.
 
@@ -73,13 +78,16 @@ def regressor_blocks(
     grids : thresholds of each input [V]; the columns follow them, input by input
     filters : linear blocks that hear all columns; their outputs, one block below the other, take the
         place of the columns
+    with_derivatives : whether the derivatives of the plays by their thresholds follow as further columns,
+        input by input: -1 after a play was last moved upwards, 1 after downwards, 0 before it was moved
     """
     plays = [np.zeros(len(grid)) for grid in grids]
+    signs = [np.zeros(len(grid)) for grid in grids] if with_derivatives else None
     states = [block.rest() for block in filters]
     if start.kind == "repeated":
-        for _, columns in _blocks(u_v, grids, plays):
+        for _, columns in _blocks(u_v, grids, plays, signs):
             _filtered(columns, filters, states)
-    for k, columns in _blocks(u_v, grids, plays):
+    for k, columns in _blocks(u_v, grids, plays, signs):
         passed = _filtered(columns, filters, states)
         skip = max(start.first - k, 0)
         if skip < columns.shape[1]:
@@ -97,16 +105,32 @@ def _filtered(columns: Array, filters: Sequence[Filter], states: list[NDArray[An
     return np.vstack(rows)
 
 
-def _blocks(u_v: Array, grids: Sequence[Array], plays: list[Array]) -> Iterator[tuple[int, Array]]:
-    """Differences of neighbouring plays; ``plays`` holds the memory from block to block."""
+def _blocks(
+    u_v: Array, grids: Sequence[Array], plays: list[Array], signs: list[Array] | None
+) -> Iterator[tuple[int, Array]]:
+    """Differences of neighbouring plays, and the derivatives if ``signs`` are given.
+
+    ``plays`` and ``signs`` hold the memory from block to block.
+    """
     for k in range(0, u_v.shape[1], BLOCK):
-        rows = []
+        rows, moved = [], []
         for i, grid in enumerate(grids):
             outputs = play(u_v[i, k : k + BLOCK], grid, plays[i])
+            if signs is not None:
+                moved.append(_derivatives(outputs, plays[i], signs[i]))
             plays[i] = outputs[:, -1].copy()
             outputs[:-1] -= outputs[1:]
             rows.append(outputs)
-        yield k, np.vstack(rows)
+        yield k, np.vstack(rows + moved)
+
+
+def _derivatives(outputs: Array, before: Array, signs: Array) -> Array:
+    """Derivatives (operator, sample) of plays by their thresholds; ``signs`` is carried on."""
+    from hammerstein.identification.motion_kernel import threshold_derivatives
+
+    derivatives = np.empty_like(outputs)
+    threshold_derivatives(outputs, before, signs, derivatives)
+    return derivatives
 
 
 def channel(block: LinearBlock, output: int, input_: int) -> LinearBlock | None:

@@ -49,6 +49,8 @@ ENOUGH = 1e-7
 """Relative gain of a step under which the search has arrived."""
 TINY = 1e-300
 WORSE_DELAYS = 2
+CLEARLY_BETTER = 0.98
+"""Part of the error under which another delay takes the place of the one found first."""
 SEARCH_SAMPLES = 10_000
 SEARCH_OPERATORS = 3
 GUESS_SAMPLES = 30_000
@@ -280,6 +282,48 @@ def _delay_search(tasks: Sequence[AxisTask], begins: Sequence[Array], most_delay
         if d - int(np.argmin(errors)) >= WORSE_DELAYS:
             break
     return points
+
+
+def checked_delay(
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    grids: Sequence[Array],
+    guess: FirstGuess,
+    *,
+    sensor_bandwidth_hz: float | None = None,
+) -> FirstGuess:
+    """Guess with the delay that is best with all thresholds; the guess itself if that is the one it has.
+
+    The few thresholds of the search smooth the hysteresis, which looks like a delay of a sample or so.
+
+    Parameters
+    ----------
+    records, starts : as for the search
+    grids : thresholds of each input [V]
+    guess : what the search has found; nothing is done if the delay was given
+    sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; none if not given
+    """
+    if not len(guess.delay_rms_um):
+        return guess
+    quick, begun = shortened(records, starts, GUESS_SAMPLES)
+
+    def points(delay: int, begins: Array) -> list[Point]:
+        tasks = [
+            AxisTask(quick, begun, tuple(grids), o, 0, delay, sensor_bandwidth_hz) for o in range(len(begins))
+        ]
+        return [refine(task, x) for task, x in zip(tasks, begins, strict=True)]
+
+    here, delay = points(guess.delay_samples, guess.parameters), guess.delay_samples
+    for step in (-1, 1):
+        while 0 <= delay + step <= MOST_DELAY:
+            there = points(delay + step, np.array([point.x for point in here]))
+            ratios = [new.rms / max(old.rms, TINY) for new, old in zip(there, here, strict=True)]
+            if math.prod(ratios) >= CLEARLY_BETTER ** len(ratios):
+                break
+            here, delay = there, delay + step
+    if delay == guess.delay_samples:
+        return guess
+    return replace(guess, parameters=np.array([point.x for point in here]), delay_samples=delay)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ DynamicsKind = Literal["none", "second_order", "state_space"]
 MOST_OPERATORS = 200
 MOST_CREEP_MODES = 5
 _CHOICES = {
-    "partition": ("time", "voltage"),
+    "partition": ("time", "voltage", "fitted"),
     "method": ("closed_form", "least_squares", "nonnegative", "invertible"),
     "dynamics": ("none", "second_order", "state_space"),
     "start": ("auto", "rest", "repeated"),
@@ -36,7 +36,9 @@ class Settings:
     ----------
     operators : thresholds of every pair: one number, one for each pair (output, input), or ``auto``
     thresholds_v : thresholds [V] instead: one array for all pairs, or one for each pair (output, input)
-    partition : how thresholds are placed: uniform in ``time`` as in the paper, or in ``voltage``
+    partition : how thresholds are placed: uniform in ``time`` as in the paper, or in ``voltage``; ``fitted``:
+        found from the records, beginning with those uniform in time, and kept if they lower the error by
+        more than chance; ``operators`` is the most there are, and the outputs share those of an input
     method : how the weights are found: ``closed_form``, ``least_squares``, ``nonnegative`` or ``invertible``
     ridge : penalty of the weights, for more thresholds than the records can tell; 0: none
     dynamics : ``none``, ``second_order`` or ``state_space``
@@ -87,6 +89,26 @@ class Settings:
             mistakes.append(Mistake("operators", f"{self.operators!r} is not known; give a number or auto"))
         if self.thresholds_v is not None and self.operators == "auto":
             mistakes.append(Mistake("operators", "cannot be auto where thresholds are given"))
+        return [*mistakes, *self._misfits_of_fitted()]
+
+    def _misfits_of_fitted(self) -> list[Mistake]:
+        """What does not go together with fitted thresholds."""
+        if self.partition != "fitted":
+            return []
+        wrong = {
+            "dynamics": (self.dynamics == "state_space", "state_space cannot be had"),
+            "method": (self.method == "closed_form", "closed_form cannot be had"),
+            "thresholds_v": (self.thresholds_v is not None, "cannot be given"),
+        }
+        mistakes = [
+            Mistake(name, f"{why} with partition fitted; choose time or voltage")
+            for name, (is_wrong, why) in wrong.items()
+            if is_wrong
+        ]
+        if not isinstance(self.operators, int | str):
+            mistakes.append(
+                Mistake("operators", "must be one number with partition fitted: the outputs share thresholds")
+            )
         return mistakes
 
     def _bad_numbers(self) -> list[Mistake]:

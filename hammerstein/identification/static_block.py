@@ -141,27 +141,33 @@ def static_moments(
     starts: Sequence[Start],
     delay_samples: int = 0,
     through: LinearBlock | Sequence[LinearBlock] | None = None,
+    *,
+    with_derivatives: bool = False,
 ) -> list[Moments]:
-    """Moments of each output with the slope columns of all inputs, over all records."""
+    """Moments of each output with the slope columns of all inputs, over all records.
+
+    ``with_derivatives`` adds as many columns again: the derivatives of the plays by their thresholds.
+    """
     p = len(records[0].y_um)
+    columns = sum(map(len, grids)) * (1 + with_derivatives)
     each = list(zip(records, starts, strict=True))
     if through is None:
-        parts = [_record_moments(*one, grids, delay_samples, (), range(p)) for one in each]
+        parts = [_record_moments(*one, grids, delay_samples, (), range(p), with_derivatives) for one in each]
         return [pooled(parts).of_output(o) for o in range(p)]
     blocks = [through] * len(records) if isinstance(through, LinearBlock) else through
     moments = []
     for o in range(p):
         parts = [
-            _record_moments(*one, grids, delay_samples, path_filters(blocks, i, o, grids, p), [o])
+            _record_moments(
+                *one, grids, delay_samples, path_filters(blocks, i, o, columns, p), [o], with_derivatives
+            )
             for i, one in enumerate(each)
         ]
         moments.append(pooled(parts))
     return moments
 
 
-def path_filters(
-    blocks: Sequence[LinearBlock], record: int, o: int, grids: Sequence[Array], p: int
-) -> list[Filter]:
+def path_filters(blocks: Sequence[LinearBlock], record: int, o: int, columns: int, p: int) -> list[Filter]:
     """Path of one of p outputs in the block of a record; the block must not couple the outputs."""
     if not blocks:
         return []
@@ -171,7 +177,7 @@ def path_filters(
     own = paths.pop(o)
     if own is None or any(path is not None for path in paths):
         raise IdentificationError("the linear block couples the outputs; give one that acts on each alone")
-    return [SideBySide(own, sum(map(len, grids)))]
+    return [SideBySide(own, columns)]
 
 
 def _record_moments(
@@ -181,11 +187,12 @@ def _record_moments(
     delay_samples: int,
     filters: Sequence[Filter],
     outputs: Sequence[int],
+    with_derivatives: bool,
 ) -> Moments:
     u, y = delayed(record, start, delay_samples), record.y_um[list(outputs)]
-    blocks = regressor_blocks(u, start, grids, filters)
+    blocks = regressor_blocks(u, start, grids, filters, with_derivatives=with_derivatives)
     pairs = ((x, y[:, k : k + x.shape[1]]) for k, x in blocks)
-    return moments_of(pairs, sum(map(len, grids)), len(y))
+    return moments_of(pairs, sum(map(len, grids)) * (1 + with_derivatives), len(y))
 
 
 def solve_static(
