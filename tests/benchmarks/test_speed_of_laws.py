@@ -8,6 +8,7 @@ from references import experiment_diagram
 
 from hammerstein.compensators.exact_inverse import ExactInverse
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
+from hammerstein.instruments import standard_noise
 from hammerstein.measure import rows_of
 from hammerstein.scenario import Scenario
 from hammerstein.setup import prepare
@@ -58,7 +59,7 @@ def test_whole_experiment_against_a_block_diagram(bench):
     few = slice(0, bench.fewer(2000))
     time_s = response.time_s[few]
     diagram = experiment_diagram(setup.plant, setup.laws[case.label])
-    drawn = np.random.default_rng(case.seed(setup.scenario.seed)).standard_normal(response.reading_um.shape)
+    drawn = standard_noise(np.random.default_rng(case.seed(setup.scenario.seed)), *response.reading_um.shape)
     wires = np.concatenate([response.reference_um, drawn])[:, few]
 
     def simulated():
