@@ -10,6 +10,7 @@ from pathlib import Path
 from hammerstein.errors import InputError
 
 LARGEST_TEXT_BYTES = 50_000_000
+_UNFINISHED: set[str] = set()
 
 
 def read_limited(path: Path, what: str, limit: int = LARGEST_TEXT_BYTES) -> str:
@@ -36,12 +37,14 @@ def write_atomic(path: Path, content: str | bytes) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        _UNFINISHED.add(temporary)
         with os.fdopen(handle, "wb") as file:
             file.write(data)
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, path)
+        _UNFINISHED.discard(temporary)
     except OSError as error:
         _discard(temporary)
         raise InputError(str(path), f"cannot be written ({_reason(error)}); choose another place") from None
@@ -71,8 +74,15 @@ def refuse_unwritable(option: str, folder: Path) -> None:
         raise InputError(option, f"the folder {place} cannot be written; choose another place")
 
 
+def discard_unfinished() -> None:
+    """Remove what is half-written at this moment, for a process that ends at once."""
+    for temporary in tuple(_UNFINISHED):
+        _discard(temporary)
+
+
 def _discard(temporary: str | None) -> None:
     if temporary is not None:
+        _UNFINISHED.discard(temporary)
         with contextlib.suppress(OSError):
             os.unlink(temporary)
 

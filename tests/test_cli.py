@@ -163,6 +163,21 @@ def test_check_fails_without_baseline_then_passes_then_sees_a_change(folder, cap
     assert "scenario" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("wait_s", [1.0, 2.0, 3.0])
+def test_ctrl_c_while_the_processes_begin_is_quiet(folder, wait_s):
+    for k in range(4):
+        (folder / "scenarios" / f"s{k}.toml").write_text(SMALL)
+    command = [sys.executable, "-m", "hammerstein", "run", "scenarios", "--jobs", "2"]
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
+    with subprocess.Popen(command, **options) as process:
+        time.sleep(wait_s)
+        os.killpg(process.pid, signal.SIGINT)
+        _, error = process.communicate(timeout=60)
+    assert process.returncode in (130, 0)  # it may have been quicker
+    assert "Traceback" not in error
+    assert "Exception" not in error
+
+
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_ctrl_c_keeps_what_is_finished_and_leaves_no_half_file(folder, jobs):
     many = ", ".join(str(5 + 0.01 * i) for i in range(3000))
