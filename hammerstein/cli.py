@@ -65,7 +65,7 @@ def main(arguments: list[str] | None = None) -> None:
         _complain(str(error))
         sys.exit(error.exit_code)
     except _Interrupted:
-        _complain("interrupted; the reports that were finished are written")
+        _complain("interrupted; what was finished is written, and nothing else")
         sys.exit(INTERRUPTED)
 
 

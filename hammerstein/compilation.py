@@ -18,7 +18,7 @@ def compile_once(say: Callable[[str], None]) -> None:
     """Compile every loop by using it, if numba's cache holds none yet, as after installation."""
     if not _must_compile():
         return
-    say("compiling the time loops, once after installation (about 15 s)")
+    say("compiling the time loops, once after installation (15 to 25 s)")
     for _ in side_by_side((_use_the_others, _use_inverse), 2):
         pass
 

@@ -231,8 +231,9 @@ def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
         return []
     reading, true, row = max(lagging, key=lambda found: found[0] - found[1])
     return [
-        f"The sensor of {bandwidth:g} Hz lags: with {row.compensator} at {row.frequency_hz:g} Hz its reading "
-        f"on {row.measured_axis} is {reading:.3g} um rms off the reference, the true position {true:.3g} um. "
+        f"The sensor of {bandwidth:g} Hz lags: with {row.compensator!r} at {row.frequency_hz:g} Hz its "
+        f"reading on {row.measured_axis} is {reading:.3g} um rms off the reference, the true position "
+        f"{true:.3g} um. "
         "A compensator is to be judged by the true position."
     ]
 

@@ -30,8 +30,9 @@ def _refuse_output(out: Path, inputs: list[Path]) -> None:
     from hammerstein.files import refuse_unwritable
 
     refuse_unwritable("--out", out.parent)
-    if out.is_dir():
-        raise InputError("--out", f"{out} is a folder; give the name of a file")
+    if out.exists() and not out.is_file():
+        what = "a folder" if out.is_dir() else "no ordinary file"
+        raise InputError("--out", f"{out} is {what}; give the name of a file")
     if any(path.resolve() == out.resolve() for path in inputs):
         raise InputError("--out", f"{out} is one of the files that are read; choose another name")
 

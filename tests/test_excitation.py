@@ -75,3 +75,9 @@ def test_dynamics_that_the_records_do_not_tell_are_the_first_thing_said():
     _, fit = identify([slow], settings)
     assert fit.kind == "static_hysteresis"
     assert fit.verdict.startswith("Dynamics were asked for, but the records tell none: THIS MODEL IS STATIC.")
+
+
+def test_a_butterfly_is_flagged_and_not_taken_for_swapped_columns():
+    y = theory.prandtl_ishlinskii([SINE], [THRESHOLDS[0][:1]], [WEIGHTS[0][:1]])
+    _, fit = identify([Record([SINE], y**2 / 60.0, 1e-4)], QUICK)
+    assert any("no rising loop" in flag for flag in fit.flags)

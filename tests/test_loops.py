@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import theory
 
 from hammerstein.errors import InputError
 from hammerstein.identification.loops import branches, loop_table, pair_loops, settled_loop
@@ -391,3 +392,12 @@ def test_measured_magnetic_loops_are_closed():
         ):
             assert loop.settled
             assert loop.area_v_um > 0
+
+
+def test_a_cycle_that_does_not_close_has_not_settled():
+    u = 10.0 * np.sin(2.0 * np.pi * np.arange(1600) / 400)
+    y = theory.prandtl_ishlinskii([u], [[np.array([0.0, 1.0, 3.0])]], [[np.array([3.0, 1.0, 0.5])]])
+    y = y + 8.0 * np.exp(-np.arange(1600) / 60.0)  # what rings off in the first cycle
+    table = [loop for loop in loop_table(Record([u], y, 1e-3)) if not loop.minor]
+    assert [loop.settled for loop in table] == [False, *[True] * (len(table) - 1)]
+    assert abs(table[0].closure_um) > 10 * abs(table[-1].closure_um)

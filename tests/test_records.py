@@ -701,3 +701,24 @@ def test_message_survives_json(csv):
     assert json.loads(json.dumps(caught.value.mistakes)) == [
         list(mistake) for mistake in caught.value.mistakes
     ]
+
+
+def test_jitter_is_no_gap(tmp_path):
+    step = 50e-6
+    time_s = step * np.arange(4000) + 0.2 * step * np.random.default_rng(0).standard_normal(4000)
+    u = np.sin(2.0 * np.pi * 50.0 * time_s)
+    path, table = tmp_path / "jitter.csv", np.column_stack([np.sort(time_s), u, 5.0 * u])
+    np.savetxt(path, table, delimiter=",", header="t,u,y", comments="")
+    with pytest.raises(InputError, match="non-uniform time") as caught:
+        read_records([path], inputs=["u"], outputs=["y"], time="t")
+    assert "missing" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["time_ms", "t [us]", "Time (ms)"])
+def test_a_time_that_names_another_unit_is_refused(tmp_path, name):
+    path = tmp_path / "ms.csv"
+    u = np.sin(0.1 * np.arange(200))
+    table = np.column_stack([np.arange(200), u, u])
+    np.savetxt(path, table, delimiter=",", header=f"{name},u,y", comments="")
+    with pytest.raises(InputError, match="another unit than s; give --rate"):
+        read_records([path], inputs=["u"], outputs=["y"], time=name)

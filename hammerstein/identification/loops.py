@@ -306,7 +306,9 @@ def _compared(k: int, loops: Sequence[Loop], paths: Sequence[_Path], band_v: flo
             # where samples miss the tips, voltages differ a little: twice the mean slope of that is no drift
             explained = apart_v * loop.height_um / loop.amplitude_v
             difference = sign * (_profile(paths[other]) - _profile(path))
-            settled = float(np.sqrt(np.mean(difference**2))) <= limit + explained
+            alike = float(np.sqrt(np.mean(difference**2))) <= limit + explained
+            # the first cycle from rest differs where it begins only, which shows in what does not close
+            settled = alike and abs(loop.closure_um) <= limit + explained
             return replace(loop, drift_um=float(difference.mean()), settled=settled)
     closed = abs(float(path.u[0] - path.u[-1])) <= max(same_v, 0.01 * loop.amplitude_v)
     return replace(loop, settled=closed and abs(loop.closure_um) <= limit)

@@ -22,6 +22,8 @@ DELAY_OPERATORS = 15
 DELAY_BLOCKS = 10
 DELAY_GAIN = 0.01
 """Part by which a longer delay must lower the error, or the shorter one is kept."""
+ALIKE = 0.5
+"""Correlation of output and input from which a lead has a meaning."""
 LEAD_RAD = -0.03
 FARTHEST_LEAD_RAD = -0.8
 """A lead beyond this is no swapped loop but a lag of more than half a turn."""
@@ -225,11 +227,18 @@ def _cross_spectra(record: Record) -> NDArray[np.complex128]:
     return spectra
 
 
+def _unit(signals: Array) -> Array:
+    """Signals (axis, sample) about their means, of length 1; zero where one stands still."""
+    centred = signals - signals.mean(axis=1, keepdims=True)
+    return np.asarray(centred / np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), 1e-300))
+
+
 def leads(record: Record) -> tuple[tuple[int, int], ...]:
     """Pairs (output, input) in which the output runs ahead of the input, as in swapped columns.
 
     Only the output that answers an input most is judged, and only a lead of 0.03 to 0.8 rad at a positive
-    gain: beyond that, a lead cannot be told from the lag of a resonance.
+    gain: beyond that, a lead cannot be told from the lag of a resonance. Nor is an output judged that hardly
+    looks like the input, such as a butterfly.
 
     Parameters
     ----------
@@ -243,9 +252,12 @@ def leads(record: Record) -> tuple[tuple[int, int], ...]:
     ((), ((0, 0),))
     """
     spectra, lag = _cross_spectra(record), lag_rad(record)
+    answers = np.abs(_unit(record.y_um) @ _unit(record.u_v).T)
     strongest = [(int(np.argmax(np.abs(spectra[:, k]))), k) for k in driven_inputs(record)]
     return tuple(
-        (o, k) for o, k in strongest if FARTHEST_LEAD_RAD < lag[o, k] < LEAD_RAD and spectra[o, k].real > 0
+        (o, k)
+        for o, k in strongest
+        if FARTHEST_LEAD_RAD < lag[o, k] < LEAD_RAD and spectra[o, k].real > 0 and answers[o, k] > ALIKE
     )
 
 

@@ -150,7 +150,8 @@ def time_mistakes(name: str, time_s: Array, rows: Rows) -> list[Mistake]:
             )
         ]
     gaps = np.flatnonzero(steps > 1.5 * typical)
-    if gaps.size:
+    short = np.count_nonzero(steps < 0.5 * typical)
+    if gaps.size > 2 * short:  # else long and short steps make up for each other: jitter
         return [_time_gap(name, time_s, rows, int(k), typical) for k in gaps[:SHOWN]] + _more(name, gaps.size)
     deviation = np.abs(time_s - _grid(time_s))
     if deviation.max() > time_tolerance(time_s):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
 from itertools import chain
@@ -29,6 +30,7 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 PathLike = str | Path
 
+OTHER_UNIT = re.compile(r"(^|[^a-z])(ms|us|µs|ns|min)\W*$", re.IGNORECASE)
 OTHER_RATE = 0.01
 """Part by which a rate may differ from the one of the file's time column."""
 AXES = ("sample", "channel", "experiment", "period")
@@ -283,6 +285,9 @@ def _refuse_other_rate(path: PathLike, rate_hz: float, wanted: Sequence[str]) ->
 def _sample_time(columns: Columns) -> tuple[list[Mistake], float]:
     """Mistakes of the time column, which is the last one, and the sample time."""
     name, time_s = columns.names[-1], columns.values[-1]
+    if OTHER_UNIT.search(name):
+        what = "is a time in another unit than s; give --rate in Hz instead of --time"
+        return [Mistake(where(name), what)], 1.0
     if len(time_s) < 2 or not np.isfinite(time_s).all():
         return [], 1.0  # told already, as too short or as gaps
     mistakes = time_mistakes(name, time_s, columns.rows)

@@ -89,6 +89,10 @@ class Settings:
             mistakes.append(Mistake("operators", f"{self.operators!r} is not known; give a number or auto"))
         if self.thresholds_v is not None and self.operators == "auto":
             mistakes.append(Mistake("operators", "cannot be auto where thresholds are given"))
+        if self.method == "closed_form" and self.ridge > 0.0:
+            mistakes.append(
+                Mistake("ridge", "belongs to the methods that solve least squares, not closed_form")
+            )
         return [*mistakes, *self._misfits_of_fitted()]
 
     def _misfits_of_fitted(self) -> list[Mistake]:
