@@ -34,10 +34,11 @@ the table says otherwise. This page and the fit reports are written by
   github.com/romanszewczyk/JAmodel (MIT).
 
 Errors are rms values in percent of the range of the output; for the mirror also in percent of the rms of the
-output (mean of the three outputs). Held back: records that the fit has not seen.
+output (mean of the three outputs). Held back: records that the fit has not seen. Wanted: what this project
+asks of itself; the tests check it where the records are at hand.
 
-| record | model | fitted [%] | held back [%] | what is said |
-| --- | --- | ---: | ---: | --- |
+| record | model | fitted [%] | held back [%] | wanted [%] | what is said |
+| --- | --- | ---: | ---: | --- | --- |
 """
 MAGNETS = (
     ("11_TwoStepSolver_{}_MnZn_HP_ferrite.mat", "ferrite, high permeability"),
@@ -56,17 +57,17 @@ def micromanipulator(folder: Path) -> Iterator[str]:
 
     records, held = read("Model_Vi_Do.dat"), read("Test_Vi_Do_Di.dat")
     cases = (
-        ("micromanipulator", "bounded partial sums, delay found", {}),
-        ("", "the same without delay", {"delay_samples": 0}),
-        ("", "closed form (paper), delay found", {"method": "closed_form"}),
+        ("micromanipulator", "`invertible`, delay found", "0.85, held back 1.2", {}),
+        ("", "`invertible`, no delay", "0.85, held back 1.4", {"delay_samples": 0}),
+        ("", "`closed_form` (paper), delay found", "held back 1.4", {"method": "closed_form"}),
     )
-    for name, what, options in cases:
+    for name, what, wanted, options in cases:
         model, fit = identify(records, Settings(**options), validation=held, name="micromanipulator")
         delay = f"delay of {fit.delay_samples} sample; " if fit.delay_samples else ""
         errors = (fit.fit, fit.validation)
         cells = [f"{scores[fit.kind].nrmse_percent[0]:.3f}" for scores in errors]
         linear = f"linear gain {fit.validation['linear'].nrmse_percent[0]:.2f}"
-        yield row(link(model, fit, name), what, *cells, f"{delay}{linear} held back")
+        yield row(link(model, fit, name), what, *cells, wanted, f"{delay}{linear} held back")
 
 
 def mirror(folder: Path) -> Iterator[str]:
@@ -78,7 +79,7 @@ def mirror(folder: Path) -> Iterator[str]:
         return read_paired_records(*files, axes=axes, rate_hz=6400.0, output_scale=1e6)
 
     settings = Settings(dynamics="state_space", order=28, operators=2, error_curve=False)
-    for level in (100, 200, 300):
+    for level, most in ((100, 8.4), (200, 8.0), (300, 5.6)):
         model, fit = identify(
             read(level, "train"), settings, validation=read(level, "test"), name=f"mirror at {level} mV"
         )
@@ -89,7 +90,7 @@ def mirror(folder: Path) -> Iterator[str]:
             cells.append(f"{score.mean_percent:.3f} ({relative:.2f} of rms)")
         said = fit.verdict.split(" of the range. ")[1].split(":")[0]
         name = link(model, fit, f"mirror_{level}mV")
-        yield row(name, "linear dynamics of order 28", *cells, said)
+        yield row(name, "linear dynamics of order 28", *cells, f"{most} of rms", said)
 
 
 def magnets(folder: Path) -> Iterator[str]:
@@ -102,7 +103,8 @@ def magnets(folder: Path) -> Iterator[str]:
             percent = fit.fit["static_hysteresis"].nrmse_percent[0]
             said = "; ".join(flag.split(":")[0] for flag in fit.flags) or "follows"
             loop = f"{name}, up to {record.u_v.max():.3g} A/m"
-            yield row(loop, "Prandtl-Ishlinskii", f"{percent:.3f}", "", said.replace("y1 ", ""))
+            wanted = "to be flagged" if fit.flags else "0.25" if "steel" not in name else ""
+            yield row(loop, "Prandtl-Ishlinskii", f"{percent:.3f}", "", wanted, said.replace("y1 ", ""))
 
 
 def link(model: HammersteinModel, fit: Fit, name: str) -> str:
