@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,8 +45,6 @@ class Line:
 
 def claims_csv(reports: Sequence[Report]) -> str:
     """All claims of all reports as CSV: one line for each claim and actuator."""
-    import pandas as pd
-
     table = [
         {
             "id": verdict.id,
@@ -62,7 +62,11 @@ def claims_csv(reports: Sequence[Report]) -> str:
         for verdict in report.verdicts
         for answer in verdict.answers
     ]
-    return str(pd.DataFrame(table).to_csv(index=False, lineterminator="\n"))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(table[0]) if table else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(table)
+    return text.getvalue()
 
 
 def write_page(reports: Sequence[Report], out: Path, page: Path) -> None:

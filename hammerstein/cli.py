@@ -84,16 +84,17 @@ def run(
     as_json: AsJson = False,
 ) -> None:
     """Run scenarios and write a report for each: numbers, a page, figures."""
+    from hammerstein.processes import begin_loading
+
+    if jobs > 1 and (len(paths) > 1 or paths[0].is_dir()):
+        begin_loading()  # before this process loads what it needs itself
     from hammerstein.batch import Writer, load_all, run_all
     from hammerstein.claims_page import claims_csv, write_page
     from hammerstein.compilation import compile_once
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable, write_atomic
-    from hammerstein.processes import begin_loading
     from hammerstein.tables import claims_table, result_table, show
 
-    if jobs > 1 and (len(paths) > 1 or paths[0].is_dir()):
-        begin_loading()
     refuse_unwritable("--out", out)
     if page is not None:
         refuse_unwritable("--page", page)

@@ -18,6 +18,8 @@ from hammerstein.files import discard_unfinished
 T = TypeVar("T")
 
 ENDED = 143
+GARBAGE = (50_000, 20, 50)
+"""How seldom garbage is searched: figures are many small objects, and most of them stay until the end."""
 PATIENCE_S = 3.0
 
 LOADED_ONCE = (
@@ -106,6 +108,7 @@ def _ready() -> None:
     can pass them by.
     """
     gc.freeze()
+    gc.set_threshold(*GARBAGE)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
 

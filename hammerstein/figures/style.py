@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 Role = Literal["reading", "reference", "voltage", "error"]
 
 WIDTH_IN = 8.0  # at 100 pixels an inch the width of a page on a screen
-PNG_DPI = 150
+PNG_DPI = 125  # 1000 pixels wide
 LONGEST_TITLE = 80  # characters that fit the width
 MOST_POINTS = 11_000  # of all curves of a figure together: keeps an SVG below 400 kB
 
