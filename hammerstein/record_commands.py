@@ -113,6 +113,9 @@ def identify(
     partition: Annotated[
         str, typer.Option(help="Thresholds: uniform in time or voltage, or fitted to the records.")
     ] = "time",
+    thresholds: Annotated[
+        str | None, typer.Option(metavar="V[,V]", help="Thresholds in V for all pairs, instead of these.")
+    ] = None,
     method: Annotated[
         str, typer.Option(help="invertible, least_squares, nonnegative or closed_form.")
     ] = "invertible",
@@ -145,6 +148,7 @@ def identify(
 
     settings = settings_of(
         operators=operators,
+        thresholds=thresholds,
         partition=partition,
         method=method,
         ridge=ridge,

@@ -75,6 +75,16 @@ def test_identify_writes_a_model_that_scenarios_can_run(records, tmp_path, capsy
     assert _call("run", tmp_path / "circle.toml", "--out", tmp_path / "reports", "--no-figures") == 0
 
 
+def test_thresholds_can_be_given(records, tmp_path, capsys):
+    out = tmp_path / "m.json"
+    arguments = ("identify", *records, *COLUMNS, "--rate", 20000, "--no-figures", "--out", out)
+    assert _call(*arguments, "--thresholds", "0,0.5,3") == 0
+    assert HammersteinModel.load(str(out)).hysteresis.pairs[0][0].thresholds_v.tolist() == [0.0, 0.5, 3.0]
+    capsys.readouterr()
+    assert _call(*arguments, "--thresholds", "0;1") == 2
+    assert "no voltages with commas between them" in capsys.readouterr().err
+
+
 def test_json_holds_fit_and_validation(records, tmp_path, capsys):
     pd.read_csv(records[0]).to_csv(tmp_path / "held.csv", index=False)
     options = ("--validate", tmp_path / "held.csv", "--no-figures", "--json")

@@ -182,11 +182,19 @@ def _given(
     return rows
 
 
-def settings_of(operators: str, **options: Any) -> Settings:
+def settings_of(operators: str, thresholds: str | None = None, **options: Any) -> Settings:
     """Settings from words of a command line: ``operators`` is a number or ``auto``.
+
+    ``thresholds`` are voltages with commas between them, for all pairs, in place of a partition.
 
     Raises InputError for what is not known or does not fit together.
     """
+    if thresholds is not None:
+        try:
+            options["thresholds_v"] = [float(word) for word in thresholds.split(",")]
+        except ValueError:
+            what = f"{thresholds!r} are no voltages with commas between them, such as 0,0.5,1.2"
+            raise InputError("identification", [Mistake("thresholds", what)]) from None
     if operators != "auto" and not operators.isdigit():
         raise InputError(
             "identification", [Mistake("operators", f"{operators!r} is neither a number nor auto")]
