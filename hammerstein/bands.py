@@ -24,23 +24,19 @@ def bands_of(setup: SetUp, cases: Sequence[Case], jobs: int, progress: Progress 
     """
     from joblib import Parallel, delayed
 
-    plants = _drawn(setup)
+    uncertainty, nominal = setup.scenario.uncertainty, setup.plant
+    if uncertainty is None:
+        return ()
+    drawn = (uncertainty.draw(nominal.model, nominal.instruments, n) for n in range(uncertainty.draws))
+    plants = [Plant(*pair) for pair in drawn]
     bands: list[Band] = []
     parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")
-    tasks = (delayed(_over_draws)(setup, case, plants) for case in cases if plants)
+    tasks = (delayed(_over_draws)(setup, case, plants) for case in cases)
     for done, draws in enumerate(parallel(tasks), start=1):
         bands += (band for same in zip(*draws, strict=True) for band in _bands(same))
         if progress:
             progress("drawing actuators", done, len(cases))
     return tuple(bands)
-
-
-def _drawn(setup: SetUp) -> list[Plant]:
-    """Actuators near the nominal one."""
-    uncertainty, nominal = setup.scenario.uncertainty, setup.plant
-    if uncertainty is None:
-        return []
-    return [Plant(*uncertainty.draw(nominal.model, nominal.instruments, n)) for n in range(uncertainty.draws)]
 
 
 def _over_draws(setup: SetUp, case: Case, plants: Sequence[Plant]) -> list[tuple[Row, ...]]:

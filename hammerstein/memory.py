@@ -11,12 +11,11 @@ COPIES = 3
 """Peak of a run in parts of the wires that it keeps."""
 
 
-def refuse_too_long(source: str, samples: int, inputs: int, outputs: int) -> None:
+def refuse_too_long(samples: int, inputs: int, outputs: int) -> None:
     """Refuse a run whose wires do not fit the memory of this machine, where the system tells how much it has.
 
     Parameters
     ----------
-    source : scenario, for the message
     samples : length of the run
     inputs, outputs : axes of the actuator
 
@@ -31,7 +30,7 @@ def refuse_too_long(source: str, samples: int, inputs: int, outputs: int) -> Non
     needed = COPIES * BYTES * samples * (2 * inputs + 4 * outputs)
     if needed > there:
         raise SimulationError(
-            f"{source}: a run of {samples:.3g} samples needs about {needed / 1e9:.3g} GB of memory, this "
+            f"a run of {samples:.3g} samples needs about {needed / 1e9:.3g} GB of memory, this "
             f"machine has {there / 1e9:.3g}. Measure fewer cycles, settle for a shorter time, use a longer "
             "instruments.drive.sample_time_s, or simulate it from Python with simulate_in_stretches."
         )

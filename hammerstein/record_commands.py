@@ -5,10 +5,14 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from hammerstein.identification.records import Record
 
 Files = Annotated[
     list[Path], typer.Argument(metavar="FILE...", help="Records: CSV, .dat, .npy, .mat, Parquet.")
@@ -45,6 +49,23 @@ def _columns(words: str) -> list[str]:
     return [word.strip() for word in words.split(",") if word.strip()]
 
 
+def _reader(
+    inputs: str, outputs: str, rate: float | None, time: str | None, input_scale: float, output_scale: float
+) -> partial[tuple[Record, ...]]:
+    """How the files of a command are read."""
+    from hammerstein.identification.records import read_records
+
+    return partial(
+        read_records,
+        inputs=_columns(inputs),
+        outputs=_columns(outputs),
+        rate_hz=rate,
+        time=time,
+        input_scale=input_scale,
+        output_scale=output_scale,
+    )
+
+
 def loops(
     files: Files,
     inputs: Inputs,
@@ -61,21 +82,12 @@ def loops(
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.loops import loop_table
-    from hammerstein.identification.records import read_records
     from hammerstein.tables import loops_table, show
 
     if figures:
         refuse_unwritable("--out", out)
-    records = read_records(
-        files,
-        inputs=_columns(inputs),
-        outputs=_columns(outputs),
-        rate_hz=rate,
-        time=time,
-        input_scale=input_scale,
-        output_scale=output_scale,
-        all_driven=False,
-    )
+    read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
+    records = read(files, all_driven=False)
     found = {record.source: loop_table(record) for record in records}
     for source, table in found.items():
         if not table:
@@ -93,7 +105,7 @@ def loops(
         from hammerstein.figures import save_figures
         from hammerstein.figures.measured import loops_of_records
 
-        figure = loops_of_records(records, [loop_table(record) for record in records])
+        figure = loops_of_records(records, [found[record.source] for record in records])
         for path in save_figures({"loops": figure} if figure else {}, out / Path(files[0]).stem):
             typer.echo(str(path), err=as_json)
 
@@ -142,7 +154,8 @@ def identify(
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
     from hammerstein.fit_output import write_fit
-    from hammerstein.identification.fit_report import fit_json, identify_files
+    from hammerstein.identification.fit_report import fit_json
+    from hammerstein.identification.identify import identify as identified
     from hammerstein.identification.settings import settings_of
     from hammerstein.tables import fit_table, show
 
@@ -169,18 +182,10 @@ def identify(
     refuse_unwritable("--report", folder)
     compile_once(_say)
     with _Spinner() as spinner:
-        model, fit = identify_files(
-            files,
-            inputs=_columns(inputs),
-            outputs=_columns(outputs),
-            rate_hz=rate,
-            time=time,
-            input_scale=input_scale,
-            output_scale=output_scale,
-            validate=held,
-            settings=settings,
-            name=out.stem,
-            progress=spinner.tell,
+        read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
+        validation = read(held, all_driven=False) if held else ()
+        model, fit = identified(
+            read(files), settings, validation=validation, name=out.stem, progress=spinner.tell
         )
     write_fit(model, fit, out, folder, figures)
     if as_json:

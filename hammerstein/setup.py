@@ -102,15 +102,15 @@ class SetUp:
         scenario, plant = self.scenario, self.plant
         window = Window.of(scenario, case.signal, plant.sample_time_s)
         hysteresis = plant.model.hysteresis
-        refuse_too_long("the run", window.total, hysteresis.n_inputs, hysteresis.n_outputs)
+        refuse_too_long(window.total, hysteresis.n_inputs, hysteresis.n_outputs)
         values = self._values(case, 0, window.total)
         if scenario.drive is not None:
-            return lambda plant, seed: plant.respond(values, case.seed(seed))
+            return lambda tested, seed: tested.respond(values, case.seed(seed))
         law = self.laws[case.label]
         if isinstance(law, Feedback):
-            return lambda plant, seed: _closed(plant, law, values, case.seed(seed))
+            return lambda tested, seed: _closed(tested, law, values, case.seed(seed))
         voltages = law.drive_for(values)
-        return lambda plant, seed: plant.respond(voltages, case.seed(seed), reference_um=values)
+        return lambda tested, seed: tested.respond(voltages, case.seed(seed), reference_um=values)
 
     def stretches(self, case: Case, samples: int) -> Iterator[Response]:
         """Response of one case, stretch by stretch: for runs that do not fit the memory.

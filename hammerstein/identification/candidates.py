@@ -120,11 +120,10 @@ class Built:
 
 def build_static(task: Task) -> Built:
     """Linear gain and static hysteresis, the latter with fitted thresholds if they are asked for and gain."""
-    built = _unfitted_static(task)
-    return _with_thresholds(task, built) if task.settings.partition == "fitted" else built
+    return _finished(task, _begun_static(task))
 
 
-def _unfitted_static(task: Task) -> Built:
+def _begun_static(task: Task) -> Built:
     """Linear gain and static hysteresis with the thresholds of the task."""
     dynamics = StaticDynamics(n_outputs=task.outputs)
     task.progress("fitting the static block")
@@ -137,8 +136,10 @@ def _unfitted_static(task: Task) -> Built:
     return Built(candidates, "static_hysteresis", blocks)
 
 
-def _with_thresholds(task: Task, built: Built) -> Built:
-    """Static hysteresis with fitted thresholds; as it was if nothing is gained."""
+def _finished(task: Task, built: Built) -> Built:
+    """Static hysteresis with fitted thresholds if they are asked for; as it was if nothing is gained."""
+    if task.settings.partition != "fitted":
+        return built
     dynamics = StaticDynamics(n_outputs=task.outputs)
     task.progress("fitting the thresholds")
     thresholds_v = _fitted(task, task.thresholds_v, dynamics)
@@ -203,8 +204,7 @@ def _closed_form(task: Task, free: StaticFit) -> StaticFit:
 def build_second_order(task: Task, guess: FirstGuess) -> Built:
     """All four kinds, with second-order axes."""
     settings = task.settings
-    static = _unfitted_static(task)
-    fitted = settings.partition == "fitted"
+    static = _begun_static(task)
     fits: dict[bool, AxesFit] = {}
     for plays, thresholds_v in ((False, task.linear_thresholds()), (True, task.thresholds_v)):
         fits[plays] = fit_axes(
@@ -218,13 +218,13 @@ def build_second_order(task: Task, guess: FirstGuess) -> Built:
         )
     axes = fits[True].axes
     if not any(axis_identified(axis) for axis in axes):
-        return replace(build_static(task) if fitted else static, axes=axes)
+        return replace(_finished(task, static), axes=axes)
     blocks = static_blocks(task, task.thresholds_v, dynamics_of(axes), settings.method)
     if not _felt(static.blocks.chosen, blocks.chosen):
         unfelt = [replace(axis, rms_um=axis.static_rms_um) for axis in axes]
-        return replace(build_static(task) if fitted else static, axes=tuple(unfelt))
+        return replace(_finished(task, static), axes=tuple(unfelt))
     notes: tuple[str, ...] = ()
-    if fitted:
+    if settings.partition == "fitted":
         start = blocks
         axes, blocks = _thresholds_and_axes(task, guess, axes, start)
         notes = (KEPT,) if blocks is start else ()

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from pathlib import Path, PurePath
+from pathlib import PurePath
 from typing import Any
 
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
-from hammerstein.identification.identify import Progress, identify
 from hammerstein.identification.prediction import Score
-from hammerstein.identification.records import read_records
-from hammerstein.identification.settings import Settings
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 
 CAPTIONS = {
@@ -23,48 +19,6 @@ CAPTIONS = {
     "response": "Gain of each pair, measured and by the model at the amplitude of the records, and the part "
     "of each output's power that the inputs explain linearly.",
 }
-
-
-def identify_files(
-    paths: Sequence[str | Path],
-    *,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    rate_hz: float | None = None,
-    time: str | None = None,
-    input_scale: float = 1.0,
-    output_scale: float = 1.0,
-    validate: Sequence[str | Path] = (),
-    settings: Settings | None = None,
-    name: str = "identified",
-    instruments: Instruments | None = None,
-    progress: Progress | None = None,
-) -> tuple[HammersteinModel, Fit]:
-    """Identify a model from files; nothing is written.
-
-    The arguments up to ``output_scale`` are those of ``read_records``, the others those of ``identify``;
-    ``validate`` are files that are held back.
-
-    Raises
-    ------
-    InputError : every mistake of every file, or settings that do not fit together
-    IdentificationError : records that do not determine the model
-    """
-
-    def read(files: Sequence[str | Path], all_driven: bool) -> Any:
-        return read_records(
-            files,
-            inputs=inputs,
-            outputs=outputs,
-            rate_hz=rate_hz,
-            time=time,
-            input_scale=input_scale,
-            output_scale=output_scale,
-            all_driven=all_driven,
-        )
-
-    records, held = read(paths, True), read(validate, False) if validate else ()
-    return identify(records, settings, validation=held, name=name, instruments=instruments, progress=progress)
 
 
 def fit_json(model: HammersteinModel, fit: Fit) -> str:

@@ -1,0 +1,129 @@
+"""Measured records: what their models must reach, and what must be said of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hammerstein.dynamics import StateSpaceDynamics
+from hammerstein.identification import Settings, identify, read_paired_records, read_records
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+DBO = DATA / "dbo_piezo_micromanipulator"
+JA = DATA / "ja_magnetic_loops"
+CUBESPEC = DATA / "cubespec_fsm"
+
+needs_dbo = pytest.mark.skipif(not DBO.is_dir(), reason="the micromanipulator's records are not here")
+needs_ja = pytest.mark.skipif(not JA.is_dir(), reason="the magnetic loops are not here")
+needs_cubespec = pytest.mark.skipif(not CUBESPEC.is_dir(), reason="the mirror's records are not here")
+
+QUICK = {"error_curve": False}
+
+
+# Measured: one axis of a micromanipulator -------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def micromanipulator():
+    def read(name):
+        return read_records([DBO / name], inputs=["1"], outputs=["5"], rate_hz=200.0)
+
+    return read("Model_Vi_Do.dat"), read("Test_Vi_Do_Di.dat")
+
+
+@needs_dbo
+@pytest.mark.parametrize(
+    ("settings", "fitted_percent", "held_percent"),
+    [
+        ({"delay_samples": 0}, 0.85, 1.4),
+        ({}, 0.85, 1.2),
+        ({"method": "closed_form"}, 1.5, 1.4),
+    ],
+)
+def test_micromanipulator_is_followed_by_15_operators(
+    micromanipulator, settings, fitted_percent, held_percent
+):
+    records, held = micromanipulator
+    _, fit = identify(records, Settings(**settings, **QUICK), validation=held)
+    assert fit.fit["static_hysteresis"].nrmse_percent[0] <= fitted_percent
+    assert fit.validation["static_hysteresis"].nrmse_percent[0] <= held_percent
+    assert fit.fit["linear"].nrmse_percent[0] > 5.0
+    assert fit.delay_samples == settings.get("delay_samples", 1)
+    assert fit.starts[0].kind == "repeated"  # the sensor stands 30 um away from the loop at first
+    assert "Hysteresis earns its place" in fit.verdict
+    assert fit.invertible
+
+
+@needs_dbo
+def test_micromanipulator_moves_too_slowly_to_tell_a_resonance(micromanipulator):
+    model, fit = identify(micromanipulator[0], Settings(dynamics="second_order", **QUICK))
+    assert fit.kind == "static_hysteresis"
+    assert model.dynamics.kind == "static"
+    assert fit.not_identifiable[0].startswith("resonance and damping of 5")
+
+
+@needs_dbo
+def test_error_against_operators_levels_off(micromanipulator):
+    _, fit = identify(micromanipulator[0], Settings(operators="auto"))
+    errors = {point.operators: point.mean_percent for point in fit.error_curve}
+    assert errors[1] > 5.0 * errors[15]
+    assert errors[15] < 1.1 * min(errors.values())
+    assert 4 <= fit.operators[0][0] <= 15
+
+
+# Measured: magnetic loops -----------------------------------------------------------------------------------
+
+
+def loops(name):
+    field, flux = (JA / name.format(quantity) for quantity in "HB")
+    return read_paired_records(field, flux, axes=("sample", "experiment"), rate_hz=100.0)
+
+
+@needs_ja
+@pytest.mark.parametrize(
+    ("name", "low", "saturating"),
+    [
+        ("11_TwoStepSolver_{}_MnZn_HP_ferrite.mat", (0, 1, 2), (3,)),
+        ("12_Automation2018_{}_MnZn_ferrite.mat", (0, 1), (2,)),
+        ("1_isotropic_{}_MnZn_ferrite.mat", (0, 1), (2, 3)),
+        ("2_anisotropic_{}_amorf.mat", (), (0,)),
+    ],
+)
+def test_low_fields_are_followed_and_saturation_is_flagged(name, low, saturating):
+    records = loops(name)
+    fits = [identify([record], Settings(**QUICK))[1] for record in records]
+    for i in low:
+        assert fits[i].fit["static_hysteresis"].nrmse_percent[0] <= 0.25
+        assert fits[i].flags == ()
+    for i in saturating:
+        assert "saturates" in fits[i].flags[0]
+        assert "does not represent these records" in fits[i].verdict
+
+
+@needs_ja
+def test_nested_loops_together_are_missed_and_named():
+    _, fit = identify(loops("10_APPA_{}_M130_27s.mat"), Settings(**QUICK))
+    assert any("experiment 1 is missed by" in flag for flag in fit.flags)
+
+
+# Measured: a mirror with three axes -------------------------------------------------------------------------
+
+
+@needs_cubespec
+@pytest.mark.parametrize(("level_mv", "percent"), [(100, 8.4), (200, 8.0), (300, 5.6)])
+def test_mirror_needs_dynamics_and_no_hysteresis(level_mv, percent):
+    def read(part):
+        files = [CUBESPEC / f"{axis}_{level_mv}mV_{part}.npy" for axis in "uy"]
+        axes = ("sample", "channel", "experiment", "period")
+        return read_paired_records(*files, axes=axes, rate_hz=6400.0, output_scale=1e6)
+
+    settings = Settings(dynamics="state_space", order=28, operators=2, **QUICK)
+    model, fit = identify(read("train"), settings, validation=read("test"))
+    for kind in ("linear_dynamics", "hammerstein"):
+        assert np.mean(fit.validation[kind].output_percent) <= percent
+    assert "The hysteresis block does not earn its place" in fit.verdict
+    assert "The linear dynamics earn their place" in fit.verdict
+    assert isinstance(model.dynamics, StateSpaceDynamics)
+    assert fit.validation["hammerstein"].mean_percent <= 1.05 * fit.validation["linear_dynamics"].mean_percent
