@@ -1,4 +1,6 @@
+import numpy as np
 import pytest
+from record_cases import TIME, U, X, table_text
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -7,3 +9,23 @@ def own_cache(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("HAMMERSTEIN_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield
+
+
+@pytest.fixture
+def table():
+    """Time, voltage and displacement of a loop (sample, column)."""
+    return np.column_stack([TIME, U, X])
+
+
+@pytest.fixture
+def csv(tmp_path, table):
+    """Write lines of a CSV file, changed by the caller, and return its path."""
+
+    def write(change=lambda lines: None, name="loop.csv"):
+        lines = ["t,u_x,x", *table_text(table).splitlines()]
+        change(lines)
+        path = tmp_path / name
+        path.write_text("\n".join(lines) + "\n")
+        return path
+
+    return write

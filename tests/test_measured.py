@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from record_cases import message
 
 from hammerstein.dynamics import StateSpaceDynamics
-from hammerstein.identification import Settings, identify, read_paired_records, read_records
+from hammerstein.identification import Record, Settings, identify, read_paired_records, read_records
+from hammerstein.identification.preparation import driven_inputs, estimate_delay, leads
+from hammerstein.identification.readers import read_columns
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 DBO = DATA / "dbo_piezo_micromanipulator"
@@ -127,3 +130,60 @@ def test_mirror_needs_dynamics_and_no_hysteresis(level_mv, percent):
     assert "The linear dynamics earn their place" in fit.verdict
     assert isinstance(model.dynamics, StateSpaceDynamics)
     assert fit.validation["hammerstein"].mean_percent <= 1.05 * fit.validation["linear_dynamics"].mean_percent
+
+
+# What is read, and what is found out before a fit -----------------------------------------------------------
+
+
+class TestRecords:
+    @pytest.fixture
+    def data(self):
+        if not DATA.is_dir():
+            pytest.skip("measured records are not beside the repository")
+        return DATA
+
+    def test_micromanipulator(self, data):
+        folder = data / "dbo_piezo_micromanipulator"
+        for name, samples in (("Model_Vi_Do.dat", 8027), ("Test_Vi_Do_Di.dat", 14155)):
+            (record,) = read_records([folder / name], inputs=["1"], outputs=["5"], rate_hz=200.0)
+            assert record.samples == samples
+            assert leads(record) == ()
+            assert leads(Record(record.y_um, record.u_v, 5e-3)) == ((0, 0),)
+            assert estimate_delay(record, 8) == 3
+
+    def test_micromanipulators_unused_columns(self, data):
+        path = data / "dbo_piezo_micromanipulator" / "Model_Vi_Do.dat"
+        text = message(read_records, [path], inputs=["2"], outputs=["6"], rate_hz=200.0)
+        assert "column 2, rows 1 to 8027  constant input, always 0" in text
+        assert "column 6, rows 1 to 8027  constant output, always -317.205767" in text
+
+    @pytest.mark.parametrize(("name", "count"), [("train", 6), ("test", 3)])
+    def test_mirror(self, data, name, count):
+        folder = data / "cubespec_fsm"
+        records = read_paired_records(
+            folder / f"u_100mV_{name}.npy",
+            folder / f"y_100mV_{name}.npy",
+            axes=("sample", "channel", "experiment", "period"),
+            rate_hz=6400.0,
+            output_scale=1e6,
+        )
+        assert len(records) == count
+        for record in records:
+            assert record.u_v.shape == record.y_um.shape == (3, 16384)
+            assert record.period_samples == 8192
+            np.testing.assert_allclose(record.u_v.std(axis=1), 0.099, rtol=0.02)
+        assert driven_inputs(records[0]) == (0, 1, 2)
+        assert leads(records[0]) == ()
+
+    def test_magnetic_loops_stand_side_by_side(self, data):
+        folder = data / "ja_magnetic_loops"
+        records = read_paired_records(
+            folder / "10_APPA_H_M130_27s.mat",
+            folder / "10_APPA_B_M130_27s.mat",
+            axes=("sample", "experiment"),
+            rate_hz=1.0,
+        )
+        assert [record.u_v.shape for record in records] == [(1, 256)] * 3
+        assert [leads(record) for record in records] == [()] * 3
+        columns = read_columns(folder / "10_APPA_H_M130_27s.mat", ["HmeasT:2"])
+        np.testing.assert_array_equal(columns.values[0], records[1].u_v[0])

@@ -18,21 +18,27 @@ def test_growth_with_operators(bench, signal, required):
     small = work(with_operators(15), u)
     for n, limit in ((150, None), (1500, required), (10_000, None)):
         large = work(with_operators(n), u)
-        bench.compare(GROUP, f"{n} operators, {signal}", "15 operators", large, small, "<=", limit)
+        assert bench.compare(
+            GROUP, f"{n} operators, {signal}", "15 operators", large, small, "<=", limit
+        ).acceptable
 
 
 @pytest.mark.parametrize("axes", [1, 3, 4])
 def test_growth_with_axes(bench, axes):
     model, u = with_operators(15, axes), sines(bench.samples, axes)
     small = work(with_operators(15), sines(bench.samples))
-    bench.compare(GROUP, f"{axes} x {axes}, 50 Hz sines", "2 x 2", work(model, u), small, "<=")
+    pairs = axes * axes / 4  # no faster than the number of pairs, beside what a call costs
+    what = f"{axes} x {axes}, 50 Hz sines"
+    assert bench.compare(GROUP, what, "2 x 2", work(model, u), small, "<=", pairs + 0.5).acceptable
 
 
-@pytest.mark.parametrize("factor", [0.001, 0.1, 10])
-def test_growth_with_samples(bench, factor, published):
+@pytest.mark.parametrize(("factor", "required"), [(0.01, 25.0), (0.1, 4.0), (10, 1.5)])
+def test_growth_with_samples(bench, factor, required, published):
     model, samples = published.hysteresis, round(factor * bench.samples)
     u = sines(samples)
     large = work(model, u)
     small = work(model, sines(bench.samples))
     what = f"{samples:,} samples, 50 Hz sines"
-    bench.compare(GROUP, what, f"{bench.samples:,} samples", large, small, "<=", repeats=5)
+    assert bench.compare(
+        GROUP, what, f"{bench.samples:,} samples", large, small, "<=", required, repeats=5
+    ).acceptable

@@ -23,7 +23,7 @@ def against_forward(bench, law, model, name, required):
     wanted = model.hysteresis.respond(u)[0]
     ours = Work(lambda: law.respond(wanted), u.shape[1])
     forward = Work(lambda: model.hysteresis.respond(u), u.shape[1])
-    bench.compare(LAWS, name, "forward model", ours, forward, "<=", required, repeats=5)
+    assert bench.compare(LAWS, name, "forward model", ours, forward, "<=", required, repeats=5).acceptable
 
 
 def test_exact_inverse_against_the_forward_model(bench, published):
@@ -72,4 +72,6 @@ def test_whole_experiment_against_a_block_diagram(bench):
     ours = Work(lambda: rows_of(setup, case), response.drive_v.shape[1])
     other = Work(simulated, time_s.size)
     what = f"circle, {response.drive_v.shape[1]:,} samples"
-    bench.compare(EXPERIMENT, what, "control.interconnect", ours, other, ">=", 500.0, repeats=5)
+    assert bench.compare(
+        EXPERIMENT, what, "control.interconnect", ours, other, ">=", 500.0, repeats=5
+    ).acceptable

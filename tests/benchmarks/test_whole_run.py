@@ -15,6 +15,7 @@ from hammerstein.identification import Record, Settings, identify
 
 ROOT = Path(__file__).resolve().parents[2]
 RUN = "Waiting time on the wall (ratio: part of what is allowed)"
+BUSY = 2.0  # times the limit before a benchmark fails: time on the wall is what else the machine does
 PARTS = "Where the time of all shipped scenarios goes, in one process (ratio: part of the whole)"
 
 SPLIT = """
@@ -74,15 +75,16 @@ def python(*arguments, **environment):
     return time.perf_counter() - start, answer.stdout
 
 
-def within(bench, what, seconds, allowed):
-    """Row of a waiting time; a machine that is busy is forgiven more than a ratio."""
-    row = bench.table.add(Row(RUN, what, "limit", seconds, allowed, "s", seconds / allowed, "<=", 1.0))
-    assert row.ratio <= 2.0, f"{what} took {seconds:.3g} s, allowed are {allowed:g} s"
+def waited(bench, what, seconds, allowed):
+    """Ratio of a waiting time to what is allowed, in the table."""
+    row = Row(RUN, what, "limit", seconds, allowed, "s", seconds / allowed, "<=", 1.0)
+    return bench.table.add(row).ratio
 
 
 def test_help_comes_at_once(bench):
     python("-m", "hammerstein", "--help")
-    within(bench, "hammerstein --help", min(python("-m", "hammerstein", "--help")[0] for _ in range(3)), 0.3)
+    quickest = min(python("-m", "hammerstein", "--help")[0] for _ in range(3))
+    assert waited(bench, "hammerstein --help", quickest, 0.3) <= BUSY
 
 
 def test_all_shipped_scenarios(bench, tmp_path):
@@ -91,7 +93,7 @@ def test_all_shipped_scenarios(bench, tmp_path):
     command = ("-m", "hammerstein", "run", "scenarios", "--jobs", "2", "--out", tmp_path)
     python(*command)
     count = len(list((ROOT / "scenarios").glob("*.toml")))
-    within(bench, f"{count} scenarios with figures, two jobs", python(*command)[0], 20.0)
+    assert waited(bench, f"{count} scenarios with figures, two jobs", python(*command)[0], 20.0) <= BUSY
     _, printed = python("-c", SPLIT, "scenarios", tmp_path)
     parts = [(float(line.split(" ", 1)[0]), line.split(" ", 1)[1]) for line in printed.splitlines()]
     whole = sum(seconds for seconds, _ in parts)
@@ -106,7 +108,7 @@ def test_first_run_after_installation(bench, tmp_path):
     command = ("-m", "hammerstein", "run", scenario, "--no-figures", "--out", tmp_path / "reports")
     caches = {"NUMBA_CACHE_DIR": str(tmp_path / "numba")}
     first, later = (python(*command, **caches)[0] for _ in range(2))
-    within(bench, "first run after installation, more than later", first - later, 20.0)
+    assert waited(bench, "first run after installation, more than later", first - later, 20.0) <= BUSY
 
 
 def test_least_squares_on_a_long_record(bench, published):
@@ -120,4 +122,4 @@ def test_least_squares_on_a_long_record(bench, published):
     _, fit = identify([record], settings)
     seconds = time.perf_counter() - start
     assert max(fit.fit["static_hysteresis"].rms_um) < 0.08
-    within(bench, f"identify, 2 x 2, 15 operators, {bench.samples:,} samples", seconds, 5.0)
+    assert waited(bench, f"identify, 2 x 2, 15 operators, {bench.samples:,} samples", seconds, 5.0) <= BUSY
