@@ -109,8 +109,8 @@ class Law(ABC, Generic[S]):
         """Give the law as a discrete ``control.NonlinearIOSystem``.
 
         Its inputs are ``reference_um[o]``, its outputs ``requested_v[k]``, which leave ``preview_samples``
-        later than their reference comes. ``primed`` gives the state to start with, and what to send, where the
-        reference is known ahead.
+        later than their reference comes. ``primed`` gives the state to start with, and what to send, where
+        the reference is known ahead.
 
         Raises InputError for another sample time than the law was designed for.
         """

@@ -109,13 +109,13 @@ class Response(Pictured):
 
         Parameters
         ----------
-        outputs, inputs : wires; the inputs are reference, if there is one, and drive if not given
+        outputs, inputs : wires; the input is the reference, or the drive without one, if not given
 
         Raises InputError for a reference that this run does not have.
         """
         from hammerstein.interop.time_response import time_response
 
-        given = ("drive_v",) if self.reference_um is None else ("reference_um", "drive_v")
+        given: tuple[Wire, ...] = ("drive_v",) if self.reference_um is None else ("reference_um",)
         return time_response(self.time_s, self._signals(outputs), self._signals(inputs or given))
 
     def _signals(self, wires: Sequence[str]) -> dict[str, Array]:

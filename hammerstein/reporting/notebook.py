@@ -15,7 +15,7 @@ from hammerstein.records.record import Record
 from hammerstein.reporting.figures.loops import LoopRun, loops_figure
 from hammerstein.reporting.figures.measured import loops_of_records
 from hammerstein.reporting.figures.path import PathRun, path_figure
-from hammerstein.reporting.figures.style import plain
+from hammerstein.reporting.figures.style import plain, symbol
 from hammerstein.reporting.figures.write import png
 from hammerstein.simulation import Response
 
@@ -53,8 +53,8 @@ def _(model: HammersteinModel) -> Figure | None:
             u[k] = part * model.amplitude_v * sine
             v, _ = model.hysteresis.respond(u)
             runs.append(LoopRun(f"{part * model.amplitude_v:g} V", k, u[k, CYCLE:], v[:, CYCLE:]))
-    inputs = [f"{plain(name)} [V]" for name in model.inputs]
-    outputs = [f"{plain(name)} [µm]" for name in model.outputs]
+    inputs = [f"{symbol(name, 'voltage')} [V]" for name in model.inputs]
+    outputs = [f"{symbol(name, 'reading')} [µm]" for name in model.outputs]
     return loops_figure(runs, inputs, outputs, f"{plain(model.name)}: settled loops, without dynamics")
 
 
