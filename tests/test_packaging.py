@@ -14,7 +14,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "hammerstein"
-NAMES = {"PIL": "pillow"}  # what is imported under another name than it is installed
+NAMES = {
+    "lazy_loader": "lazy-loader",
+    "PIL": "pillow",
+}  # what is imported under another name than it is installed
 
 
 @pytest.fixture(scope="module")
