@@ -12,7 +12,7 @@ from hammerstein.experiment.measure import rows_of, statements_of
 from hammerstein.experiment.prepare import Case, Progress, SetUp, prepare, scenario_axes
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.uncertainty_bands import bands_of
-from hammerstein.rows import Row
+from hammerstein.metrics import Row
 from hammerstein.scenario import Scenario, scenario_of
 from hammerstein.scenario.claims import verdicts
 from hammerstein.scenario.scenario import ScenarioSource
