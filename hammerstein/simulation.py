@@ -49,7 +49,7 @@ class Response(Pictured):
     >>> plant = Plant(HammersteinModel.load("duo_bimorph_static"), Instruments.ideal())
     >>> response = plant.respond(np.array([[0.0, 5.0], [0.0, 0.0]]), [0])
     >>> response
-    Response(2 samples of 5e-05 s, 2 inputs, 2 outputs; position 0 to 27.35 um)
+    Response(2 samples of 5e-05 s, 2 inputs, 2 outputs; position 0 to 24.32 um)
     >>> list(response.to_frame())[-2:]
     ['reading_x_um', 'reading_y_um']
     """
@@ -247,7 +247,7 @@ class Plant:
             response, after = self.carry_on(requested_v[:, None], state)
             return np.concatenate([getattr(response, wire)[:, 0] for wire in outputs]), after
 
-        start = self.rest([seed] if isinstance(seed, int) else list(seed))
+        start = self.rest(np.atleast_1d(seed).tolist())
         block = Stepwise(start, step, PlantState.as_dict, PlantState.from_dict)
         wires = [label for wire in outputs for label in signals(wire, counts[wire])]
         voltages = signals("requested_v", self.model.hysteresis.n_inputs)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.errors import InputError
-from hammerstein.hysteresis.prandtl_ishlinskii import Array, Pair
+from hammerstein.hysteresis.prandtl_ishlinskii import Array, Pair, PrandtlIshlinskii
+
+if TYPE_CHECKING:
+    from hammerstein.interop.limit_cycles import HysteresisNonlinearity
 
 Complex = NDArray[np.complex128]
 
@@ -48,8 +53,8 @@ def describing_function(pair: Pair, amplitude_v: ArrayLike, range_v: float = np.
     --------
     A linear gain of 2 um/V behind a range of 1 V, at twice the range:
 
-    >>> describing_function(Pair.linear(2.0), 2.0, range_v=1.0).round(6)
-    np.complex128(1.217995-0j)
+    >>> round(float(describing_function(Pair.linear(2.0), 2.0, range_v=1.0).real), 6)
+    1.217996
     """
     asked = np.asarray(amplitude_v, dtype=np.float64)
     if not (asked > 0.0).all():
@@ -68,3 +73,27 @@ def _share(x: Array) -> Array:
     """f(x) = 2/pi (arcsin x + x sqrt(1 - x^2)), the describing function of a cut at x times the amplitude."""
     within = np.clip(x, -1.0, 1.0)
     return np.asarray(2.0 / np.pi * (np.arcsin(within) + within * np.sqrt(1.0 - within**2)))
+
+
+def nonlinearity_of(hysteresis: PrandtlIshlinskii, range_v: float) -> HysteresisNonlinearity:
+    """Give a block of one pair for python-control; see ``PrandtlIshlinskii.to_describing_function``."""
+    from hammerstein.interop.limit_cycles import HysteresisNonlinearity
+
+    if (hysteresis.n_outputs, hysteresis.n_inputs) != (1, 1):
+        axes = f"{hysteresis.n_inputs} inputs and {hysteresis.n_outputs} outputs"
+        raise InputError("describing function", f"is that of one pair; the block has {axes}: give one pair of it")
+    pair, state = hysteresis.pairs[0][0], hysteresis.rest()
+    smallest, largest = float(pair.thresholds_v[0]), float(pair.thresholds_v[-1])
+    if not range_v > smallest:
+        raise InputError("range_v", f"is {range_v:g}: nothing moves up to {smallest:g} V")
+
+    def move(u_v: float) -> float:
+        nonlocal state
+        v_um, state = hysteresis.step([min(max(u_v, -range_v), range_v)], state)
+        return float(v_um[0])
+
+    def of_amplitude(amplitude_v: float) -> complex:
+        return complex(describing_function(pair, amplitude_v, range_v))
+
+    scale = max(largest, 1.0) if np.isinf(range_v) else range_v
+    return HysteresisNonlinearity(of_amplitude, move, (smallest or 1e-3 * scale, 100.0 * scale))

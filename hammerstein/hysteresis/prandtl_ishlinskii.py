@@ -439,27 +439,9 @@ class PrandtlIshlinskii:
         ------
         InputError : more than one input or output, or a range within which no operator moves
         """
-        from hammerstein.hysteresis.describing_function import describing_function
-        from hammerstein.interop.limit_cycles import HysteresisNonlinearity
+        from hammerstein.hysteresis.describing_function import nonlinearity_of
 
-        if (self.n_outputs, self.n_inputs) != (1, 1):
-            message = f"has {self.n_inputs} inputs and {self.n_outputs} outputs; give one pair of it"
-            raise InputError("describing function", message)
-        pair, state = self.pairs[0][0], self.rest()
-        smallest, largest = float(pair.thresholds_v[0]), float(pair.thresholds_v[-1])
-        if not range_v > smallest:
-            raise InputError("range_v", f"is {range_v:g}: nothing moves up to {smallest:g} V")
-
-        def move(u_v: float) -> float:
-            nonlocal state
-            v_um, state = self.step([min(max(u_v, -range_v), range_v)], state)
-            return float(v_um[0])
-
-        scale = max(largest, 1.0) if np.isinf(range_v) else range_v
-        span_v = (smallest or 1e-3 * scale, 100.0 * scale)
-        return HysteresisNonlinearity(
-            lambda amplitude: complex(describing_function(pair, amplitude, range_v)), move, span_v
-        )
+        return nonlinearity_of(self, range_v)
 
 
 def _named_pair(r: Array, w: Array, output: int, input_: int) -> Pair:

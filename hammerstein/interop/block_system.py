@@ -72,8 +72,8 @@ class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control h
             return stepped(*(np.asarray(v, dtype=np.float64).tobytes() for v in (x, u)))
 
         super().__init__(
-            lambda t, x, u, params: both(x, u)[1],
-            lambda t, x, u, params: both(x, u)[0],
+            lambda t, x, u, params: both(x, u)[1].copy(),
+            lambda t, x, u, params: both(x, u)[0].copy(),
             inputs=list(inputs),
             outputs=list(outputs),
             states=self._packing.length,
