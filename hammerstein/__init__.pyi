@@ -41,6 +41,7 @@ from .identification.static.closed_form import closed_form as closed_form
 from .identification.static.static_block import fit_static as fit_static
 from .instruments import Drive as Drive, Instruments as Instruments, Sensor as Sensor
 from .model import HammersteinModel as HammersteinModel
+from .plugins import register as register
 from .records.loops import Loop as Loop, loop_table as loop_table
 from .records.record import (
     Record as Record,
