@@ -42,6 +42,7 @@ from .identification.static.static_block import fit_static as fit_static
 from .instruments import Drive as Drive, Instruments as Instruments, Sensor as Sensor
 from .interop.limit_cycles import LimitCycle as LimitCycle, limit_cycles as limit_cycles
 from .model import HammersteinModel as HammersteinModel
+from .plugins import register as register
 from .records.loops import Loop as Loop, loop_table as loop_table
 from .records.record import (
     Record as Record,

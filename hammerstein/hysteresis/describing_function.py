@@ -81,7 +81,9 @@ def nonlinearity_of(hysteresis: PrandtlIshlinskii, range_v: float) -> Hysteresis
 
     if (hysteresis.n_outputs, hysteresis.n_inputs) != (1, 1):
         axes = f"{hysteresis.n_inputs} inputs and {hysteresis.n_outputs} outputs"
-        raise InputError("describing function", f"is that of one pair; the block has {axes}: give one pair of it")
+        raise InputError(
+            "describing function", f"is that of one pair; the block has {axes}: give one pair of it"
+        )
     pair, state = hysteresis.pairs[0][0], hysteresis.rest()
     smallest, largest = float(pair.thresholds_v[0]), float(pair.thresholds_v[-1])
     if not range_v > smallest:

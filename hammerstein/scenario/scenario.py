@@ -25,9 +25,10 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited
 from hammerstein.identification.source import ModelSource
 from hammerstein.instruments import Instruments
+from hammerstein.plugins import load_plugins
 from hammerstein.scenario.claims import Claim
 from hammerstein.scenario.uncertainty import Uncertainty
-from hammerstein.signals import Excitation, FromFile, Reference
+from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference
 from hammerstein.validation import mistakes_of
 
 Frequencies = Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
@@ -151,6 +152,8 @@ class Scenario(BaseModel):
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
+SIGNALS.used_by(Scenario)
+
 ScenarioSource = Scenario | str | Path | Mapping[str, Any]
 """A scenario as it is, its file, or what a file would hold."""
 
@@ -171,6 +174,7 @@ def scenario_of(source: ScenarioSource) -> tuple[str, Scenario]:
     """
     if isinstance(source, Scenario):
         return "scenario", source
+    load_plugins()
     if isinstance(source, Mapping):
         return "scenario", _validated(source, "scenario")
     return Path(source).stem, load_scenario(source)
@@ -183,6 +187,7 @@ def load_scenario(path: str | Path) -> Scenario:
 
     Raises InputError with every mistake in the file, each with its key, and the nearest known name.
     """
+    load_plugins()
     path = Path(path)
     text = read_limited(path, what="scenario file", limit=1_000_000)
     try:
