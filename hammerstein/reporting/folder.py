@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,7 +112,7 @@ def _matlab(columns: dict[str, NDArray[np.float64]], path: Path) -> bytes:
     if any(len(name) > 31 for name in columns):
         raise InputError(str(path), "MATLAB variables have at most 31 characters; shorten the axis names")
     buffer = io.BytesIO()
-    savemat(buffer, columns, oned_as="column")  # type: ignore[arg-type]  # the stubs know paths only
+    savemat(cast("Any", buffer), columns, oned_as="column")  # SciPy's stubs of some versions know paths only
     # SciPy stamps the time of writing into the first 116 bytes, a free text.
     text = b"MATLAB 5.0 MAT-file, written by hammerstein".ljust(116)
     return text + buffer.getvalue()[116:]
