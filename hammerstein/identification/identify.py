@@ -36,6 +36,7 @@ from hammerstein.identification.operators import (
 )
 from hammerstein.identification.prediction import Candidate, Score, ranges, score
 from hammerstein.identification.preparation import driven_inputs, prepare, refuse_swapped
+from hammerstein.identification.recorded import counted, voltages_of
 from hammerstein.identification.records import Record
 from hammerstein.identification.regressors import Start
 from hammerstein.identification.second_order import FirstGuess, checked_delay, search_axes
@@ -53,6 +54,7 @@ from hammerstein.identification.verdict import (
 )
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
+from hammerstein.voltages import Verdict, Voltages
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -100,7 +102,7 @@ def identify(
 
     Returns
     -------
-    model : the actuator's model; its provenance holds the verdict and whether it has an inverse
+    model : the actuator's model; its file holds the voltages as recorded and the verdict
     fit : errors, offsets, standard errors, statements
 
     Raises
@@ -138,12 +140,13 @@ def identify(
     fitted = {kind: score(c, ready, task.starts) for kind, c in built.candidates.items()}
     judged = {kind: score(c, held, held_starts) for kind, c in built.candidates.items()} if held else {}
     errors = Judgement(fitted, judged, held, held_starts, answer)
-    fit = _account(task, built, curve, errors, [*notes, *held_notes])
+    voltages = voltages_of(records, ready, task.starts)
+    fit = _account(task, built, curve, errors, voltages, [*notes, *held_notes])
     return _model(task, fit, best, name, instruments), fit
 
 
 def _ready(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
-    """Records without their dead start, and what was done to them."""
+    """Records without their dead start, counted from where they began, and what was done to them."""
     if not records:
         raise InputError("records", "none was given")
     ready, notes = [], []
@@ -159,7 +162,7 @@ def _ready(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
                 f"voltages count from their values at rest ({offsets} V)"
             )
         else:
-            ready.append(record)
+            ready.append(counted(record))
     return tuple(ready), notes
 
 
@@ -262,6 +265,7 @@ def _account(
     built: Built,
     curve: tuple[CurvePoint, ...],
     errors: Judgement,
+    voltages: Voltages,
     notes: list[str],
 ) -> Fit:
     """Everything that is said about the model."""
@@ -287,6 +291,7 @@ def _account(
         operators=tuple(tuple(len(p.thresholds_v) for p in row) for row in best.hysteresis.pairs),
         amplitude_v=amplitude,
         amplitudes_v=tuple(swing.tolist()),
+        voltages=voltages,
         delay_samples=task.delay_samples,
         sample_time_s=record.sample_time_s,
         sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
@@ -365,10 +370,15 @@ def _model(
             "method": fit.method,
             "amplitudes_v": list(fit.amplitudes_v),
             "delay_samples": fit.delay_samples,
-            "nrmse_percent": list(fit.judged[fit.kind].nrmse_percent),
             "invertible": fit.invertible,
             "invertibility": fit.invertibility,
-            "verdict": fit.verdict,
-            "flags": list(fit.flags),
         },
+        voltages=fit.voltages,
+        verdict=Verdict(
+            flagged=bool(fit.flags),
+            statements=fit.flags,
+            held_out=bool(fit.held),
+            sentence=fit.verdict,
+            nrmse_percent=fit.judged[fit.kind].nrmse_percent,
+        ),
     )
