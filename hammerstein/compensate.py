@@ -16,7 +16,7 @@ from hammerstein.compensators.feedback import Feedback
 from hammerstein.compensators.law import Law
 from hammerstein.compensators.reach import Reach, Shortfall, reach, require_reach, shortfall
 from hammerstein.compensators.specs import Compensator, NoCompensation
-from hammerstein.drive_file import drive_csv
+from hammerstein.drive_csv import drive_csv
 from hammerstein.driving import DriveRange
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, SimulationError
 from hammerstein.model import HammersteinModel
