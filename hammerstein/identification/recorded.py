@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.identification.preparation import FEWEST_AT_REST, dead_start, driven_inputs
-from hammerstein.identification.records import Record
-from hammerstein.identification.regressors import Start
+from hammerstein.identification.static.regressors import Start
+from hammerstein.records.preparation import FEWEST_AT_REST, dead_start, driven_inputs
+from hammerstein.records.record import Record
 from hammerstein.voltages import Voltages
 
 Array = NDArray[np.float64]

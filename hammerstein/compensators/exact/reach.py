@@ -1,0 +1,225 @@
+"""What a drive range can reach, and what of a path it could not."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hammerstein.blocks import Array, Law, checked_reference
+from hammerstein.compensators.exact.inverse import ExactInverse
+from hammerstein.driving import DriveRange, RangeLike
+from hammerstein.dynamics import discretise
+from hammerstein.errors import SimulationError
+from hammerstein.model import HammersteinModel
+
+STROKE_SAMPLES = 50
+BISECTIONS = 40
+MISSED_UM = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """Intervals in which slow paths can move again and again, counted from where the actuator stands.
+
+    alone_um : (p, 2) lowest and highest position of each output while the others stand in their middle
+    together_um : (p, 2) the same for all outputs at once, in the proportion of ``alone_um``
+    """
+
+    alone_um: Array
+    together_um: Array
+
+    def statement(self, names: Sequence[str]) -> str:
+        """Say the reach of each output and of all together."""
+        alone, together = (
+            ", ".join(
+                f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in zip(names, ends, strict=True)
+            )
+            for ends in (self.alone_um, self.together_um)
+        )
+        return f"Slow paths reach, one at a time, {alone} um; all at once {together} um."
+
+
+def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = False) -> Reach:
+    """Reach of the static block: what its hysteresis loop between the ends of a drive range can do.
+
+    The middle between the tips of the loop is found by driving the model from its start once to the ends of
+    the range and back. About it the exact inverse is driven to and fro until it stands at the range; so what
+    a cross-coupling takes away is counted. Dynamics are left out: at low frequency the displacement is that
+    of the static block, near a resonance the drive reaches further.
+
+    Parameters
+    ----------
+    model : m inputs, p <= m outputs
+    range_v : range of the drive [V], see ``DriveRange.of``
+    run_anyway : accept a model without an inverse
+
+    Raises
+    ------
+    InputError, SimulationError : as ``ExactInverse`` for a model without an inverse
+
+    Examples
+    --------
+    >>> from hammerstein.dynamics.models import StaticDynamics
+    >>> from hammerstein.hysteresis import (Pair, PrandtlIshlinskii)
+    >>> plant = PrandtlIshlinskii([[Pair([0.0, 1.0], [4.0, 2.0])]])
+    >>> model = HammersteinModel("one axis", plant, StaticDynamics(n_outputs=1), 10.0, ("u",), ("y",))
+    >>> reach(model, 10.0).alone_um.round(6), reach(model, (0.0, 20.0)).alone_um.round(6)
+    (array([[-58.,  58.]]), array([[  2., 118.]]))
+    """
+    limits = DriveRange.of(range_v, model)
+    p = model.hysteresis.n_outputs
+    if not np.isfinite(limits.span_v).all():
+        nowhere = np.tile([-np.inf, np.inf], (p, 1))
+        return Reach(nowhere, nowhere)
+    middle = 0.5 * (limits.low_v + limits.high_v)
+    about = replace(limits, working_point_v=middle, start_v=middle, conditioned=False)
+    law = ExactInverse(model, about, run_anyway=run_anyway)
+    half = 0.5 * limits.span_v
+    most = float(np.sum([np.abs(model.hysteresis.amplitude(h)).sum() for h in half]))
+    alone = np.array([most * _largest(_strokes_fit(law, [most * row])) for row in np.eye(p)])
+    corners = [alone * np.array((1, *signs)) for signs in itertools.product((1, -1), repeat=p - 1)]
+    together = alone * _largest(_strokes_fit(law, corners))
+    centre = _centre(model, limits)[:, None]
+    return Reach(*(centre + np.stack([-size, size], axis=1) for size in (alone, together)))
+
+
+def _centre(model: HammersteinModel, limits: DriveRange) -> Array:
+    """Middle (p,) between the tips of the loop, counted from the start [um]."""
+    low, high = limits.counted
+    before = limits.history()
+    v, _ = model.hysteresis.respond(np.hstack([before, np.stack([high, low, high], axis=1)]))
+    return np.asarray(0.5 * (v[:, -2] + v[:, -1]) - v[:, before.shape[1] - 1])
+
+
+def largest_scale(law: Law[Any], path_um: ArrayLike) -> float:
+    """Largest factor, up to 1, for a path (p, N) with which the drive stays within its range."""
+    path = checked_reference(path_um, law.n_outputs)
+
+    def fits(scale: float) -> bool:
+        return _inside(law, scale * path)
+
+    return 1.0 if fits(1.0) else _largest(fits)
+
+
+def _inside(law: Law[Any], path_um: Array) -> bool:
+    """Whether the drive of a path (p, N) never stands at its range."""
+    drive, limits = law.drive_for(path_um), law.range
+    return bool(((drive < limits.high_v[:, None]) & (drive > limits.low_v[:, None])).all())
+
+
+def _largest(fits: Callable[[float], bool]) -> float:
+    """Largest number from 0 to 1 that fits, by bisection."""
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low
+
+
+def _strokes_fit(law: ExactInverse, tips_um: Sequence[Array]) -> Callable[[float], bool]:
+    """Whether a factor times each tip (p,), and its negative, can be reached again and again."""
+    wave = np.sin(0.5 * np.pi * np.arange(10 * STROKE_SAMPLES + 1) / STROKE_SAMPLES)
+
+    def fits(scale: float) -> bool:
+        return all(_inside(law, scale * np.outer(tip, wave)) for tip in tips_um)
+
+    return fits
+
+
+@dataclass(frozen=True, eq=False)
+class Shortfall:
+    """Where a drive would leave its path, as the model predicts it.
+
+    predicted_um, error_um : (p, N) position and its distance from the path [um]
+    at_range : (m, N) where the drive stands at its range
+    sample_time_s : time between samples [s]
+    turn : output and sample where the path changes its velocity most
+    """
+
+    predicted_um: Array
+    error_um: Array
+    at_range: NDArray[np.bool_]
+    sample_time_s: float
+    turn: tuple[int, int]
+
+    def missed(self, tolerance_um: float = MISSED_UM) -> NDArray[np.bool_]:
+        """Samples (p, N) whose predicted error is larger than a tolerance."""
+        return np.abs(self.error_um) > tolerance_um
+
+    @property
+    def complete(self) -> bool:
+        """True if the drive never stands at its range."""
+        return not self.at_range.any()
+
+    def statement(self, inputs: Sequence[str], outputs: Sequence[str]) -> str:
+        """Say how often each input stands at its range, and how far each output is missed."""
+        if self.complete:
+            worst = ", ".join(f"{n} {e:.3g}" for n, e in zip(outputs, self._worst(), strict=True))
+            return f"The drive stays within its range; predicted errors up to {worst} um."
+        parts = []
+        for name, row in zip(inputs, self.at_range, strict=True):
+            if row.any():
+                first = int(np.argmax(row))
+                parts.append(
+                    f"input {name} stands at its range in {int(row.sum())} of {len(row)} samples, first at "
+                    f"sample {first} ({first * self.sample_time_s:.4g} s)"
+                )
+        for name, row, worst_um in zip(outputs, self.error_um, self._worst(), strict=True):
+            where = int(np.argmax(np.abs(row)))
+            parts.append(f"output {name} is missed by up to {worst_um:.4g} um (sample {where})")
+        axis, sample = self.turn
+        return "; ".join(parts) + (
+            f". The path turns hardest at sample {sample} of {outputs[axis]}; where it has a corner or a "
+            "jump, set filter_hz, start it smoothly, or make it smaller."
+        )
+
+    def _worst(self) -> list[float]:
+        return [float(e) for e in np.abs(self.error_um).max(axis=1)]
+
+
+def shortfall(
+    model: HammersteinModel,
+    law: Law[Any],
+    reference_um: ArrayLike,
+    asked_v: Array,
+    sample_time_s: float,
+    sent_v: Array | None = None,
+) -> Shortfall:
+    """Predict with the model where a drive leaves its path.
+
+    Parameters
+    ----------
+    model : the model that the law was built from, dynamics included
+    law : the law that gave the drive; a delay it states (``delay_samples``) is not counted as an error
+    reference_um : (p, N) path, counted from where the actuator stands [um]
+    asked_v : (m, N) what the law gave [V]
+    sample_time_s : of the drive
+    sent_v : (m, N) the same on the steps of the converter; the same if not given
+    """
+    reference = checked_reference(reference_um, law.n_outputs)
+    sent = asked_v if sent_v is None else sent_v
+    before, memory = model.hysteresis.respond(law.range.history())
+    v, _ = model.static_response(sent, memory)
+    position, _ = discretise(model.dynamics, sample_time_s).respond(v - before[:, -1:])
+    delay = int(getattr(law, "delay_samples", 0))
+    asked = np.pad(reference, ((0, 0), (delay, 0)))[:, : reference.shape[1]]
+    bends = np.zeros(reference.shape)
+    bends[:, 1:-1] = np.abs(np.diff(reference, 2, axis=1))
+    axis, sample = np.unravel_index(int(np.argmax(bends)), bends.shape)
+    error = position - asked
+    # An actuator may stand at an end of the range from the start: there it has missed nothing yet.
+    rounding = float(np.abs(model.hysteresis.bank.slope).max() * np.abs(sent - asked_v).max(initial=0.0))
+    missed = (np.abs(error) > MISSED_UM + rounding).any(axis=0)
+    at_range = law.range.reached(asked_v) & ((asked_v != law.range.start_v[:, None]) | missed)
+    return Shortfall(position, error, at_range, sample_time_s, (int(axis), int(sample)))
+
+
+def require_reach(found: Shortfall, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+    """Raise SimulationError with the statement unless the drive stays within its range."""
+    if not found.complete:
+        raise SimulationError(f"The path is out of reach: {found.statement(inputs, outputs)}")
