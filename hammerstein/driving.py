@@ -9,16 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.errors import InputError
 from hammerstein.instruments import Drive
-from hammerstein.model import HammersteinModel
+from hammerstein.voltages import Voltages
 
 Array = NDArray[np.float64]
+
+
+class Recorded(Protocol):
+    """A model that knows the voltages of its records."""
+
+    @property
+    def recorded(self) -> Voltages:
+        """Working point and range of the records."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +65,7 @@ class DriveRange:
     def of(
         cls,
         given: RangeLike,
-        model: HammersteinModel,
+        model: Recorded,
         start_v: ArrayLike | None = None,
         conditioned: bool = False,
     ) -> DriveRange:
@@ -68,7 +77,7 @@ class DriveRange:
             return given
         wanted: Any = given.tolist() if isinstance(given, np.ndarray) else given
         try:
-            low, high = Drive(range_v=wanted).limits(model.hysteresis.n_inputs)
+            low, high = Drive(range_v=wanted).limits(len(model.recorded.working_point_v))
         except ValueError:
             raise InputError("range", f"{given!r} is neither N for -N to N nor (low, high) in V") from None
         rest = np.array(model.recorded.working_point_v)

@@ -41,6 +41,23 @@ INTERRUPTED = 130
 PROCESSORS = os.cpu_count() or 1
 
 
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        import hammerstein
+
+        typer.echo(f"hammerstein {hammerstein.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _before(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_say_version, help="Print the version.")
+    ] = False,
+) -> None:
+    """What stands before a command."""
+
+
 class _Interrupted(BaseException):
     """Ctrl-C. Not KeyboardInterrupt, which Typer would answer itself."""
 
@@ -91,9 +108,10 @@ def run(
     from hammerstein.commands.tables import claims_table, result_table, show
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.errors import InputError
-    from hammerstein.experiment.batch import Writer, load_all, run_all
+    from hammerstein.experiment.batch import load_all, run_all
     from hammerstein.files import refuse_unwritable, write_atomic
     from hammerstein.reporting.claims_page import claims_csv, write_page
+    from hammerstein.reporting.folder import Writer
 
     refuse_unwritable("--out", out)
     if page is not None:

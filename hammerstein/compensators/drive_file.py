@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from hammerstein.blocks import Law
+from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.exact.reach import Reach, Shortfall, reach, require_reach, shortfall
 from hammerstein.compensators.feedback.pid import Feedback
 from hammerstein.compensators.specs import Compensator, NoCompensation
-from hammerstein.drive_csv import drive_csv
 from hammerstein.driving import DriveRange
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, SimulationError
 from hammerstein.model import HammersteinModel
