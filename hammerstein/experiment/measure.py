@@ -117,7 +117,7 @@ def _targets(setup: SetUp, case: Case, response: Response) -> list[Target] | lis
 
 def _prediction(setup: SetUp, model: HammersteinModel, response: Response) -> tuple[Array, Array]:
     """What a model says the sensor reads, and where it says the actuator is."""
-    v, _ = model.hysteresis.respond(response.drive_v)
+    v, _ = model.static_response(response.drive_v)
     if isinstance(model.dynamics, StaticDynamics):
         return v, v  # a static model was found from readings: it stands for both
     sensor = setup.plant.instruments.sensor

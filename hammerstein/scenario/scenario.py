@@ -74,7 +74,7 @@ class Tolerance(BaseModel):
 class Scenario(BaseModel):
     """One experiment: an actuator, a signal, and what is compared."""
 
-    model_config = _STRICT
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     question: Annotated[str, Field(min_length=1)]
     paper_figure: str | None = Field(default=None, description='the figure it answers, such as "Fig. 9"')

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from hammerstein.blocks import Array, Law, checked_reference
 from hammerstein.compensators.exact.inverse import ExactInverse, ExactState, Recovery
 from hammerstein.compensators.preview.linear_inverse import linear_inverse
+from hammerstein.driving import RangeLike
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
@@ -56,15 +57,15 @@ class HammersteinInverse(Law[PathState]):
 
     A path known ahead may start away from rest. Before its first and after its last sample it is continued by
     its point reflection; the modes of G^-1 start so that the drive does not ring (creep starts from rest).
-    The actuator itself starts from rest: the way from there to the path, and from the range back to the path
-    when the range was reached, is taken by a linear-quadratic feedback inside the law on the model's state
-    (1 um of error weighs as much as 100 um of drive), mostly at the range: a few milliseconds for a resonant
-    axis.
+    The actuator itself starts where it stands (``range.start_v``): the way from there to the path, and from
+    the range back to the path when the range was reached, is taken by a linear-quadratic feedback inside the
+    law on the model's state (1 um of error weighs as much as 100 um of drive), mostly at the range: a few
+    milliseconds for a resonant axis.
 
     Parameters
     ----------
     model : m inputs, p <= m outputs
-    range_v : range of the drive [V]
+    range_v : range of the drive [V], see ``DriveRange.of``
     sample_time_s : time between samples [s]
     preview_s : how far ahead the reference is known [s]; None: as far as needed; 0: not at all
     filter_hz : bandwidth of the reference filter [Hz]; None: no filter
@@ -98,7 +99,7 @@ class HammersteinInverse(Law[PathState]):
     def __init__(
         self,
         model: HammersteinModel,
-        range_v: float,
+        range_v: RangeLike,
         sample_time_s: float,
         preview_s: float | None = None,
         filter_hz: float | None = None,
@@ -107,7 +108,7 @@ class HammersteinInverse(Law[PathState]):
     ):
         self.exact = ExactInverse(model, range_v, softening_v, run_anyway)
         self.n_inputs, self.n_outputs = self.exact.n_inputs, self.exact.n_outputs
-        self.range_v = range_v
+        self.range, self.origin_um = self.exact.range, self.exact.origin_um
         self.sample_time_s: float = sample_time_s
         self.linear = linear_inverse(model.dynamics, sample_time_s)
         self.taps = _low_pass_taps(filter_hz, sample_time_s)
@@ -164,7 +165,7 @@ class HammersteinInverse(Law[PathState]):
         raw = np.hstack([start.raw, reference_um])
         known = np.hstack([start.filtered, self._filtered(raw)])
         modes = start.modes.copy()
-        v = self._wanted(known, modes)
+        v = self._from_rest(self._wanted(known, modes))
         drive, exact, away = self.exact.solve(v, start.exact, start.away, self.recovery)
         kept = (
             raw[:, raw.shape[1] - start.raw.shape[1] :],
@@ -175,7 +176,7 @@ class HammersteinInverse(Law[PathState]):
     def primed(self, reference_um: ArrayLike) -> tuple[PathState, Array]:
         """State of the law when the drive for the first sample of a path (p, N) known ahead is due.
 
-        The path is continued at both ends by its point reflection; the actuator is at rest.
+        The path is continued at both ends by its point reflection; the actuator stands still at its start.
 
         Returns
         -------
