@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -211,8 +211,10 @@ def prepare(scenario: Scenario, source: str = "scenario", progress: Progress | N
 
 
 def _law(compensator: Compensator, model: HammersteinModel, plant: Plant) -> AnyLaw:
+    """A law for the instruments of the scenario, whatever those that its model was found with."""
+    here = replace(model, instruments=plant.instruments)
     try:
-        return compensator.build(model, plant.instruments.drive.range_v, plant.sample_time_s)
+        return compensator.build(here, plant.instruments.drive.range_v, plant.sample_time_s)
     except (InputError, SimulationError) as error:
         raise type(error)(*_labelled(compensator.label, error)) from None
 
