@@ -47,7 +47,8 @@ class HammersteinInverse(Law[PathState]):
     ``G^-1`` is exact on the sample grid, the hold included (``linear_inverse``), so that on every sample the
     model stands on the filtered reference. It needs the reference some samples ahead: one for a resonant
     axis, more for zeros outside the unit circle, half the length of the filter, and the input delay.
-    On a stream the drive leaves later by ``preview_samples``; ``drive_for`` aligns a path known ahead.
+    On a stream the drive leaves later by ``preview_samples``; ``drive_for`` aligns a path known ahead. A stream
+    starts from rest, or on a path whose first ``start_samples`` are known (``begin``).
     With less preview than that (``preview_s``), the rest is a delay of the position, ``delay_samples``.
 
     The filter F is a linear-phase low-pass: 1 within 0.1 % up to 0.7 ``filter_hz``, 1/2 at ``filter_hz``,
@@ -73,7 +74,7 @@ class HammersteinInverse(Law[PathState]):
     Attributes
     ----------
     linear : the inverse of the linear block, with what it needs and asks for
-    preview_samples, delay_samples, delay_s : see above
+    preview_samples, delay_samples, delay_s, start_samples : see above
 
     Raises
     ------
@@ -128,6 +129,11 @@ class HammersteinInverse(Law[PathState]):
         """The same as a time [s]."""
         return self.delay_samples * self.sample_time_s
 
+    @property
+    def start_samples(self) -> int:
+        """Samples of a path that must be known before its first drive, where it starts away from rest."""
+        return self.needed_samples + START_SAMPLES
+
     def statement(self) -> str:
         """Say what the law does before a run: inverse of the hysteresis, preview, delay, large gains."""
         parts = [self.exact.invertibility.statement(), self.linear.statement()]
@@ -138,6 +144,11 @@ class HammersteinInverse(Law[PathState]):
                 f"With its filter the reference must be known {samples} ahead "
                 f"({ahead * self.sample_time_s:.3g} s)"
                 + (f"; the position follows it {self.delay_s:.3g} s late." if self.delay_samples else ".")
+            )
+        if not self.delay_samples:
+            parts.append(
+                f"Where a path starts away from rest, its start needs the first {self.start_samples} samples of "
+                f"the path ({self.start_samples * self.sample_time_s:.3g} s)."
             )
         return " ".join(parts)
 
@@ -186,12 +197,47 @@ class HammersteinInverse(Law[PathState]):
                 f"has {samples} samples, but the law looks {needed} samples ahead; give a longer reference "
                 "or a filter of more bandwidth (filter_hz)",
             )
-        before, after = len(self.taps) // 2, needed
-        ends = np.pad(reference, ((0, 0), (before, after)), mode="reflect", reflect_type="odd")
-        known = self._filtered(ends)[:, self.linear.delay_samples :]
+        half = len(self.taps) // 2
+        ends = np.pad(reference, ((0, 0), (half, needed)), mode="reflect", reflect_type="odd")
+        return self._respond(ends[:, half + needed :], self._on_path(ends))[0]
+
+    def begin(self, reference_um: ArrayLike) -> PathState:
+        """State at the start of a path, from its first samples: a stream then goes on as ``drive_for`` does.
+
+        The first sample to feed is sample ``preview_samples`` of the path; what then leaves is the drive for
+        its sample 0. Up to ``preview_samples`` before the end of the path, this is ``drive_for`` to the last
+        bit.
+
+        Parameters
+        ----------
+        reference_um : (p, N) the path, or its first ``start_samples``
+
+        Raises
+        ------
+        InputError : fewer samples, or a law with less preview than it needs: it starts from rest
+        """
+        if self.delay_samples:
+            raise InputError("preview_s", "a law with less preview than it needs starts from rest")
+        reference = checked_reference(reference_um, self.n_outputs)[:, : self.start_samples]
+        if reference.shape[1] < self.start_samples:
+            raise InputError(
+                "reference",
+                f"has {reference.shape[1]} samples; the start needs the first {self.start_samples}",
+            )
+        half = len(self.taps) // 2
+        return self._on_path(np.pad(reference, ((0, 0), (half, 0)), mode="reflect", reflect_type="odd"))
+
+    def _on_path(self, ends: Array) -> PathState:
+        """State at the start of a path (p, samples) that is continued before its first sample."""
+        linear = self.linear
+        passed = linear.delay_samples + linear.reach_samples
+        known = self._filtered(ends)[:, linear.delay_samples :]
         modes = self._smooth_start(known)
-        away = -self._block_state(known, modes)
-        return self.exact.solve(self._wanted(known, modes), self.exact.rest(), away, self.recovery)[0]
+        raw = ends[:, passed : passed + len(self.taps) - 1]
+        filtered = known[:, : linear.reach_samples]
+        return PathState(
+            raw.copy(), filtered.copy(), modes, -self._block_state(known, modes), self.exact.rest()
+        )
 
     def _filtered(self, raw: Array) -> Array:
         """Reference behind the filter, shorter by its length less one."""
