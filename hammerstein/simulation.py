@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,29 @@ class Response:
         wires = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "sample_time_s"}
         cut = {name: wire[:, first:] for name, wire in wires.items() if wire is not None}
         return replace(self, **cut)
+
+    def every(self, samples: int) -> Response:
+        """Record one of so many samples, from the first on; one cut voltage among them counts."""
+        if samples == 1:
+            return self
+        starts = np.arange(0, self.drive_v.shape[1], samples)
+        wires = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "sample_time_s"}
+        kept: dict[str, Any] = {
+            name: wire[:, ::samples].copy() for name, wire in wires.items() if wire is not None
+        }
+        kept["saturated"] = np.logical_or.reduceat(self.saturated, starts, axis=1)
+        return replace(self, sample_time_s=samples * self.sample_time_s, **kept)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Response]) -> Response:
+        """Put the parts of one run together."""
+        first = parts[0]
+        if len(parts) == 1:
+            return first
+        names = [f.name for f in fields(cls) if f.name != "sample_time_s"]
+        there = [name for name in names if getattr(first, name) is not None]
+        whole: dict[str, Any] = {n: np.concatenate([getattr(p, n) for p in parts], axis=1) for n in there}
+        return replace(first, **whole)
 
 
 class PlantState(NamedTuple):

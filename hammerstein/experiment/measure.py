@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -12,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein import metrics
-from hammerstein.dynamics import StaticDynamics, discretise
 from hammerstein.experiment.prepare import Case, SetUp, Window, scenario_axes
+from hammerstein.experiment.recording import Target, recorded, targets_of
 from hammerstein.experiment.report import Prediction, Trace
-from hammerstein.model import HammersteinModel
 from hammerstein.rows import Row
 from hammerstein.signals import OneFrequency
 from hammerstein.simulation import Response
@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 
 RECOVERY_S = 0.01  # a cut voltage leaves a resonance ringing
 LAGGING = 2.0  # reading against true position: from here on most of the error is the sensor's
+HOLD_SHARE = 0.01  # of the amplitude; a hold that costs more is told
 SETTLED_FRACTION = 1e-3  # cycles may differ by this part of the range, beside the sensor's noise
 
 
@@ -36,20 +37,11 @@ class Result:
     settled: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Target:
-    """What a position (axis, sample) is compared with: a reference, or the prediction of a model."""
-
-    label: str
-    reading_um: Array
-    position_um: Array
-
-
 def rows_of(setup: SetUp, case: Case) -> Result:
     """Simulate one case and measure it."""
-    response = setup.simulate(case)
-    window = Window.of(setup.scenario, case.signal, setup.plant.sample_time_s)
-    targets = _targets(setup, case, response)
+    recording = recorded(setup, case)
+    response, targets = recording.response, recording.targets
+    window = Window.of(setup.scenario, case.signal, response.sample_time_s)
     loops = _loops(setup, case, response, window)
     rows = tuple(
         replace(row, **loop)
@@ -74,13 +66,13 @@ def rows_of(setup: SetUp, case: Case) -> Result:
 
 def error_rows(setup: SetUp, case: Case, response: Response) -> tuple[Row, ...]:
     """Rows of one case without the figures of its loops."""
-    return tuple(_rows(setup, case, response, _targets(setup, case, response)))
+    return tuple(_rows(setup, case, response, targets_of(setup, case, response)[0]))
 
 
 def _rows(setup: SetUp, case: Case, response: Response, targets: Sequence[Target | None]) -> Iterator[Row]:
     """Rows target by target, within each of them axis by axis."""
-    first = Window.of(setup.scenario, case.signal, setup.plant.sample_time_s).first
-    axes, cycle = setup.plant.model.outputs, _whole_cycle(setup, case)
+    first = Window.of(setup.scenario, case.signal, response.sample_time_s).first
+    axes, cycle = setup.plant.model.outputs, _whole_cycle(setup, case, response.sample_time_s)
     figures = _case_figures(setup, case, response, first)
     for target in targets:
         errors: list[dict[str, Any]] = (
@@ -89,29 +81,6 @@ def _rows(setup: SetUp, case: Case, response: Response, targets: Sequence[Target
         label = case.label if target is None else target.label
         for axis, error in zip(axes, errors, strict=True):
             yield Row(compensator=label, measured_axis=axis, **figures, **error)
-
-
-def _targets(setup: SetUp, case: Case, response: Response) -> list[Target] | list[None]:
-    """What the response is compared with; a single None where there is nothing."""
-    if response.reference_um is not None:
-        return [Target(case.label, response.reference_um, response.reference_um)]
-    models = [
-        Target(source.label, *_prediction(setup, setup.models[source.label], response))
-        for source in setup.scenario.models
-        if source.is_tested_at(case.signal.highest_frequency_hz)
-    ]
-    return models or [None]
-
-
-def _prediction(setup: SetUp, model: HammersteinModel, response: Response) -> tuple[Array, Array]:
-    """What a model says the sensor reads, and where it says the actuator is."""
-    v, _ = model.hysteresis.respond(response.drive_v)
-    if isinstance(model.dynamics, StaticDynamics):
-        return v, v  # a static model was found from readings: it stands for both
-    sensor = setup.plant.instruments.sensor
-    block = discretise(model.dynamics, setup.plant.sample_time_s, sensor.bandwidth_hz)
-    position, reading = np.split(block.respond(v)[0], 2)
-    return reading, position
 
 
 def _case_figures(setup: SetUp, case: Case, response: Response, first: int) -> dict[str, Any]:
@@ -129,9 +98,9 @@ def _case_figures(setup: SetUp, case: Case, response: Response, first: int) -> d
     }
 
 
-def _whole_cycle(setup: SetUp, case: Case) -> int | None:
+def _whole_cycle(setup: SetUp, case: Case, sample_time_s: float) -> int | None:
     """Samples of a cycle, where several equal ones of a whole number of samples are measured."""
-    samples = case.signal.period_s / setup.plant.sample_time_s
+    samples = case.signal.period_s / sample_time_s
     whole = abs(samples - round(samples)) < 1e-6
     several = case.signal.repeats and setup.scenario.measure.measured_cycles > 1
     return round(samples) if whole and several else None
@@ -238,6 +207,43 @@ def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
     ]
 
 
+def _sampling(setup: SetUp) -> Iterator[str]:
+    """Say what the sample time alone costs, where two of them meet, and what was not recorded."""
+    scenario, step = setup.scenario, setup.plant.sample_time_s
+    highest = max(signal.highest_frequency_hz for signal in scenario.signals())
+    share = hold_share(highest, step)
+    if share > HOLD_SHARE:
+        yield (
+            f"Every voltage is held for {1e6 * step:g} us: at {highest:g} Hz this alone puts a sine "
+            f"{100.0 * share:.2g} % of its amplitude off, more than {100.0 * HOLD_SHARE:g} % from "
+            f"{HOLD_SHARE / (math.pi * step):.3g} Hz on. Only a law or model with dynamics knows of it."
+        )
+    for source in (*scenario.compensators, *scenario.models):
+        own = getattr(source.identification, "sample_time_s", None)
+        if own is not None and not math.isclose(own, step):
+            yield (
+                f"{source.label}: two sample times meet; its model was found at {1e6 * own:g} us, the run "
+                f"has {1e6 * step:g} us, whose hold it does not know."
+            )
+    if scenario.measure.record_every > 1:
+        yield (
+            f"One of {scenario.measure.record_every} samples was recorded, one every "
+            f"{1e3 * scenario.measure.record_every * step:g} ms; the figures are of these."
+        )
+
+
+def hold_share(frequency_hz: float, sample_time_s: float) -> float:
+    """Error of a held sine, as a part of its amplitude.
+
+        |1 - (1 - exp(-j w T)) / (j w T)|,   about w T / 2
+
+    >>> round(hold_share(420.0, 50e-6), 4)
+    0.0659
+    """
+    angle = 2.0 * math.pi * frequency_hz * sample_time_s
+    return 0.0 if angle == 0.0 else abs(1.0 - (1.0 - cmath.exp(-1j * angle)) / (1j * angle))
+
+
 def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     """What a reader of the report must know: convergence, saturation, and what did not settle."""
     statements = [f"{label}: {text}" for label, law in setup.laws.items() if (text := law.statement())]
@@ -246,6 +252,7 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
         for label in setup.laws
         if setup.models[label].digest() == setup.plant.model.digest()
     ]
+    statements += _sampling(setup)
     statements += _sensor_lag(setup, [row for result in results for row in result.rows])
     for result in results:
         row = result.rows[0]

@@ -112,6 +112,11 @@ class SetUp:
         voltages = law.drive_for(values)
         return lambda tested, seed: tested.respond(voltages, case.seed(seed), reference_um=values)
 
+    def runs_on(self, case: Case) -> bool:
+        """Whether a case can be simulated piece by piece: no law that looks ahead or reads the sensor."""
+        law = None if self.scenario.drive is not None else self.laws[case.label]
+        return not isinstance(law, Feedback) and (law is None or not law.preview_samples)
+
     def stretches(self, case: Case, samples: int) -> Iterator[Response]:
         """Response of one case, stretch by stretch: for runs that do not fit the memory.
 
@@ -120,7 +125,7 @@ class SetUp:
         scenario, plant = self.scenario, self.plant
         total = Window.of(scenario, case.signal, plant.sample_time_s).total
         law = None if scenario.drive is not None else self.laws[case.label]
-        if isinstance(law, Feedback) or (law is not None and law.preview_samples):
+        if isinstance(law, Feedback) or not self.runs_on(case):
             raise InputError(
                 f"compensator {case.label!r}",
                 "works on the whole path, not on stretches; use a law that neither looks ahead nor feeds "

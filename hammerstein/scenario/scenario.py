@@ -59,6 +59,9 @@ class Measure(BaseModel):
     settle_cycles: int = Field(default=2, ge=0, description="cycles before the measurement")
     settle_s: float = Field(default=0.05, ge=0.0, description="time before the measurement, at least")
     measured_cycles: PositiveInt = Field(default=2, description="cycles that are measured")
+    record_every: PositiveInt = Field(
+        default=1, description="samples of which one is recorded, so that a long run fits the memory"
+    )
 
 
 class Tolerance(BaseModel):

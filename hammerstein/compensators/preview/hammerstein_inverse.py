@@ -47,8 +47,8 @@ class HammersteinInverse(Law[PathState]):
     ``G^-1`` is exact on the sample grid, the hold included (``linear_inverse``), so that on every sample the
     model stands on the filtered reference. It needs the reference some samples ahead: one for a resonant
     axis, more for zeros outside the unit circle, half the length of the filter, and the input delay.
-    On a stream the drive leaves later by ``preview_samples``; ``drive_for`` aligns a path known ahead. A stream
-    starts from rest, or on a path whose first ``start_samples`` are known (``begin``).
+    On a stream the drive leaves later by ``preview_samples``; ``drive_for`` aligns a path known ahead. A
+    stream starts from rest, or on a path whose first ``start_samples`` are known (``begin``).
     With less preview than that (``preview_s``), the rest is a delay of the position, ``delay_samples``.
 
     The filter F is a linear-phase low-pass: 1 within 0.1 % up to 0.7 ``filter_hz``, 1/2 at ``filter_hz``,
@@ -147,8 +147,8 @@ class HammersteinInverse(Law[PathState]):
             )
         if not self.delay_samples:
             parts.append(
-                f"Where a path starts away from rest, its start needs the first {self.start_samples} samples of "
-                f"the path ({self.start_samples * self.sample_time_s:.3g} s)."
+                f"Where a path starts away from rest, its start needs the first {self.start_samples} samples "
+                f"of the path ({self.start_samples * self.sample_time_s:.3g} s)."
             )
         return " ".join(parts)
 
