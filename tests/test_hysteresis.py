@@ -7,8 +7,7 @@ import control
 import numpy as np
 import pytest
 import theory
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii, play

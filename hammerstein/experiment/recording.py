@@ -56,7 +56,7 @@ def recorded(setup: SetUp, case: Case) -> Recording:
 
     The models predict from every sample. A case that can be is simulated stretch by stretch.
     """
-    every = setup.scenario.measure.record_every
+    every = setup.scenario.measure.record_every or 1
     long = every > 1 and setup.runs_on(case)
     parts, targets = [], []
     memory: Mapping[str, PredictionState] = {}

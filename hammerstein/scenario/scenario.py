@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import json
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -59,8 +59,8 @@ class Measure(BaseModel):
     settle_cycles: int = Field(default=2, ge=0, description="cycles before the measurement")
     settle_s: float = Field(default=0.05, ge=0.0, description="time before the measurement, at least")
     measured_cycles: PositiveInt = Field(default=2, description="cycles that are measured")
-    record_every: PositiveInt = Field(
-        default=1, description="samples of which one is recorded, so that a long run fits the memory"
+    record_every: PositiveInt | None = Field(
+        default=None, description="samples of which one is recorded, so that a long run fits the memory"
     )
 
 
@@ -154,6 +154,10 @@ class Scenario(BaseModel):
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
+ScenarioSource = Scenario | str | Path | Mapping[str, Any]
+"""A scenario as it is, its file, or what a file would hold."""
+
+
 def _without_folders(value: Any, key: str = "") -> Any:
     """The same content wherever the files lie: of a path only its last part is kept."""
     if isinstance(value, dict):
@@ -161,6 +165,18 @@ def _without_folders(value: Any, key: str = "") -> Any:
     if isinstance(value, list):
         return [_without_folders(v) for v in value]
     return Path(value).name if key in {"actuator", "model", "path"} and isinstance(value, str) else value
+
+
+def scenario_of(source: ScenarioSource) -> tuple[str, Scenario]:
+    """Name and value of a scenario, given as it is, as its file, or as what a file would hold.
+
+    Paths in a mapping are relative to the working folder. Raises InputError with every mistake.
+    """
+    if isinstance(source, Scenario):
+        return "scenario", source
+    if isinstance(source, Mapping):
+        return "scenario", _validated(source, "scenario")
+    return Path(source).stem, load_scenario(source)
 
 
 def load_scenario(path: str | Path) -> Scenario:
@@ -177,12 +193,15 @@ def load_scenario(path: str | Path) -> Scenario:
     except tomllib.TOMLDecodeError as error:
         what = f"is not TOML: {error}; a line is a [table], or key = value with text in quotes"
         raise InputError(str(path), what) from None
+    return _relative_to(_validated(data, str(path)), path.parent)
+
+
+def _validated(data: Mapping[str, Any], source: str) -> Scenario:
     try:
         # As JSON, so that a number in quotes is refused while a list still makes a tuple.
-        scenario = Scenario.model_validate_json(json.dumps(data, default=str), strict=True)
+        return Scenario.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
-        raise InputError(str(path), _split(mistakes_of(error, Scenario))) from None
-    return _relative_to(scenario, path.parent)
+        raise InputError(source, _split(mistakes_of(error, Scenario))) from None
 
 
 def _split(mistakes: list[Mistake]) -> list[Mistake]:
