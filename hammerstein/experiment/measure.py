@@ -15,6 +15,7 @@ from hammerstein.experiment.prepare import Case, SetUp, Window, scenario_axes
 from hammerstein.experiment.recording import Target, recorded, targets_of
 from hammerstein.experiment.report import Prediction, Trace
 from hammerstein.metrics import METRICS, LoopFigures, Measured, Metric, Row, loop_figures
+from hammerstein.scenario.claims import Claim
 from hammerstein.signals import OneFrequency
 from hammerstein.simulation import Response
 
@@ -105,6 +106,18 @@ def _key(setup: SetUp, case: Case) -> dict[str, Any]:
         "amplitude_v": signal.get("amplitude_v", signal.get("radius_v")),
         "amplitude_um": signal.get("amplitude_um", signal.get("radius_um")),
     }
+
+
+def needed_by(setup: SetUp, case: Case, claims: Sequence[Claim]) -> bool:
+    """Whether some claim selects a row of a case."""
+    labels = [source.label for source in setup.scenario.models] or [""]
+    key = _key(setup, case)
+    rows = [
+        Row(compensator=label, measured_axis=axis, **key)
+        for label in ([case.label] if case.label else labels)
+        for axis in setup.plant.model.outputs
+    ]
+    return any(claim.selects(row) for claim in claims for row in rows)
 
 
 def _whole_cycle(setup: SetUp, case: Case, sample_time_s: float) -> int | None:

@@ -193,8 +193,15 @@ def values_of(case: Case, time_s: Array, n_axes: int) -> Array:
     return signal.sample(time_s, n_axes)
 
 
-def prepare(scenario: Scenario, source: str = "scenario", progress: Progress | None = None) -> SetUp:
+def prepare(
+    scenario: Scenario,
+    source: str = "scenario",
+    progress: Progress | None = None,
+    model: HammersteinModel | None = None,
+) -> SetUp:
     """Load the actuator, identify every model, build every law.
+
+    ``model`` takes the place of the scenario's actuator, if given.
 
     Raises
     ------
@@ -202,7 +209,7 @@ def prepare(scenario: Scenario, source: str = "scenario", progress: Progress | N
     SimulationError : a reference is out of reach, or a law cannot converge
     IdentificationError : a model cannot be identified
     """
-    model = HammersteinModel.load(scenario.actuator)
+    model = model or HammersteinModel.load(scenario.actuator)
     own = model.instruments.model_dump()
     given = scenario.instruments.model_dump(exclude_unset=True)
     merged = {name: {**own[name], **given.get(name, {})} for name in own}
