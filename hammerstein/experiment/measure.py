@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hammerstein.experiment.prepare import Case, SetUp, Window, scenario_axes
 from hammerstein.experiment.recording import Target, recorded, targets_of
 from hammerstein.experiment.report import Prediction, Trace
+from hammerstein.experiment.settling import advice, settled
 from hammerstein.metrics import METRICS, LoopFigures, Measured, Metric, Row, loop_figures
 from hammerstein.scenario.claims import Claim
 from hammerstein.signals import OneFrequency
@@ -23,16 +24,15 @@ Array = NDArray[np.float64]
 
 LAGGING = 2.0  # reading against true position: from here on most of the error is the sensor's
 HOLD_SHARE = 0.01  # of the amplitude; a hold that costs more is told
-SETTLED_FRACTION = 1e-3  # cycles may differ by this part of the range, beside the sensor's noise
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Rows of one case, its measured trace, and whether it had settled."""
+    """Rows of one case, its measured trace, and what to do if it had not settled; empty if it had."""
 
     rows: tuple[Row, ...]
     trace: Trace
-    settled: bool
+    unsettled: str
 
 
 def rows_of(setup: SetUp, case: Case) -> Result:
@@ -56,7 +56,8 @@ def rows_of(setup: SetUp, case: Case) -> Result:
         first_sample=window.first,
         predictions=predictions,
     )
-    return Result(rows, trace, _settled(setup, case, response, window))
+    unsettled = "" if settled(setup, case, response) else advice(setup, case)
+    return Result(rows, trace, unsettled)
 
 
 def drawn_rows(setup: SetUp, case: Case, response: Response) -> tuple[Row, ...]:
@@ -145,21 +146,6 @@ def _loops(setup: SetUp, case: Case, response: Response, window: Window) -> list
     )
 
 
-def _settled(setup: SetUp, case: Case, response: Response, window: Window) -> bool:
-    """Whether the first and the last measured cycle of the true position agree."""
-    cycles = setup.scenario.measure.measured_cycles
-    if not isinstance(case.signal, OneFrequency) or not case.signal.repeats or cycles < 2:
-        return True
-    position = response.position_um
-    length = int(case.signal.period_s / response.sample_time_s)
-    lag = round((cycles - 1) * case.signal.period_s / response.sample_time_s)
-    first = position[:, window.first : window.first + length]
-    last = position[:, window.first + lag : window.first + lag + length]
-    fraction = abs(lag * response.sample_time_s / case.signal.period_s - (cycles - 1))
-    allowed = (SETTLED_FRACTION + 2.0 * np.pi * fraction) * float(np.ptp(position))
-    return float(np.abs(first[:, : last.shape[1]] - last).max()) <= allowed + 1e-9
-
-
 def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
     """Say where the reading is off because the sensor lags, not because the actuator is."""
     bandwidth = setup.plant.instruments.sensor.bandwidth_hz
@@ -233,8 +219,8 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
         where = (
             f"{row.compensator or setup.plant.model.name} at {row.frequency_hz:g} Hz, axis {row.excited_axis}"
         )
-        if not result.settled:
-            statements.append(f"{where}: the loop has not settled; wait longer (measure.settle_cycles).")
+        if result.unsettled:
+            statements.append(f"{where}: the loop has not settled; {result.unsettled}.")
         if row.saturated_samples:
             statements.append(f"{where}: the drive's range cut {row.saturated_samples} samples.")
     return tuple(statements)

@@ -25,7 +25,7 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited
 from hammerstein.identification.source import ModelSource
 from hammerstein.instruments import Instruments
-from hammerstein.scenario.claims import Claim
+from hammerstein.scenario.claims import Claim, MetricName
 from hammerstein.scenario.uncertainty import Uncertainty
 from hammerstein.signals import Excitation, FromFile, Reference
 from hammerstein.validation import mistakes_of
@@ -92,6 +92,9 @@ class Scenario(BaseModel):
     compensators: tuple[Compensator, ...] = ()
     models: tuple[ModelSource, ...] = ()
     uncertainty: Uncertainty | None = Field(default=None, description="repeat the run on drawn actuators")
+    answered_by: MetricName | None = Field(
+        default=None, description="figure of merit that answers the question; it is told and drawn first"
+    )
     tolerances: dict[str, Tolerance] = {}
     claims: tuple[Claim, ...] = ()
     claims_also_on: tuple[str, ...] = Field(
