@@ -1,9 +1,12 @@
-from .compensators.decoupled_inverse import DecoupledInverse as DecoupledInverse
-from .compensators.exact.inverse import ExactInverse as ExactInverse
-from .compensators.feedback.pid import Feedback as Feedback
-from .compensators.inverse_multiplicative import InverseMultiplicative as InverseMultiplicative
-from .compensators.linear_gain import LinearGain as LinearGain
-from .compensators.preview.hammerstein_inverse import HammersteinInverse as HammersteinInverse
+from .compensators import (
+    Compensator as Compensator,
+    DecoupledInverse as DecoupledInverse,
+    ExactInverse as ExactInverse,
+    Feedback as Feedback,
+    HammersteinInverse as HammersteinInverse,
+    InverseMultiplicative as InverseMultiplicative,
+    NoCompensation as NoCompensation,
+)
 from .dynamics import (
     AxesDynamics as AxesDynamics,
     Axis as Axis,

@@ -135,6 +135,37 @@ class Law(ABC, Generic[S]):
         return BlockSystem(block, *wires, sample_time_s, name)
 
 
+class Controller(ABC, Generic[S]):
+    """A compensator that reads the sensor: what it reads in one sample acts on the drive of the next.
+
+    In each sample ``request`` gives the voltage, the actuator moves, and ``correct`` takes the reading.
+    """
+
+    n_inputs: int
+    n_outputs: int
+    range: DriveRange
+
+    @abstractmethod
+    def rest(self) -> S:
+        """State of a controller that was never used."""
+
+    @abstractmethod
+    def prepared(self, reference_um: ArrayLike) -> tuple[Array, Array]:
+        """Path (p, N) that the readings are compared with, and feedforward (m, N), for a whole reference."""
+
+    @abstractmethod
+    def request(self, state: S, feedforward_v: ArrayLike | None = None) -> tuple[Array, S]:
+        """Voltages (m,) for this sample, beside a feedforward (m,)."""
+
+    @abstractmethod
+    def correct(self, reference_um: ArrayLike, reading_um: ArrayLike, state: S) -> S:
+        """Take reference and reading (p,) of this sample."""
+
+    def statement(self) -> str:
+        """Say what a user must know of it before a run; empty if nothing."""
+        return ""
+
+
 def checked_reference(reference_um: ArrayLike, n_outputs: int) -> Array:
     """Reference as a contiguous (output, sample) array; InputError names axis and sample of a bad value."""
     reference = np.ascontiguousarray(np.atleast_2d(np.asarray(reference_um, dtype=np.float64)))

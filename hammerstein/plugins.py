@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 from importlib.metadata import entry_points
-from typing import Any, Generic, TypeVar, get_args
+from typing import Annotated, Any, Generic, TypeVar, get_args
 
-from pydantic import BaseModel, GetCoreSchemaHandler
+from pydantic import BaseModel, GetCoreSchemaHandler, TypeAdapter
 from pydantic_core import CoreSchema, core_schema
 
 from hammerstein.errors import InputError
@@ -60,6 +60,14 @@ class Family(Generic[T]):
     def used_by(self, model: type[BaseModel]) -> None:
         """Note a model that has a field of this family: it follows when a kind is added."""
         self._users.append(model)
+
+    def value(self, data: Any) -> T:
+        """Validate one of the kinds, told by its tag, from plain data.
+
+        Raises ValidationError.
+        """
+        adapter: TypeAdapter[T] = TypeAdapter(Annotated[self.base, self.field()])  # type: ignore[arg-type]
+        return adapter.validate_python(data)
 
     def field(self, form: Callable[[type[T]], type[BaseModel]] = lambda kind: kind) -> Choice:
         """Annotation of a field that holds one of the kinds, in the form that the field wants."""

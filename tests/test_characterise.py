@@ -7,9 +7,9 @@ from hammerstein.actuators.build import with_thresholds
 from hammerstein.dynamics import discretise
 from hammerstein.errors import IdentificationError
 from hammerstein.experiment.simulated_identification import identify_by_experiment
-from hammerstein.identification.source import ClosedFormSpec, JointFitSpec
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
+from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec
 from hammerstein.signals import Lissajous, Triangle
 from hammerstein.simulation import Plant
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hammerstein.compensators.decoupled_inverse import DecoupledInverse, inverse_pair
+from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw, inverse_pair
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
@@ -36,7 +36,7 @@ def test_inverse_of_one_axis_is_exact_with_the_jump():
     alone = replace(table, hysteresis=PrandtlIshlinskii(((xx, Pair.absent()), (Pair.absent(), yy))))
     walk = np.cumsum(rng.normal(size=(2, 3000)), axis=1)
     reference = 40.0 * np.sin(0.2 * walk)
-    law = DecoupledInverse(alone, np.inf)
+    law = DecoupledInverseLaw(alone, np.inf)
     drive, _ = law.respond(reference)
     position, _ = alone.hysteresis.respond(drive)
     np.testing.assert_allclose(position, reference, atol=1e-9)
@@ -47,7 +47,7 @@ def test_cross_couplings_stay_as_they_were():
     table = HammersteinModel.load("duo_bimorph_static")
     angle = 2 * np.pi * 50.0 * 50e-6 * np.arange(1600)
     reference = np.stack([50.0 * np.sin(angle), np.zeros(1600)])
-    drive, _ = DecoupledInverse(table, np.inf).respond(reference)
+    drive, _ = DecoupledInverseLaw(table, np.inf).respond(reference)
     position, _ = table.hysteresis.respond(drive)
     coupled, _ = table.hysteresis.respond(np.stack([drive[0], np.zeros(1600)]))
     np.testing.assert_allclose(position[1], coupled[1], atol=0.2)

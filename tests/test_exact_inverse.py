@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import theory
 
-from hammerstein.compensators.exact.inverse import ExactInverse
+from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
@@ -80,10 +80,10 @@ def test_solves_random_models_on_paths_with_many_minor_loops():
         if len(_signs_of_determinants(model)) > 1:
             refused += 1
             with pytest.raises(SimulationError, match="has no inverse"):
-                ExactInverse(model, 1e4)
+                ExactInverseLaw(model, 1e4)
             continue
         path = _path_with_minor_loops(generator, m)
-        drive, _ = ExactInverse(model, 1e4).respond(path)
+        drive, _ = ExactInverseLaw(model, 1e4).respond(path)
         assert np.abs(_textbook(model, drive) - path).max() < 1e-9
         solved += 1
     assert refused > 5
@@ -96,7 +96,7 @@ def test_more_inputs_than_outputs_are_solved_too():
         if not invertibility(model.hysteresis, 1e4, 8.0).invertible:
             continue
         path = _path_with_minor_loops(generator, p)
-        drive, _ = ExactInverse(model, 1e4).respond(path)
+        drive, _ = ExactInverseLaw(model, 1e4).respond(path)
         assert np.abs(_textbook(model, drive) - path).max() < 1e-9
 
 
@@ -104,14 +104,14 @@ def test_least_drive_of_a_linear_actuator_is_the_pseudo_inverse():
     gain = np.array([[3.0, 2.0, 0.5], [0.2, 0.0, 4.0]])
     model = _model([[Pair.linear(g) if g else Pair.absent() for g in row] for row in gain])
     path = np.random.default_rng(0).uniform(-5.0, 5.0, (2, 30))
-    drive, _ = ExactInverse(model, 10.0).respond(path)
+    drive, _ = ExactInverseLaw(model, 10.0).respond(path)
     np.testing.assert_allclose(drive, np.linalg.pinv(gain) @ path, atol=1e-12)
 
 
 def test_a_spare_input_takes_over_where_another_stands_at_its_range():
     model = _model([[Pair([0.05, 1.0], [3.0, 1.0]), Pair([0.1, 2.0], [2.0, 1.0])]])
     path = 30.0 * np.sin(np.arange(400)[None] * 0.05)
-    drive, _ = ExactInverse(model, 5.0).respond(path)
+    drive, _ = ExactInverseLaw(model, 5.0).respond(path)
     at_range = np.abs(drive) == 5.0
     assert at_range[0].any()
     assert not at_range.all(axis=0).any()
@@ -128,7 +128,7 @@ def test_a_spare_input_takes_over_where_another_stands_at_its_range():
 )
 def test_models_that_no_drive_can_follow_are_refused(pairs, message):
     with pytest.raises((InputError, SimulationError), match=message):
-        ExactInverse(_model(pairs), 10.0)
+        ExactInverseLaw(_model(pairs), 10.0)
 
 
 def test_a_model_without_inverse_is_named_where_it_fails():
@@ -136,8 +136,8 @@ def test_a_model_without_inverse_is_named_where_it_fails():
     with pytest.raises(
         SimulationError, match=r"of its 3 .* 1 .* 2 operators engaged \(thresholds to 0.5 V\): \[\[-1"
     ):
-        ExactInverse(model, 10.0)
-    drive, _ = ExactInverse(model, 10.0, run_anyway=True).respond(
+        ExactInverseLaw(model, 10.0)
+    drive, _ = ExactInverseLaw(model, 10.0, run_anyway=True).respond(
         _path_with_minor_loops(np.random.default_rng(1), 1)
     )
     assert np.abs(drive).max() <= 10.0
@@ -146,7 +146,7 @@ def test_a_model_without_inverse_is_named_where_it_fails():
 def test_a_singular_model_is_refused():
     model = _model([[Pair.linear(1.0), Pair.linear(2.0)], [Pair.linear(2.0), Pair.linear(4.0)]])
     with pytest.raises(SimulationError, match="1 are singular"):
-        ExactInverse(model, 10.0)
+        ExactInverseLaw(model, 10.0)
 
 
 def test_operators_that_the_range_never_engages_do_not_count():
@@ -164,7 +164,7 @@ def test_both_ways_to_examine_determinants_agree():
 
 
 def test_printed_table_has_an_inverse_and_is_solved():
-    law = ExactInverse(_table(), 10.0)
+    law = ExactInverseLaw(_table(), 10.0)
     assert "225 slope matrices have one sign" in law.statement()
     assert "its drive jumps: 0.14 V on input u0, 0.14 V on input u1." in law.statement()
     angle = 2.0 * np.pi * np.arange(800) / 400
@@ -175,7 +175,7 @@ def test_printed_table_has_an_inverse_and_is_solved():
 
 def test_one_play_is_inverted_by_a_jump_of_twice_its_threshold():
     path = np.array([[0.0, 6.0, 9.0, 8.0, 8.0, 2.0, 4.0]])
-    drive, _ = ExactInverse(_model([[Pair([0.3], [2.0])]]), 10.0).respond(path)
+    drive, _ = ExactInverseLaw(_model([[Pair([0.3], [2.0])]]), 10.0).respond(path)
     direction = np.array([0.0, 1.0, 1.0, -1.0, -1.0, -1.0, 1.0])
     np.testing.assert_allclose(drive[0], path[0] / 2.0 + 0.3 * direction, atol=1e-12)
 
@@ -188,7 +188,7 @@ def test_equals_the_analytic_inverse_of_one_bank():
     slopes = np.cumsum(w)
     inverse_w = [1.0 / w[0], *(-np.array(w[1:]) / (slopes[1:] * slopes[:-1]))]
     path = 4.0 * np.sin(2.0 * np.pi * np.arange(1000) / 500)
-    drive, _ = ExactInverse(_model([[Pair(r, w)]]), 100.0).respond(path)
+    drive, _ = ExactInverseLaw(_model([[Pair(r, w)]]), 100.0).respond(path)
     np.testing.assert_allclose(
         drive, theory.prandtl_ishlinskii([path], [[inverse_r]], [[inverse_w]]), atol=1e-9
     )
@@ -197,7 +197,7 @@ def test_equals_the_analytic_inverse_of_one_bank():
 def test_range_holds_one_input_and_the_other_goes_on_exactly():
     angle = 2.0 * np.pi * np.arange(1200) / 400
     path = np.stack([70.0 * np.cos(angle), 40.0 * np.sin(angle)])
-    drive, _ = ExactInverse(_table(), 10.0).respond(path)
+    drive, _ = ExactInverseLaw(_table(), 10.0).respond(path)
     error = _textbook(_table(), drive) - path
     at_range = np.abs(drive) == 10.0
     assert np.abs(drive).max() == 10.0
@@ -213,8 +213,8 @@ def test_softening_spreads_the_jump_and_lags_no_more_than_stated():
         [np.linspace(0.0, 8.0, 400), np.linspace(8.0, 2.0, 400), np.linspace(2.0, 4.0, 200)]
     )
     model = _model([[Pair([r0], [slope])]])
-    hard, _ = ExactInverse(model, 10.0).respond(path)
-    drive, _ = ExactInverse(model, 10.0, softening_v=soft).respond(path)
+    hard, _ = ExactInverseLaw(model, 10.0).respond(path)
+    drive, _ = ExactInverseLaw(model, 10.0, softening_v=soft).respond(path)
     turn = slice(395, 405)
     assert np.abs(np.diff(hard[0, turn])).max() > 2.0 * r0 - 0.02
     assert np.abs(np.diff(drive[0, turn])).max() < 0.1
@@ -229,7 +229,7 @@ def test_small_reversals_in_the_softened_jump_leave_no_trace():
     angle = 2.0 * np.pi * np.arange(1600) / 400
     path = 40.0 * np.stack([np.cos(angle), np.sin(angle)]) + 0.02 * generator.normal(size=(2, 1600))
     path[:, 1200:] = 40.0 * np.stack([np.cos(angle[1200:]), np.sin(angle[1200:])])
-    drive, _ = ExactInverse(_table(), 10.0, softening_v=0.01).respond(path)
+    drive, _ = ExactInverseLaw(_table(), 10.0, softening_v=0.01).respond(path)
     error = _textbook(_table(), drive) - path
     far_from_turns = (np.abs(np.sin(2.0 * angle)) > 0.5) & (angle > 2.0 * np.pi * 3.25)
     assert np.abs(error[:, far_from_turns]).max() < 1e-9
@@ -237,11 +237,11 @@ def test_small_reversals_in_the_softened_jump_leave_no_trace():
 
 def test_a_plateau_moves_nothing():
     path = np.repeat(_path_with_minor_loops(np.random.default_rng(3), 2), 3, axis=1)
-    drive, _ = ExactInverse(_table(), 1e4).respond(path)
+    drive, _ = ExactInverseLaw(_table(), 1e4).respond(path)
     held = drive.reshape(2, -1, 3)
     assert np.abs(np.diff(held, axis=2)).max() < 1e-12  # rounding; a false reversal would jump by 0.14 V
 
 
 def test_softening_below_zero_is_refused():
     with pytest.raises(InputError, match="softening_v"):
-        ExactInverse(_table(), 10.0, softening_v=-0.1)
+        ExactInverseLaw(_table(), 10.0, softening_v=-0.1)

@@ -5,10 +5,10 @@ import control
 import numpy as np
 import pytest
 
-from hammerstein.compensators.exact.inverse import ExactInverse
-from hammerstein.compensators.feedback.pid import Feedback, closed_loop
+from hammerstein.compensators.exact.inverse import ExactInverseLaw
+from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
 from hammerstein.compensators.feedback.tuning import Gains
-from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
+from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.prepare import prepare
@@ -16,6 +16,7 @@ from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.instruments import Drive, Instruments, Sensor, standard_noise
 from hammerstein.model import HammersteinModel
 from hammerstein.scenario import Scenario
+from hammerstein.simulation import WIRES
 
 T = 50e-6
 SENSOR = Sensor()
@@ -39,7 +40,7 @@ def model():
 
 @pytest.fixture(scope="module")
 def law(model):
-    return Feedback(model, 10.0, T, 2000.0)
+    return FeedbackController(model, 10.0, T, 2000.0)
 
 
 def _run(law, model, path, sensor=SENSOR, drive=None, seed=3):
@@ -69,8 +70,8 @@ def test_every_wire_is_what_the_blocks_one_by_one_give(law, model):
 
 @pytest.mark.parametrize("forward", [False, True])
 def test_one_step_is_the_loop_to_the_last_bit_and_its_state_can_be_saved(model, forward):
-    feedforward = ExactInverse(model, 10.0) if forward else None
-    law = Feedback(model, 10.0, T, 2000.0, feedforward=feedforward)
+    feedforward = ExactInverseLaw(model, 10.0) if forward else None
+    law = FeedbackController(model, 10.0, T, 2000.0, feedforward=feedforward)
     path = _path(600, radius=40.0)  # reaches the range
     run = _run(law, model, path)
     ahead = feedforward.drive_for(path) if forward else np.zeros((2, 600))
@@ -102,7 +103,7 @@ def test_leaves_the_range_as_soon_as_the_reference_does(law, model):
 def test_integral_gain_of_a_lone_resonance_is_twice_damping_times_frequency_over_the_margin():
     """With an ideal sensor on a fine grid |1 + L| is smallest at w_n, where L = -k / (2 z w_n)."""
     model = _model(damping=0.02, resonances=(280.0,), linear=True)
-    gains = Feedback(model, 10.0, 1e-6).gains
+    gains = FeedbackController(model, 10.0, 1e-6).gains
     limit = 2.0 * 0.02 * 2.0 * np.pi * 280.0
     assert gains.integral_per_s[0] == pytest.approx((1.0 - 1.0 / 1.6) * limit, rel=0.12)
     assert gains.derivative_s[0] == 0.0
@@ -112,7 +113,7 @@ def test_integral_gain_of_a_lone_resonance_is_twice_damping_times_frequency_over
 def test_computed_gains_keep_the_sensitivity(derivative):
     """Sensitivity and poles of the closed loop, from python-control alone."""
     model = _model(resonances=(280.0,), linear=True)
-    gains = Feedback(model, 10.0, T, 2000.0, derivative=derivative).gains
+    gains = FeedbackController(model, 10.0, T, 2000.0, derivative=derivative).gains
     kp, ki, kd = gains.proportional[0], gains.integral_per_s[0], gains.derivative_s[0]
     w, lag = 2.0 * np.pi * 280.0, 2.0 * np.pi * 2000.0
     s, z = control.tf("s"), control.tf([1, 0], [1], T)
@@ -125,14 +126,14 @@ def test_computed_gains_keep_the_sensitivity(derivative):
 
 
 def test_derivative_action_follows_faster(model):
-    plain, damped = (Feedback(model, 10.0, T, 2000.0, derivative=d).gains for d in (False, True))
+    plain, damped = (FeedbackController(model, 10.0, T, 2000.0, derivative=d).gains for d in (False, True))
     assert (damped.integral_per_s > 5.0 * plain.integral_per_s).all()
     assert (damped.crossover_hz > plain.crossover_hz).all()
     assert "s derivative, loop gain 1 at" in damped.statement()
 
 
 def test_feedback_takes_out_what_a_wrong_feedforward_leaves(model):
-    wrong = HammersteinInverse(_model(resonances=(260.0, 330.0)), 10.0, T)
+    wrong = HammersteinInverseLaw(_model(resonances=(260.0, 330.0)), 10.0, T)
     stiffer = tuple(
         tuple(Pair(q.thresholds_v, 1.1 * q.weights_um_per_v) for q in row) for row in model.hysteresis.pairs
     )
@@ -145,16 +146,16 @@ def test_feedback_takes_out_what_a_wrong_feedforward_leaves(model):
         return np.abs(_run(law, plant, path).position_um - path)[:, 1000:].max()
 
     none = Gains(*np.zeros((3, 2)))
-    alone = error(Feedback(model, 10.0, T, 2000.0))
-    forward = error(Feedback(model, 10.0, T, 2000.0, none, feedforward=wrong))
-    both = error(Feedback(model, 10.0, T, 2000.0, feedforward=wrong))
+    alone = error(FeedbackController(model, 10.0, T, 2000.0))
+    forward = error(FeedbackController(model, 10.0, T, 2000.0, none, feedforward=wrong))
+    both = error(FeedbackController(model, 10.0, T, 2000.0, feedforward=wrong))
     assert both < 0.3 * min(alone, forward)
 
 
 def test_a_delayed_feedforward_is_met_with_the_delayed_reference(model):
-    late = HammersteinInverse(model, 10.0, T, preview_s=0.0, filter_hz=1500.0)
+    late = HammersteinInverseLaw(model, 10.0, T, preview_s=0.0, filter_hz=1500.0)
     path = _path(3000)
-    run = _run(Feedback(model, 10.0, T, 2000.0, feedforward=late), model, path, QUIET)
+    run = _run(FeedbackController(model, 10.0, T, 2000.0, feedforward=late), model, path, QUIET)
     delay = late.delay_samples
     assert np.abs(run.position_um[:, delay:] - path[:, :-delay])[:, 1000:].max() < 0.1
 
@@ -164,13 +165,13 @@ def test_a_model_without_dynamics_gives_no_gains(model):
         "static", model.hysteresis, StaticDynamics(n_outputs=2), 10.0, model.inputs, model.outputs
     )
     with pytest.raises(InputError, match="no dynamics"):
-        Feedback(static, 10.0, T)
-    Feedback(static, 10.0, T, gains=Gains(np.zeros(2), np.full(2, 10.0), np.zeros(2)))
+        FeedbackController(static, 10.0, T)
+    FeedbackController(static, 10.0, T, gains=Gains(np.zeros(2), np.full(2, 10.0), np.zeros(2)))
 
 
 def test_gains_of_the_wrong_number_are_refused(model):
     with pytest.raises(InputError, match="give 2 finite values"):
-        Feedback(model, 10.0, T, gains=Gains(np.zeros(1), np.ones(1), np.zeros(1)))
+        FeedbackController(model, 10.0, T, gains=Gains(np.zeros(1), np.ones(1), np.zeros(1)))
 
 
 def test_axes_that_do_not_fit_are_refused(law, model):
@@ -182,14 +183,14 @@ def test_axes_that_do_not_fit_are_refused(law, model):
 def test_a_loop_that_diverges_says_so():
     model = _model(linear=True)
     ideal = Instruments.ideal()
-    law = Feedback(model, np.inf, T, gains=Gains(np.full(2, 50.0), np.full(2, 1e5), np.zeros(2)))
+    law = FeedbackController(model, np.inf, T, gains=Gains(np.full(2, 50.0), np.full(2, 1e5), np.zeros(2)))
     with pytest.raises(SimulationError, match="diverges"):
         _run(law, model, _path(8000), ideal.sensor, ideal.drive)
 
 
 def test_the_sensors_own_lag_is_no_error(model):
     """Readings of a first-order sensor on a ramp: a (t - tau (1 - exp(-t / tau)))."""
-    law = Feedback(model, 10.0, T, 300.0)
+    law = FeedbackController(model, 10.0, T, 300.0)
     time, tau = T * np.arange(1, 400), 1.0 / (2.0 * np.pi * 300.0)
     path = np.outer([2000.0, -1000.0], time)
     reading = np.outer([2000.0, -1000.0], time - tau * (1.0 - np.exp(-time / tau)))
@@ -223,3 +224,28 @@ def test_a_law_from_a_model_file_works_on_the_scenarios_sensor(tmp_path):
     np.testing.assert_array_equal(own.laws["pi"]._settings, other.laws["pi"]._settings)
     (case,) = own.cases()
     assert np.array_equal(own.simulate(case).position_um, other.simulate(case).position_um)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"derivative": True}, {"feedforward": "exact_inverse"}, {"feedforward": "hammerstein_inverse"}],
+)
+def test_the_compiled_loop_is_the_block_diagram_to_rounding(options):
+    """Controller, drive, hysteresis, dynamics and noisy sensor sample by sample, drive cut at times."""
+    feedback = {"label": "pi", "law": "feedback", "model": "duo_bimorph", **options}
+    scenario = {
+        "question": "Is it the same?",
+        "reference": {"kind": "circle", "radius_um": 44.0, "frequency_hz": 120.0},
+        "compensators": [feedback],
+        "measure": {"settle_cycles": 0, "measured_cycles": 1},
+        "instruments": {"drive": {"range_v": 9.0}},
+    }
+    setup = prepare(Scenario.model_validate(scenario))
+    (case,) = setup.cases()
+    fast = setup.simulate(case)
+    plain = setup.plant.closed_loop(setup.laws["pi"], fast.reference_um, case.seed(setup.scenario.seed))
+    for wire in WIRES:
+        np.testing.assert_allclose(
+            getattr(fast, wire), getattr(plain, wire), atol=1e-12, rtol=0, err_msg=wire
+        )
+    assert fast.saturated.any()

@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 import theory_linear
 
-from hammerstein.compensators.exact.inverse import ExactInverse
-from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
+from hammerstein.compensators.exact.inverse import ExactInverseLaw
+from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.compensators.preview.linear_inverse import linear_inverse
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StateSpaceDynamics, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
@@ -75,7 +75,7 @@ def test_stands_on_the_path_on_every_sample(name, frequency_hz):
     dynamics, bound = DYNAMICS[name]
     model = _model(dynamics)
     path = _circle(frequency_hz, 20.0, 1600, dynamics.n_outputs)
-    drive = HammersteinInverse(model, 10.0, T).drive_for(path)
+    drive = HammersteinInverseLaw(model, 10.0, T).drive_for(path)
     error = np.abs(_position(model, drive) - path)[
         :, :-60
     ]  # the path ends within what some blocks look ahead
@@ -88,7 +88,7 @@ def test_stands_on_the_path_on_every_sample(name, frequency_hz):
 def test_between_the_samples_only_the_steps_of_the_hold_are_left(frequency_hz):
     model = _model(_axes(280.0))
     path = _circle(frequency_hz, 20.0, 1600, 1)
-    v, _ = model.hysteresis.respond(HammersteinInverse(model, 10.0, T).drive_for(path))
+    v, _ = model.hysteresis.respond(HammersteinInverseLaw(model, 10.0, T).drive_for(path))
     fine = T / 20.0
     time_s = np.arange(v.shape[1] * 20) * fine
     system = control.c2d(model.dynamics.system(), fine, "zoh")
@@ -102,10 +102,10 @@ def test_between_the_samples_only_the_steps_of_the_hold_are_left(frequency_hz):
 
 
 def test_preview_is_one_sample_for_a_resonant_axis_and_stated_for_others():
-    assert HammersteinInverse(_model(_axes(280.0)), 10.0, T).preview_samples == 1
-    assert HammersteinInverse(_model(_axes(280.0, delay=3)), 10.0, T).preview_samples == 4
-    assert HammersteinInverse(_model(StaticDynamics(n_outputs=1)), 10.0, T).preview_samples == 0
-    law = HammersteinInverse(_model(_of(RESONANT * (1.0 - S / 2000.0))), 10.0, T)
+    assert HammersteinInverseLaw(_model(_axes(280.0)), 10.0, T).preview_samples == 1
+    assert HammersteinInverseLaw(_model(_axes(280.0, delay=3)), 10.0, T).preview_samples == 4
+    assert HammersteinInverseLaw(_model(StaticDynamics(n_outputs=1)), 10.0, T).preview_samples == 0
+    law = HammersteinInverseLaw(_model(_of(RESONANT * (1.0 - S / 2000.0))), 10.0, T)
     # What a zero at exp(T 2000/s) wants of the future halves every ln 2 / (2000 T) samples.
     assert 100 < law.preview_samples < 300
     assert f"looks {law.preview_samples} samples ahead" in law.statement()
@@ -123,7 +123,7 @@ def test_gain_of_the_inverse_is_large_above_the_resonance():
 def test_without_preview_the_position_follows_by_the_stated_delay():
     model = _model(_axes(280.0, 306.0, delay=2))
     path = _circle(50.0, 20.0, 1600)
-    law = HammersteinInverse(model, 10.0, T, preview_s=0.0, filter_hz=2000.0)
+    law = HammersteinInverseLaw(model, 10.0, T, preview_s=0.0, filter_hz=2000.0)
     assert law.preview_samples == 0
     assert law.delay_samples == 3 + len(law.taps) // 2
     assert law.delay_s == pytest.approx(law.delay_samples * T)
@@ -131,7 +131,7 @@ def test_without_preview_the_position_follows_by_the_stated_delay():
     position = _position(model, law.drive_for(path))
     late = law.delay_samples
     assert np.abs(position[:, 800:] - path[:, 800 - late : -late]).max() < 0.01
-    half = HammersteinInverse(model, 10.0, T, preview_s=2 * T)
+    half = HammersteinInverseLaw(model, 10.0, T, preview_s=2 * T)
     assert (half.preview_samples, half.delay_samples) == (2, 1)
 
 
@@ -147,12 +147,12 @@ def test_creep_is_undone_for_minutes():
         v, _ = model.hysteresis.respond(law.drive_for(path))
         return np.abs(discretise(model.dynamics, step).respond(v)[0] - path)[:, late].max()
 
-    assert drift(HammersteinInverse(model, 10.0, step)) < 1e-6
-    assert drift(ExactInverse(model, 10.0)) > 1.0
+    assert drift(HammersteinInverseLaw(model, 10.0, step)) < 1e-6
+    assert drift(ExactInverseLaw(model, 10.0)) > 1.0
 
 
 def test_filter_passes_and_stops_where_it_says():
-    law = HammersteinInverse(_model(_axes(280.0)), 10.0, T, filter_hz=1000.0)
+    law = HammersteinInverseLaw(_model(_axes(280.0)), 10.0, T, filter_hz=1000.0)
     offset = np.arange(len(law.taps)) - len(law.taps) // 2
 
     def gain(f):
@@ -169,21 +169,21 @@ def test_a_path_with_corners_needs_the_filter_and_is_followed_with_it():
     model = _model(_axes(280.0))
     cycles = np.arange(2400)[None] * T * 50.0
     triangle = 25.0 * (1.0 - 4.0 * np.abs((cycles + 0.25) % 1.0 - 0.5))
-    law = HammersteinInverse(model, 10.0, T, filter_hz=1500.0)
+    law = HammersteinInverseLaw(model, 10.0, T, filter_hz=1500.0)
     drive = law.drive_for(triangle)
     error = np.abs(_position(model, drive) - triangle)[:, 800:-100]
     to_corner = np.abs((cycles[:, 800:-100] + 0.25) % 0.5 - 0.25)
     assert np.abs(drive).max() < 10.0
     assert error[to_corner < 0.15].max() < 0.05
     assert error.max() < 0.6  # the corners themselves are rounded
-    bare = HammersteinInverse(model, 10.0, T).drive_for(triangle)
+    bare = HammersteinInverseLaw(model, 10.0, T).drive_for(triangle)
     assert (np.abs(bare) == 10.0).sum() > 100
 
 
 def test_a_path_goes_on_straight_beyond_its_ends():
     model = _model(_axes(280.0))
     ramp = np.linspace(-20.0, 20.0, 2000)[None]
-    drive = HammersteinInverse(model, 10.0, T, filter_hz=1000.0).drive_for(ramp)
+    drive = HammersteinInverseLaw(model, 10.0, T, filter_hz=1000.0).drive_for(ramp)
     assert np.abs(_position(model, drive) - ramp)[:, 1000:].max() < 1e-6
 
 
@@ -191,7 +191,7 @@ def test_start_away_from_rest_neither_rings_nor_lasts():
     model = _model(_axes(280.0, 306.0))
     angle = 2.0 * np.pi * 50.0 * T * np.arange(1600)
     path = 30.0 * np.stack([np.cos(angle), np.sin(angle)])
-    drive = HammersteinInverse(model, 10.0, T).drive_for(path)
+    drive = HammersteinInverseLaw(model, 10.0, T).drive_for(path)
     error = np.abs(_position(model, drive) - path)
     assert error[:, 200:].max() < 0.1  # 10 ms; the plant alone would still ring with exp(-2.1) of 30 um
     assert error[:, 500:].max() < 1e-6
@@ -201,7 +201,7 @@ def test_after_the_range_the_position_comes_back_at_once():
     model = _model(_axes(280.0, 306.0))
     path = _circle(50.0, 20.0, 2400)
     path[0, 700:1100] *= 1.0 + 4.0 * np.sin(np.pi * np.arange(400) / 400) ** 4  # beyond reach for a while
-    law = HammersteinInverse(model, 10.0, T)
+    law = HammersteinInverseLaw(model, 10.0, T)
     drive = law.drive_for(path)
     error = np.abs(_position(model, drive) - path)
     cut = np.flatnonzero((np.abs(drive[0]) == 10.0) & (np.arange(2400) > 400))
@@ -214,7 +214,7 @@ def test_after_the_range_the_position_comes_back_at_once():
 
 
 def test_a_path_shorter_than_the_preview_is_refused():
-    law = HammersteinInverse(_model(_axes(280.0)), 10.0, T, filter_hz=500.0)
+    law = HammersteinInverseLaw(_model(_axes(280.0)), 10.0, T, filter_hz=500.0)
     with pytest.raises(
         InputError, match=f"has 50 samples, but the law looks {law.needed_samples} samples ahead"
     ):
@@ -236,7 +236,7 @@ def test_a_stream_with_the_stated_preview_is_the_batch(dynamics, filter_hz):
     model = _model(dynamics)
     angle = 2.0 * np.pi * 50.0 * T * np.arange(1500) + 0.7
     path = 30.0 * np.stack([np.cos(angle), np.sin(angle)])[: model.hysteresis.n_outputs]
-    law = HammersteinInverse(model, 10.0, T, filter_hz=filter_hz)
+    law = HammersteinInverseLaw(model, 10.0, T, filter_hz=filter_hz)
     batch = law.drive_for(path)
     state, ahead, pieces = law.primed(path[:, : law.start_samples])[0], law.preview_samples, []
     for first, stop in ((0, 1), (1, 2), (2, 40), (40, 700), (700, path.shape[1] - ahead)):
@@ -247,7 +247,7 @@ def test_a_stream_with_the_stated_preview_is_the_batch(dynamics, filter_hz):
 
 
 def test_the_start_hears_of_the_samples_that_it_states_and_of_no_other():
-    law = HammersteinInverse(_model(_axes(280.0, 306.0)), 10.0, T)
+    law = HammersteinInverseLaw(_model(_axes(280.0, 306.0)), 10.0, T)
     angle = 2.0 * np.pi * 50.0 * T * np.arange(800)
     path = 30.0 * np.stack([np.cos(angle), np.sin(angle)])
     first = law.drive_for(path)[:, 0]
@@ -270,7 +270,7 @@ def test_the_start_hears_of_the_samples_that_it_states_and_of_no_other():
 )
 def test_options_that_make_no_sense_are_refused(options, message):
     with pytest.raises(InputError, match=message):
-        HammersteinInverse(_model(_axes(280.0)), 10.0, T, **options)
+        HammersteinInverseLaw(_model(_axes(280.0)), 10.0, T, **options)
 
 
 def _discrete(a, b, c, d):
@@ -301,6 +301,6 @@ def test_more_inputs_than_outputs():
         "two for one", PrandtlIshlinskii(((pair, pair),)), _axes(280.0), 10.0, ("a", "b"), ("x",)
     )
     path = _circle(100.0, 40.0, 1600, 1)
-    drive = HammersteinInverse(model, 10.0, T).drive_for(path)
+    drive = HammersteinInverseLaw(model, 10.0, T).drive_for(path)
     np.testing.assert_allclose(drive[0], drive[1], atol=1e-9)
     assert np.abs(_position(model, drive) - path)[:, 400:].max() < 1e-9

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 import hammerstein
-from hammerstein.compensators.exact.inverse import ExactInverse
-from hammerstein.compensators.feedback.pid import Feedback
+from hammerstein.compensators.exact.inverse import ExactInverseLaw
+from hammerstein.compensators.feedback.pid import FeedbackController
 from hammerstein.compensators.feedback.stream import FeedbackStream
-from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
-from hammerstein.compensators.linear_gain import LinearGain
-from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
+from hammerstein.compensators.no_compensation import NoCompensationLaw
+from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.errors import InputError
 from hammerstein.experiment.prepare import prepare
 from hammerstein.instruments import Drive, Instruments, Sensor
@@ -59,7 +59,8 @@ def test_compensator_and_actuator_give_the_numbers_of_simulate(options):
     """Drive, sensor, noise and seed included; the reference is known ahead as far as the law looks."""
     setup, case, law = _prepared(options)
     expected = setup.simulate(case)
-    state, coming = (FeedbackStream(law) if isinstance(law, Feedback) else law).primed(expected.reference_um)
+    stream = FeedbackStream(law) if isinstance(law, FeedbackController) else law
+    state, coming = stream.primed(expected.reference_um)
     compensator = law.to_iosys(T)
     actuator = setup.plant.to_iosys(case.seed(3), outputs=("position_um", "reading_um"))
     loop = control.interconnect(
@@ -78,7 +79,7 @@ def test_compensator_and_actuator_give_the_numbers_of_simulate(options):
 def test_from_rest_the_numbers_come_later_by_the_preview(order):
     """Nothing is told but the reference; a chain of three blocks in any order is exact."""
     model = HammersteinModel.load("duo_bimorph")
-    law = HammersteinInverse(model, 10.0, T, filter_hz=1500.0)
+    law = HammersteinInverseLaw(model, 10.0, T, filter_hz=1500.0)
     time = T * np.arange(SAMPLES)
     window = np.clip((time - 6e-3) / 4e-3, 0.0, 1.0) ** 3
     reference = 20.0 * window * np.stack([np.sin(600.0 * time), np.cos(500.0 * time)])
@@ -193,9 +194,9 @@ def test_a_system_can_be_linearised():
 @pytest.mark.parametrize(
     "build",
     [
-        lambda model: HammersteinInverse(model, 10.0, T),
-        lambda model: Feedback(model, 10.0, T),
-        lambda model: InverseMultiplicative(model, 10.0, T, filter_s=1e-3),
+        lambda model: HammersteinInverseLaw(model, 10.0, T),
+        lambda model: FeedbackController(model, 10.0, T),
+        lambda model: InverseMultiplicativeLaw(model, 10.0, T, filter_s=1e-3),
         lambda model: hammerstein.discretise(model.dynamics, T),
     ],
 )
@@ -205,7 +206,7 @@ def test_another_sample_time_is_refused(build):
         block.to_iosys(2 * T)
 
 
-@pytest.mark.parametrize("build", [LinearGain, ExactInverse])
+@pytest.mark.parametrize("build", [NoCompensationLaw, ExactInverseLaw])
 def test_a_static_law_runs_on_any_grid(build):
     assert build(HammersteinModel.load("duo_bimorph"), 10.0).to_iosys(1e-3).dt == 1e-3
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import theory
 
-from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative, convergence
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw, convergence
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
@@ -24,7 +24,7 @@ def _circle(cycles=4):
 
 def _rms_of_last_cycles(table, **options):
     reference = _circle()
-    drive, _ = InverseMultiplicative(table, np.inf, T, **options).respond(reference)
+    drive, _ = InverseMultiplicativeLaw(table, np.inf, T, **options).respond(reference)
     position, _ = table.hysteresis.respond(drive)
     return np.sqrt(np.mean((position - reference)[:, 800:] ** 2, axis=1))
 
@@ -56,8 +56,8 @@ def test_the_law_as_printed_is_refused_and_diverges(table):
     with pytest.raises(
         SimulationError, match=r"does not converge: slopes 3.* to 9\.[89].* spectral radius 8"
     ):
-        InverseMultiplicative(table, np.inf, T, gain="identity")
-    law = InverseMultiplicative(table, np.inf, T, gain="identity", run_anyway=True)
+        InverseMultiplicativeLaw(table, np.inf, T, gain="identity")
+    law = InverseMultiplicativeLaw(table, np.inf, T, gain="identity", run_anyway=True)
     drive, _ = law.respond(_circle()[:, :6])
     assert np.abs(drive[:, 5]).max() > 250e3
 
@@ -67,7 +67,7 @@ def test_one_linear_input_follows_the_recursion():
     g, n = 0.4, 30
     model = HammersteinModel.load("duo_bimorph_static")
     linear = PrandtlIshlinskii(((Pair.linear(g), Pair.absent()), (Pair.absent(), Pair.linear(2 * g))))
-    law = InverseMultiplicative(_with(model, linear), np.inf, T, gain="identity")
+    law = InverseMultiplicativeLaw(_with(model, linear), np.inf, T, gain="identity")
     drive, _ = law.respond(np.ones((2, n)))
     k = np.arange(1, n + 1)
     np.testing.assert_allclose(drive[0], (1 - (1 - g) ** k) / g, rtol=1e-12)
@@ -86,7 +86,7 @@ def test_filter_converges_where_the_delay_does_not(table):
     pole = lambda tau: np.exp(-T / tau)  # noqa: E731
     assert convergence(table.hysteresis, np.eye(2), pole(1.2 * slow)).converges
     assert not convergence(table.hysteresis, np.eye(2), pole(0.8 * fast)).converges
-    law = InverseMultiplicative(table, np.inf, T, gain="identity", filter_s=2 * slow)
+    law = InverseMultiplicativeLaw(table, np.inf, T, gain="identity", filter_s=2 * slow)
     drive, _ = law.respond(np.full((2, 400), 30.0))
     position, _ = table.hysteresis.respond(drive)
     np.testing.assert_allclose(position[:, -1], 30.0, atol=1e-9)
@@ -120,7 +120,7 @@ def _plain_filter_law(reference, gain, tau_s, passes, step_s=T):
 @pytest.mark.parametrize("filter_s", [20e-6, 200e-6, 1e-3])
 def test_filter_law_is_the_plain_loop(table, filter_s, passes):
     reference = _circle(1)
-    law = InverseMultiplicative(table, np.inf, T, filter_s=filter_s, iterations=passes)
+    law = InverseMultiplicativeLaw(table, np.inf, T, filter_s=filter_s, iterations=passes)
     expected = _plain_filter_law(reference, _auto_gain(), filter_s, passes)
     np.testing.assert_allclose(law.respond(reference)[0], expected, rtol=0, atol=1e-9)
 
@@ -130,7 +130,7 @@ def test_filter_law_follows_a_ramp_by_its_closed_form():
     g, k, tau, rate = 4.0, 0.1, 300e-6, 0.02
     linear = PrandtlIshlinskii(((Pair.linear(g), Pair.absent()), (Pair.absent(), Pair.linear(g))))
     model = _with(HammersteinModel.load("duo_bimorph_static"), linear)
-    law = InverseMultiplicative(model, np.inf, T, gain=k * np.eye(2), filter_s=tau)
+    law = InverseMultiplicativeLaw(model, np.inf, T, gain=k * np.eye(2), filter_s=tau)
     ramp = rate * np.arange(2000) * np.ones((2, 1))
     error = ramp[:, -1] - g * law.respond(ramp)[0][:, -1]
     pole = np.exp(-T / tau)
@@ -149,7 +149,7 @@ def test_more_passes_with_a_filter_neither_chatter_nor_shorten_its_time(table):
     """The drive of a circle turns twice a cycle and axis, however many passes there are."""
     drives = {}
     for passes in (1, 8):
-        law = InverseMultiplicative(table, np.inf, T, filter_s=300e-6, iterations=passes)
+        law = InverseMultiplicativeLaw(table, np.inf, T, filter_s=300e-6, iterations=passes)
         drives[passes] = law.respond(_circle())[0][:, 800:]
         turns = np.diff(np.sign(np.diff(drives[passes], axis=1)), axis=1) != 0
         assert (turns.sum(axis=1) <= 4).all()  # two cycles
@@ -158,7 +158,7 @@ def test_more_passes_with_a_filter_neither_chatter_nor_shorten_its_time(table):
 
 def test_the_statement_holds_the_filter(table):
     filter_s, passes = 300e-6, 2
-    law = InverseMultiplicative(table, np.inf, T, filter_s=filter_s, iterations=passes)
+    law = InverseMultiplicativeLaw(table, np.inf, T, filter_s=filter_s, iterations=passes)
     share = 1 - np.exp(-T / (passes * filter_s))
     sums = np.cumsum(theory.W_UM_PER_V, axis=2)
     least = min(
@@ -173,24 +173,24 @@ def test_the_statement_holds_the_filter(table):
 
 
 def test_a_gain_that_passes_too_much_overshoots_behind_any_filter(table):
-    law = InverseMultiplicative(table, np.inf, T, gain="identity", filter_s=5e-3)
+    law = InverseMultiplicativeLaw(table, np.inf, T, gain="identity", filter_s=5e-3)
     assert law.convergence.converges
     assert law.convergence.overshoot
     with pytest.raises(SimulationError, match="a slower filter converges too, but overshoots"):
-        InverseMultiplicative(table, np.inf, T, gain="identity", filter_s=20e-6)
+        InverseMultiplicativeLaw(table, np.inf, T, gain="identity", filter_s=20e-6)
 
 
 def test_automatic_gain_converges_without_overshoot(table):
-    law = InverseMultiplicative(table, 10.0, T)
+    law = InverseMultiplicativeLaw(table, 10.0, T)
     assert law.convergence.converges
     assert not law.convergence.overshoot
-    doubled = InverseMultiplicative(table, 10.0, T, gain=1.2 * law.gain_v_per_um)
+    doubled = InverseMultiplicativeLaw(table, 10.0, T, gain=1.2 * law.gain_v_per_um)
     assert doubled.convergence.overshoot
 
 
 def test_drive_stays_in_range_and_recovers(table):
     reference = np.hstack([np.full((2, 200), 70.0), np.zeros((2, 400))])
-    drive, _ = InverseMultiplicative(table, 10.0, T).respond(reference)
+    drive, _ = InverseMultiplicativeLaw(table, 10.0, T).respond(reference)
     assert np.abs(drive).max() == 10.0
     position, _ = table.hysteresis.respond(drive)
     assert np.abs(position[:, -1]).max() < 0.3
@@ -206,9 +206,9 @@ def test_refuses_what_is_not_square():
         inputs=("x", "y", "z"),
     )
     with pytest.raises(InputError, match="as many inputs as outputs"):
-        InverseMultiplicative(wide, 10.0, T)
+        InverseMultiplicativeLaw(wide, 10.0, T)
 
 
 def test_refuses_a_gain_of_the_wrong_shape(table):
     with pytest.raises(InputError, match="matrix in V/um"):
-        InverseMultiplicative(table, 10.0, T, gain=np.eye(3))
+        InverseMultiplicativeLaw(table, 10.0, T, gain=np.eye(3))

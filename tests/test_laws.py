@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from hammerstein.compensators.decoupled_inverse import DecoupledInverse
-from hammerstein.compensators.exact.inverse import ExactInverse
-from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
-from hammerstein.compensators.linear_gain import LinearGain
-from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
+from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
+from hammerstein.compensators.exact.inverse import ExactInverseLaw
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
+from hammerstein.compensators.no_compensation import NoCompensationLaw
+from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
@@ -17,17 +17,17 @@ from hammerstein.model import HammersteinModel
 
 T = 50e-6
 LAWS = {
-    "none": lambda model, limit: LinearGain(model, limit),
-    "inverse_multiplicative": lambda model, limit: InverseMultiplicative(model, limit, T),
-    "inverse_multiplicative, filter": lambda model, limit: InverseMultiplicative(
+    "none": lambda model, limit: NoCompensationLaw(model, limit),
+    "inverse_multiplicative": lambda model, limit: InverseMultiplicativeLaw(model, limit, T),
+    "inverse_multiplicative, filter": lambda model, limit: InverseMultiplicativeLaw(
         model, limit, T, filter_s=1e-3
     ),
-    "decoupled_inverse": lambda model, limit: DecoupledInverse(model, limit),
-    "exact_inverse": lambda model, limit: ExactInverse(model, limit),
-    "exact_inverse, softened": lambda model, limit: ExactInverse(model, limit, softening_v=0.05),
-    "hammerstein_inverse": lambda model, limit: HammersteinInverse(model, limit, T),
-    "hammerstein_inverse, filter": lambda model, limit: HammersteinInverse(model, limit, T, filter_hz=2000.0),
-    "hammerstein_inverse, causal": lambda model, limit: HammersteinInverse(model, limit, T, 0.0, 2000.0),
+    "decoupled_inverse": lambda model, limit: DecoupledInverseLaw(model, limit),
+    "exact_inverse": lambda model, limit: ExactInverseLaw(model, limit),
+    "exact_inverse, softened": lambda model, limit: ExactInverseLaw(model, limit, softening_v=0.05),
+    "hammerstein_inverse": lambda model, limit: HammersteinInverseLaw(model, limit, T),
+    "hammerstein_inverse, filter": lambda model, limit: HammersteinInverseLaw(model, limit, T, None, 2000.0),
+    "hammerstein_inverse, causal": lambda model, limit: HammersteinInverseLaw(model, limit, T, 0.0, 2000.0),
 }
 
 
@@ -117,7 +117,7 @@ def test_bad_references_are_named(model, build):
 def test_what_must_be_known_before_a_run_is_said(model, build):
     law = build(model, 10.0)
     assert isinstance(law.statement(), str)
-    if isinstance(law, (ExactInverse, HammersteinInverse)):
+    if isinstance(law, (ExactInverseLaw, HammersteinInverseLaw)):
         assert "has an inverse for every reference" in law.statement()
 
 
@@ -135,7 +135,7 @@ def test_three_axes():
     axes = tuple(Axis(resonance_hz=f, damping_ratio=0.05) for f in (250.0, 300.0, 400.0))
     names = ("a", "b", "c")
     model = HammersteinModel("three", PrandtlIshlinskii(pairs), AxesDynamics(axes=axes), 10.0, names, names)
-    law = HammersteinInverse(model, 10.0, T)
+    law = HammersteinInverseLaw(model, 10.0, T)
     path = np.vstack([_path(), _path()[:1]])[[2, 1, 0]] * [[1.0], [0.5], [0.7]]
     whole, _ = law.respond(path)
     first, state = law.respond(path[:, :200])

@@ -4,9 +4,15 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from pydantic import Field
 
 import hammerstein
 from hammerstein import plugins
+from hammerstein.blocks import Law
+from hammerstein.compensators import COMPENSATORS
+from hammerstein.compensators.drive_file import Terms, compensate
+from hammerstein.compensators.no_compensation import NoMemory
+from hammerstein.driving import DriveRange
 from hammerstein.signals import SIGNALS, OnAxes, OneFrequency
 
 
@@ -91,3 +97,51 @@ def test_entry_points_are_found(monkeypatch):
     finally:
         SIGNALS.remove(Sawtooth)
         plugins.load_plugins.cache_clear()
+
+
+class Doubtful(hammerstein.Compensator):
+    """Asks for a fixed gain on the diagonal, as another package's law might."""
+
+    law: Literal["doubtful"] = "doubtful"
+    gain_v_per_um: float = Field(default=0.1, gt=0.0)
+
+    def design(self, model, range_v, sample_time_s):
+        return DoubtfulLaw(model, range_v, self.gain_v_per_um)
+
+
+class DoubtfulLaw(Law):
+    def __init__(self, model, range_v, gain):
+        self.n_inputs, self.n_outputs = model.hysteresis.n_inputs, model.hysteresis.n_outputs
+        self.range, self.gain, self.origin_um = DriveRange.of(range_v, model), gain, np.zeros(self.n_outputs)
+
+    def rest(self):
+        return NoMemory()
+
+    def restore(self, data):
+        return NoMemory()
+
+    def _respond(self, reference_um, start):
+        return self.gain * reference_um, start
+
+
+@pytest.fixture
+def doubtful():
+    yield hammerstein.register(Doubtful)
+    COMPENSATORS.remove(Doubtful)
+
+
+def test_a_compensator_of_another_package_is_named_by_a_scenario(doubtful):
+    own = {"label": "own", "law": "doubtful", "gain_v_per_um": 0.2, "model": "duo_bimorph_static"}
+    circle = {"kind": "circle", "radius_um": 20.0, "frequency_hz": 10.0}
+    response = hammerstein.simulate({**SCAN, "reference": circle, "compensators": [own]})
+    np.testing.assert_array_equal(response.requested_v, 0.2 * response.reference_um)
+    wrong = {**SCAN, "reference": circle, "compensators": [own | {"gain_v_per_um": 0.0}]}
+    with pytest.raises(hammerstein.InputError, match=r"compensators\[1\].gain_v_per_um"):
+        hammerstein.run(wrong)
+
+
+def test_it_serves_the_drive_file_too(doubtful, tmp_path):
+    path = tmp_path / "path.csv"
+    path.write_text("time_s,x,y\n0,0,0\n0.01,1,0\n0.02,2,1\n")
+    found = compensate("duo_bimorph_static", path, "doubtful", {"gain_v_per_um": 0.2}, Terms(clip=True))
+    np.testing.assert_allclose(found.drive_v[0].max(), 0.4, atol=2e-4)  # half a step of the converter

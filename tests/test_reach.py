@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import theory
 
-from hammerstein.compensators.exact.inverse import ExactInverse
+from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.exact.reach import largest_scale, reach, require_reach, shortfall
-from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
+from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
@@ -53,7 +53,7 @@ def test_coupled_axes_reach_what_their_tips_say():
 
 def test_reach_is_what_the_inverse_just_reaches():
     model = _table()
-    law = ExactInverse(model, 10.0)
+    law = ExactInverseLaw(model, 10.0)
     wave = np.sin(2.0 * np.pi * np.arange(1000) / 200)
     for tip in np.diag(reach(model, 10.0).alone_um[:, 1]):
         assert np.abs(law.drive_for(0.999 * np.outer(tip, wave))).max() < 10.0
@@ -66,7 +66,7 @@ def test_without_limit_the_reach_has_none():
 
 def test_largest_scale_of_a_path():
     model = _table()
-    law = ExactInverse(model, 10.0)
+    law = ExactInverseLaw(model, 10.0)
     angle = 2.0 * np.pi * np.arange(800) / 400
     circle = 70.0 * np.stack([np.cos(angle), np.sin(angle)])
     scale = largest_scale(law, circle)
@@ -78,7 +78,7 @@ def test_largest_scale_of_a_path():
 
 def test_shortfall_names_samples_and_axes():
     model = _table()
-    law = ExactInverse(model, 10.0)
+    law = ExactInverseLaw(model, 10.0)
     angle = 2.0 * np.pi * np.arange(800) / 400
     path = np.stack([70.0 * np.sin(angle), 20.0 * np.sin(angle)])
     drive = law.drive_for(path)
@@ -100,7 +100,7 @@ def test_shortfall_names_samples_and_axes():
 
 def test_a_path_within_reach_passes():
     model = _table(AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12),) * 2))
-    law = HammersteinInverse(model, 10.0, T, preview_s=0.0)
+    law = HammersteinInverseLaw(model, 10.0, T, preview_s=0.0)
     path = np.zeros((2, 800))
     path[0] = 20.0 * np.sin(2.0 * np.pi * 50.0 * T * np.arange(800)) ** 5
     found = shortfall(model, law, path, law.drive_for(path), T)
@@ -111,7 +111,7 @@ def test_a_path_within_reach_passes():
 
 def test_a_jump_is_pointed_out():
     model = _table(AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12),) * 2))
-    law = HammersteinInverse(model, 10.0, T)
+    law = HammersteinInverseLaw(model, 10.0, T)
     path = np.zeros((2, 600))
     path[1, 300:] = 10.0
     found = shortfall(model, law, path, law.drive_for(path), T)

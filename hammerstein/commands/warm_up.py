@@ -41,9 +41,9 @@ def _is_cached(loop: object) -> bool:
 
 def _use_inverse() -> None:
     """The exact inverse takes as long to compile as all the other loops together."""
-    from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
+    from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 
-    law = HammersteinInverse(HammersteinModel.load(MODEL), RANGE_V, SAMPLE_TIME_S, filter_hz=2000.0)
+    law = HammersteinInverseLaw(HammersteinModel.load(MODEL), RANGE_V, SAMPLE_TIME_S, filter_hz=2000.0)
     law.drive_for(_path())
 
 

@@ -1,1 +1,33 @@
-"""Compensators: laws from a reference in um to a drive in V."""
+"""Compensators: laws from a reference in um to a drive in V.
+
+To add one to the package, write it in a file of its own and name it here.
+"""
+
+from hammerstein.compensators.base import COMPENSATORS, Compensator
+from hammerstein.compensators.decoupled_inverse import DecoupledInverse
+from hammerstein.compensators.exact.inverse import ExactInverse
+from hammerstein.compensators.feedback.pid import Feedback
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
+from hammerstein.compensators.no_compensation import NoCompensation
+from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
+
+__all__ = [
+    "COMPENSATORS",
+    "Compensator",
+    "DecoupledInverse",
+    "ExactInverse",
+    "Feedback",
+    "HammersteinInverse",
+    "InverseMultiplicative",
+    "NoCompensation",
+]
+
+for _kind in (
+    NoCompensation,
+    InverseMultiplicative,
+    DecoupledInverse,
+    ExactInverse,
+    HammersteinInverse,
+    Feedback,
+):
+    COMPENSATORS.register(_kind)

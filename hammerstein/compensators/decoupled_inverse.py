@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from hammerstein.blocks import Array, Law, require_square
+from hammerstein.compensators.base import Compensator
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii
@@ -64,7 +65,7 @@ def inverse_pair(pair: Pair, axis: str = "pair") -> Pair:
     return Pair(thresholds, weights)
 
 
-class DecoupledInverse(Law[InverseState]):
+class DecoupledInverseLaw(Law[InverseState]):
     """Each axis inverted on its own, as if the cross-couplings were not there.
 
     A smallest threshold r_1 above zero is split off, for play(a) after play(b) is play(a+b): the bank is
@@ -125,3 +126,13 @@ class DecoupledInverse(Law[InverseState]):
         drive = np.empty_like(v)
         respond_inverse_play(v, self.jump_v, *self.range.counted, last, direction, drive)
         return drive, InverseState(plays, last, direction)
+
+
+class DecoupledInverse(Compensator):
+    """The analytic inverse of each direct transfer (paper, reference 20)."""
+
+    law: Literal["decoupled_inverse"] = "decoupled_inverse"
+
+    def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
+        """Build the law, see ``Compensator.design``."""
+        return DecoupledInverseLaw(model, range_v)

@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
-from hammerstein.blocks import Law
+from hammerstein.blocks import Controller, Law
+from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.exact.reach import Reach, Shortfall, reach, require_reach, shortfall
-from hammerstein.compensators.feedback.pid import Feedback
-from hammerstein.compensators.specs import Compensator, NoCompensation
 from hammerstein.driving import DriveRange
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, SimulationError
 from hammerstein.model import HammersteinModel
@@ -189,8 +188,8 @@ def compensate(
         update={"range_v": tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))}
     )
     time_s, reference, resampled = _on_grid(reference_path, model, drive.sample_time_s)
-    built = _spec(model_path, law, options).build(model, limits, drive.sample_time_s)
-    if isinstance(built, Feedback):
+    built = _options(law, options).design(model, limits, drive.sample_time_s)
+    if isinstance(built, Controller):
         raise InputError("--law", "feedback needs the sensor's readings: it has no drive to send ahead")
     asked = built.drive_for(reference)
     held, _ = drive.apply(asked)
@@ -297,8 +296,8 @@ def _slower(
     for frequency in np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS):
         rounded = float(f"{frequency:.2g}")
         try:
-            spec = _spec(model.name, law, {**options, "filter_hz": rounded})
-            built = spec.build(model, limits, sample_time_s)
+            options_then = _options(law, {**options, "filter_hz": rounded})
+            built = options_then.design(model, limits, sample_time_s)
             assert isinstance(built, Law)  # feedback has no filter
             found = shortfall(model, built, reference, built.drive_for(reference), sample_time_s)
         except HammersteinError:
@@ -332,11 +331,12 @@ def _on_grid(path: Path, model: HammersteinModel, sample_time_s: float) -> tuple
     return grid, np.ascontiguousarray(reference), not same
 
 
-def _spec(model_path: str, law: str, options: Mapping[str, Any]) -> Compensator:
+def _options(law: str, options: Mapping[str, Any]) -> Compensator:
+    """The compensator that is named, with its options."""
     given = {name: value for name, value in options.items() if value is not None}
     try:
-        return TypeAdapter(Compensator).validate_python(
-            {"label": law or "law", "law": law, "model": model_path, **given}
-        )
+        return COMPENSATORS.value({"law": law, **given})
     except ValidationError as error:
-        raise InputError("compensate", mistakes_of(error, NoCompensation)) from None
+        raise InputError(
+            "compensate", mistakes_of(error, COMPENSATORS.kinds.get(law, COMPENSATORS.base))
+        ) from None

@@ -8,8 +8,10 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from hammerstein.blocks import Array, Law, require_square
+from hammerstein.compensators.base import Compensator
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PlayState, PrandtlIshlinskii
@@ -66,7 +68,7 @@ class Convergence:
         )
 
 
-class InverseMultiplicative(Law[FeedbackState]):
+class InverseMultiplicativeLaw(Law[FeedbackState]):
     """U(t) = K Y_r(t) + F (U - K Gamma(U)), F a delay of one sample or a first-order filter.
 
     With K the identity [V/um] and the delay this is Theorem 4.1 as printed,
@@ -210,3 +212,23 @@ def _auto_gain(hysteresis: PrandtlIshlinskii) -> Array:
     inverse = np.linalg.inv(summed)
     largest = np.linalg.eigvals(inverse @ slope_matrices(hysteresis)).real.max()
     return np.asarray(inverse / largest)
+
+
+class InverseMultiplicative(Compensator):
+    """The paper's compensator without inversion (Theorem 4.1)."""
+
+    law: Literal["inverse_multiplicative"] = "inverse_multiplicative"
+    gain: Literal["identity", "auto"] | tuple[tuple[float, ...], ...] = Field(
+        default="auto", description='"identity" (as printed), "auto" (from the slopes), or a matrix in V/um'
+    )
+    filter_s: PositiveFloat | None = Field(
+        default=None, description="time constant of a first-order filter in place of the one-sample delay"
+    )
+    iterations: PositiveInt = Field(default=1, description="passes of the law in each sample")
+    run_anyway: bool = Field(default=False, description="accept an iteration that cannot converge")
+
+    def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
+        """Build the law, see ``Compensator.design``."""
+        return InverseMultiplicativeLaw(
+            model, range_v, sample_time_s, self.gain, self.filter_s, self.iterations, self.run_anyway
+        )

@@ -7,16 +7,16 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hammerstein.compensators.specs import InverseMultiplicativeSpec
+from hammerstein.compensators import InverseMultiplicative
 from hammerstein.errors import HammersteinError
 from hammerstein.experiment.measure import needed_by, rows_of
 from hammerstein.experiment.prepare import prepare
-from hammerstein.identification.source import ClosedFormSpec, ModelSource
 from hammerstein.instruments import Drive, Instruments
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.claims import Change, Claim, FactorName
+from hammerstein.scenario.source import ClosedFormSpec, ModelSource
 
 PASSES = 16
 FINER = 4  # parts of a sample
@@ -107,7 +107,7 @@ def _with_sources(scenario: Scenario, change: Callable[[Any], Any]) -> Scenario 
 
 
 def _more_passes(source: ModelSource) -> ModelSource:
-    is_paper = isinstance(source, InverseMultiplicativeSpec)
+    is_paper = isinstance(source, InverseMultiplicative)
     return source.model_copy(update={"iterations": PASSES}) if is_paper else source
 
 

@@ -14,21 +14,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.blocks import Law
-from hammerstein.compensators.feedback.pid import Feedback, closed_loop
-from hammerstein.compensators.specs import Compensator
+from hammerstein.blocks import Controller, Law
+from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
 from hammerstein.driving import DriveRange
 from hammerstein.errors import InputError, Mistake, SimulationError
-from hammerstein.identification.source import ModelSource
 from hammerstein.instruments import Instruments, standard_noise
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.memory import refuse_too_long
 from hammerstein.scenario import Scenario
+from hammerstein.scenario.source import ModelSource
+from hammerstein.scenario.tested import TestedCompensator
 from hammerstein.signals import Excitation, FromFile, OnAxes, Reference
 from hammerstein.simulation import Plant, Response
 
 Array = NDArray[np.float64]
-AnyLaw = Law[Any] | Feedback
+AnyLaw = Law[Any] | Controller[Any]
 Progress = Callable[[str, int, int], None]
 Experiment = Callable[[Plant, int], Response]
 """From an actuator and a seed to its response, from rest."""
@@ -108,7 +108,7 @@ class SetUp:
         if scenario.drive is not None:
             return lambda tested, seed: tested.respond(values, case.seed(seed))
         law = self.laws[case.label]
-        if isinstance(law, Feedback):
+        if isinstance(law, Controller):
             return lambda tested, seed: _closed(tested, law, values, case.seed(seed))
         voltages = law.drive_for(values)
         return lambda tested, seed: tested.respond(voltages, case.seed(seed), reference_um=values)
@@ -116,7 +116,7 @@ class SetUp:
     def runs_on(self, case: Case) -> bool:
         """Whether a case can be simulated piece by piece: no law that looks ahead or reads the sensor."""
         law = None if self.scenario.drive is not None else self.laws[case.label]
-        return not isinstance(law, Feedback) and (law is None or not law.preview_samples)
+        return not isinstance(law, Controller) and (law is None or not law.preview_samples)
 
     def stretches(self, case: Case, samples: int) -> Iterator[Response]:
         """Response of one case, stretch by stretch: for runs that do not fit the memory.
@@ -126,7 +126,7 @@ class SetUp:
         scenario, plant = self.scenario, self.plant
         total = Window.of(scenario, case.signal, plant.sample_time_s).total
         law = None if scenario.drive is not None else self.laws[case.label]
-        if isinstance(law, Feedback) or not self.runs_on(case):
+        if isinstance(law, Controller) or not self.runs_on(case):
             raise InputError(
                 f"compensator {case.label!r}",
                 "works on the whole path, not on stretches; use a law that neither looks ahead nor feeds "
@@ -148,8 +148,10 @@ class SetUp:
         return values_of(case, time_s, len(scenario_axes(self.scenario, self.plant.model)))
 
 
-def _closed(plant: Plant, law: Feedback, reference_um: Array, seed: list[int]) -> Response:
+def _closed(plant: Plant, law: Controller[Any], reference_um: Array, seed: list[int]) -> Response:
     """Response of an actuator whose voltages depend on what the sensor reads, from rest."""
+    if not isinstance(law, FeedbackController):
+        return plant.closed_loop(law, reference_um, seed)
     noise = standard_noise(np.random.default_rng(seed), *reference_um.shape)
     instruments = plant.instruments
     wires = closed_loop(
@@ -226,11 +228,11 @@ def prepare(
     return SetUp(scenario, plant, models, laws)
 
 
-def _law(compensator: Compensator, model: HammersteinModel, plant: Plant) -> AnyLaw:
+def _law(compensator: TestedCompensator, model: HammersteinModel, plant: Plant) -> AnyLaw:
     """A law for the instruments of the scenario, whatever those that its model was found with."""
     here = replace(model, instruments=plant.instruments)
     try:
-        return compensator.build(here, _range(model, plant), plant.sample_time_s)
+        return compensator.design(here, _range(model, plant), plant.sample_time_s)
     except (InputError, SimulationError) as error:
         raise type(error)(*_labelled(compensator.label, error)) from None
 

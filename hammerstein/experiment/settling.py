@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.dynamics import AxesDynamics
 from hammerstein.errors import HammersteinError
 from hammerstein.experiment.prepare import Case, SetUp, Window
@@ -57,7 +57,7 @@ def advice(setup: SetUp, case: Case) -> str:
 def _why(setup: SetUp, case: Case) -> str:
     law, dynamics = setup.laws.get(case.label), setup.plant.model.dynamics
     ahead_s = getattr(law, "preview_samples", 0) * setup.plant.sample_time_s
-    if isinstance(law, InverseMultiplicative) and not law.convergence.converges:
+    if isinstance(law, InverseMultiplicativeLaw) and not law.convergence.converges:
         return "the iteration of its law does not converge"
     if isinstance(dynamics, AxesDynamics) and any(axis.creep for axis in dynamics.axes):
         slowest = max(mode.time_constant_s for axis in dynamics.axes for mode in axis.creep)

@@ -19,12 +19,12 @@ from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.linear.creep import fit_creep
-from hammerstein.identification.source import ClosedFormSpec, IdentificationSpec, JointFitSpec
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.metrics.cycle import settled_cycle
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.cache import kept
+from hammerstein.scenario.source import ClosedFormSpec, IdentificationSpec, JointFitSpec
 from hammerstein.signals import Multisine, Sine, smooth_step
 from hammerstein.simulation import Plant
 from hammerstein.voltages import Voltages

@@ -12,12 +12,12 @@ from typing import Any
 
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.selection import identified_at, number
-from hammerstein.identification.source import ModelSource
 from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
 from hammerstein.reporting.summary import answer
 from hammerstein.reporting.tables import number_tables
+from hammerstein.scenario.source import ModelSource
 
 
 @dataclass(frozen=True)

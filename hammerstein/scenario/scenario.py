@@ -20,13 +20,14 @@ from pydantic import (
     model_validator,
 )
 
-from hammerstein.compensators.specs import Compensator
+from hammerstein.compensators import COMPENSATORS
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited
-from hammerstein.identification.source import ModelSource
 from hammerstein.instruments import Instruments
 from hammerstein.plugins import load_plugins
 from hammerstein.scenario.claims import Claim, MetricName
+from hammerstein.scenario.source import ModelSource
+from hammerstein.scenario.tested import Tested
 from hammerstein.scenario.uncertainty import Uncertainty
 from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference
 from hammerstein.validation import mistakes_of
@@ -90,7 +91,7 @@ class Scenario(BaseModel):
     drive: Excitation | None = Field(default=None, description="voltage to apply, in V")
     sweep: Sweep = Sweep()
     measure: Measure = Measure()
-    compensators: tuple[Compensator, ...] = ()
+    compensators: tuple[Tested, ...] = ()
     models: tuple[ModelSource, ...] = ()
     uncertainty: Uncertainty | None = Field(default=None, description="repeat the run on drawn actuators")
     answered_by: MetricName | None = Field(
@@ -159,6 +160,7 @@ class Scenario(BaseModel):
 
 
 SIGNALS.used_by(Scenario)
+COMPENSATORS.used_by(Scenario)
 
 ScenarioSource = Scenario | str | Path | Mapping[str, Any]
 """A scenario as it is, its file, or what a file would hold."""

@@ -6,8 +6,8 @@ from cases import SAMPLE_TIME_S, sines
 from ratios import Work
 from references import experiment_diagram
 
-from hammerstein.compensators.exact.inverse import ExactInverse
-from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
+from hammerstein.compensators.exact.inverse import ExactInverseLaw
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.experiment.measure import rows_of
 from hammerstein.experiment.prepare import prepare
 from hammerstein.instruments import standard_noise
@@ -27,11 +27,11 @@ def against_forward(bench, law, model, name, required):
 
 
 def test_exact_inverse_against_the_forward_model(bench, published):
-    against_forward(bench, ExactInverse(published, 10.0), published, "exact_inverse", 15.0)
+    against_forward(bench, ExactInverseLaw(published, 10.0), published, "exact_inverse", 15.0)
 
 
 def test_inverse_multiplicative_against_the_forward_model(bench, published):
-    law = InverseMultiplicative(published, 10.0, SAMPLE_TIME_S)
+    law = InverseMultiplicativeLaw(published, 10.0, SAMPLE_TIME_S)
     against_forward(bench, law, published, "inverse_multiplicative", 10.0)
 
 

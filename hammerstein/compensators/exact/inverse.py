@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field, NonNegativeFloat
 
 from hammerstein.blocks import Array, Law
+from hammerstein.compensators.base import Compensator
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import play
@@ -47,7 +49,7 @@ class Recovery(NamedTuple):
     gain: Array
 
 
-class ExactInverse(Law[ExactState]):
+class ExactInverseLaw(Law[ExactState]):
     """Solves ``Gamma(U) = Y_r`` in every sample by walking the affine pieces of the model.
 
     The model may be any square one whose slope determinants have one sign (``invertibility``), with its own
@@ -88,7 +90,7 @@ class ExactInverse(Law[ExactState]):
     >>> from hammerstein.hysteresis import (Pair, PrandtlIshlinskii)
     >>> plant = PrandtlIshlinskii([[Pair([0.1, 1.0], [4.0, 2.0])]])
     >>> model = HammersteinModel("one axis", plant, StaticDynamics(n_outputs=1), 10.0, ("u",), ("y",))
-    >>> law = ExactInverse(model, 10.0)
+    >>> law = ExactInverseLaw(model, 10.0)
     >>> drive_v, _ = law.respond([[0.0, 10.0, 8.0]])
     >>> plant.respond(drive_v)[0].round(9)
     array([[ 0., 10.,  8.]])
@@ -200,3 +202,17 @@ def _difference(whole: float, part: float) -> float:
     while rest + part > whole:
         rest = math.nextafter(rest, -math.inf)
     return rest
+
+
+class ExactInverse(Compensator):
+    """The exact inverse of the static block, cross-couplings included."""
+
+    law: Literal["exact_inverse"] = "exact_inverse"
+    softening_v: NonNegativeFloat = Field(
+        default=0.0, description="voltage over which the jump at a reversal is spread"
+    )
+    run_anyway: bool = Field(default=False, description="accept a model without an inverse")
+
+    def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
+        """Build the law, see ``Compensator.design``."""
+        return ExactInverseLaw(model, range_v, self.softening_v, self.run_anyway)

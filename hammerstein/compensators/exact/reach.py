@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.blocks import Array, Law, checked_reference
-from hammerstein.compensators.exact.inverse import ExactInverse
+from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.dynamics import discretise
 from hammerstein.errors import SimulationError
@@ -60,7 +60,7 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
 
     Raises
     ------
-    InputError, SimulationError : as ``ExactInverse`` for a model without an inverse
+    InputError, SimulationError : as ``ExactInverseLaw`` for a model without an inverse
 
     Examples
     --------
@@ -78,7 +78,7 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
         return Reach(nowhere, nowhere)
     middle = 0.5 * (limits.low_v + limits.high_v)
     about = replace(limits, working_point_v=middle, start_v=middle, conditioned=False)
-    law = ExactInverse(model, about, run_anyway=run_anyway)
+    law = ExactInverseLaw(model, about, run_anyway=run_anyway)
     half = 0.5 * limits.span_v
     most = float(np.sum([np.abs(model.hysteresis.amplitude(h)).sum() for h in half]))
     alone = np.array([most * _largest(_strokes_fit(law, [most * row])) for row in np.eye(p)])
@@ -121,7 +121,7 @@ def _largest(fits: Callable[[float], bool]) -> float:
     return low
 
 
-def _strokes_fit(law: ExactInverse, tips_um: Sequence[Array]) -> Callable[[float], bool]:
+def _strokes_fit(law: ExactInverseLaw, tips_um: Sequence[Array]) -> Callable[[float], bool]:
     """Whether a factor times each tip (p,), and its negative, can be reached again and again."""
     wave = np.sin(0.5 * np.pi * np.arange(10 * STROKE_SAMPLES + 1) / STROKE_SAMPLES)
 

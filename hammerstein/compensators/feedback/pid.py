@@ -5,12 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
 
-from hammerstein.blocks import Array, Law, checked_reference
+from hammerstein.blocks import Array, Controller, Law, checked_reference
+from hammerstein.compensators.base import COMPENSATORS, Compensator
 from hammerstein.compensators.feedback.tuning import POINTS, Gains, tuned
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.dynamics import LinearBlock, StaticDynamics, discretise
@@ -50,7 +52,7 @@ class ClosedLoop:
     saturated: NDArray[np.bool_]
 
 
-class Feedback:
+class FeedbackController(Controller[ControllerState]):
     """A discrete PI(D) controller of each output, decoupled by the gain matrix, with or without feedforward.
 
         e[k] = (what the sensor would read if the position were Y_r)[k] - reading[k]
@@ -86,7 +88,7 @@ class Feedback:
     >>> plant = PrandtlIshlinskii([[Pair([0.0, 1.0], [4.0, 2.0])]])
     >>> axis = AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12),))
     >>> model = HammersteinModel("one axis", plant, axis, 10.0, ("u",), ("y",))
-    >>> law = Feedback(model, 10.0, 50e-6, sensor_bandwidth_hz=2000.0)
+    >>> law = FeedbackController(model, 10.0, 50e-6, sensor_bandwidth_hz=2000.0)
     >>> block = discretise(axis, 50e-6, 2000.0)
     >>> path_um, quiet = np.full((1, 4000), 20.0), np.zeros((1, 4000))
     >>> run = closed_loop(law, path_um, plant, block, Drive(), Sensor(), quiet)
@@ -180,6 +182,16 @@ class Feedback:
         request(forward, self.inverse_gain_v_per_um, self.gain_um_per_v, self._limits, memory, asked)
         return asked, ControllerState(memory)
 
+    def prepared(self, reference_um: ArrayLike) -> tuple[Array, Array]:
+        """Path that the readings are compared with, later where the feedforward is, and the feedforward."""
+        reference = checked_reference(reference_um, self.n_outputs)
+        samples = reference.shape[1]
+        forward = np.repeat(self.range.start_v[:, None], samples, axis=1)
+        if self.feedforward is not None:
+            forward = self.feedforward.drive_for(reference)
+        late = np.pad(reference, ((0, 0), (self.late_samples, 0)))[:, :samples]
+        return np.ascontiguousarray(late), forward
+
     @property
     def late_samples(self) -> int:
         """Samples by which the position follows the reference, for the feedforward's want of preview."""
@@ -200,7 +212,7 @@ class Feedback:
 
 
 def closed_loop(
-    law: Feedback,
+    law: FeedbackController,
     reference_um: ArrayLike,
     hysteresis: PrandtlIshlinskii,
     block: LinearBlock,
@@ -235,10 +247,7 @@ def closed_loop(
         raise InputError(
             "closed loop", "noise, reference, hysteresis and linear block must have the same axes"
         )
-    forward = np.repeat(law.range.start_v[:, None], samples, axis=1)
-    if law.feedforward is not None:
-        forward = law.feedforward.drive_for(reference)
-    reference = np.ascontiguousarray(np.pad(reference, ((0, 0), (law.late_samples, 0)))[:, :samples])
+    reference, forward = law.prepared(reference)
     bank, state = hysteresis.bank, hysteresis.rest().copy()
     plays = (state.count, state.end, state.x, state.d, state.below)
     effects = (drive.resolution_v, sensor.range_um, sensor.resolution_um, sensor.noise_um)
@@ -299,3 +308,40 @@ def _extreme_slopes(model: HammersteinModel) -> list[Array]:
         size = columns @ np.linalg.pinv(inverse[[k]])[:, 0] if len(columns) else np.zeros(1)
         ends.append([columns[int(np.argmin(size))], columns[int(np.argmax(size))]] if len(columns) else [])
     return [np.stack(choice, axis=1) @ inverse for choice in itertools.product(*ends)]
+
+
+class Feedback(Compensator):
+    """A PI or PID law with the sensor, alone or on top of a feedforward law."""
+
+    law: Literal["feedback"] = "feedback"
+    feedforward: Literal["none", "exact_inverse", "hammerstein_inverse"] | None = Field(
+        default=None, description="law whose drive is added, built from the same model"
+    )
+    derivative: bool = Field(default=False, description="compute a derivative gain too")
+    proportional: tuple[float, ...] | None = Field(default=None, description="gain of each output")
+    integral_per_s: tuple[float, ...] | None = None
+    derivative_s: tuple[float, ...] | None = None
+
+    @model_validator(mode="after")
+    def _gains_come_together(self) -> Self:
+        given = [self.proportional, self.integral_per_s, self.derivative_s]
+        if any(gain is not None for gain in given) and (given[0] is None or given[1] is None):
+            raise ValueError("give proportional and integral_per_s together, or none of the gains")
+        return self
+
+    def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> FeedbackController:
+        """Build the controller, see ``Compensator.design``."""
+        added: Law[Any] | Controller[Any] | None = None
+        if self.feedforward is not None:
+            added = COMPENSATORS.value({"law": self.feedforward}).design(model, range_v, sample_time_s)
+        assert not isinstance(added, Controller)  # none of those that may be named reads the sensor
+        bandwidth = model.instruments.sensor.bandwidth_hz
+        return FeedbackController(
+            model, range_v, sample_time_s, bandwidth, self._gains(), self.derivative, feedforward=added
+        )
+
+    def _gains(self) -> Gains | None:
+        if self.proportional is None or self.integral_per_s is None:
+            return None
+        derivative = self.derivative_s or (0.0,) * len(self.proportional)
+        return Gains(np.array(self.proportional), np.array(self.integral_per_s), np.array(derivative))

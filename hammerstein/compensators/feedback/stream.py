@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hammerstein.blocks import Array, checked_reference
-from hammerstein.compensators.feedback.pid import ControllerState, Feedback
+from hammerstein.compensators.feedback.pid import ControllerState, FeedbackController
 
 if TYPE_CHECKING:
     from hammerstein.interop.block_system import BlockSystem
@@ -44,7 +44,7 @@ class FeedbackStream:
     with the reference that came as many samples before.
     """
 
-    law: Feedback
+    law: FeedbackController
 
     @property
     def delay_samples(self) -> int:
@@ -91,7 +91,7 @@ class FeedbackStream:
         return StreamState(self.law.rest(), waiting, forward), coming
 
     def to_iosys(self, sample_time_s: float, name: str) -> BlockSystem:
-        """Give the block as a discrete ``control.NonlinearIOSystem``; see ``Feedback.to_iosys``."""
+        """Give the block as a discrete ``control.NonlinearIOSystem``; see ``FeedbackController.to_iosys``."""
         from hammerstein.interop.block_system import BlockSystem, Stepwise, require_grid, signals
 
         require_grid(self.law.sample_time_s, sample_time_s, "controller")

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from hammerstein.blocks import Array, Law, checked_reference
-from hammerstein.compensators.exact.inverse import ExactInverse, ExactState, Recovery
+from hammerstein.compensators.base import Compensator
+from hammerstein.compensators.exact.inverse import ExactInverseLaw, ExactState, Recovery
 from hammerstein.compensators.preview.linear_inverse import linear_inverse
 from hammerstein.driving import RangeLike
 from hammerstein.dynamics import LinearBlock
@@ -42,7 +44,7 @@ class PathState:
         return {**arrays, "exact": self.exact.as_dict()}
 
 
-class HammersteinInverse(Law[PathState]):
+class HammersteinInverseLaw(Law[PathState]):
     """U = Gamma^-1 (G^-1 (F Y_r)): reference filter, inverse of the linear block, exact static inverse.
 
     ``G^-1`` is exact on the sample grid, the hold included (``linear_inverse``), so that on every sample the
@@ -70,7 +72,7 @@ class HammersteinInverse(Law[PathState]):
     sample_time_s : time between samples [s]
     preview_s : how far ahead the reference is known [s]; None: as far as needed; 0: not at all
     filter_hz : bandwidth of the reference filter [Hz]; None: no filter
-    softening_v, run_anyway : as for ``ExactInverse``
+    softening_v, run_anyway : as for ``ExactInverseLaw``
 
     Attributes
     ----------
@@ -79,7 +81,7 @@ class HammersteinInverse(Law[PathState]):
 
     Raises
     ------
-    InputError : a filter or preview that does not fit the sample time, and what ``ExactInverse`` raises
+    InputError : a filter or preview that does not fit the sample time, and what ``ExactInverseLaw`` raises
     SimulationError : no inverse of the hysteresis or of the linear block
 
     Examples
@@ -89,7 +91,7 @@ class HammersteinInverse(Law[PathState]):
     >>> plant = PrandtlIshlinskii([[Pair([0.0, 1.0], [4.0, 2.0])]])
     >>> axis = AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12),))
     >>> model = HammersteinModel("one axis", plant, axis, 10.0, ("u",), ("y",))
-    >>> law = HammersteinInverse(model, 10.0, 50e-6)
+    >>> law = HammersteinInverseLaw(model, 10.0, 50e-6)
     >>> reference_um = 20.0 * np.sin(2.0 * np.pi * 100.0 * 50e-6 * np.arange(400)) ** 3
     >>> v_um, _ = plant.respond(law.drive_for(reference_um))
     >>> y_um, _ = law.linear.block.respond(v_um)
@@ -107,7 +109,7 @@ class HammersteinInverse(Law[PathState]):
         softening_v: float = 0.0,
         run_anyway: bool = False,
     ):
-        self.exact = ExactInverse(model, range_v, softening_v, run_anyway)
+        self.exact = ExactInverseLaw(model, range_v, softening_v, run_anyway)
         self.n_inputs, self.n_outputs = self.exact.n_inputs, self.exact.n_outputs
         self.range, self.origin_um = self.exact.range, self.exact.origin_um
         self.sample_time_s: float = sample_time_s
@@ -187,8 +189,8 @@ class HammersteinInverse(Law[PathState]):
     def primed(self, reference_um: ArrayLike) -> tuple[PathState, Array]:
         """State of the law when the drive for the first sample of a path (p, N) known ahead is due.
 
-        The path is continued at both ends by its point reflection; the actuator stands still at its start. Of a
-        path that is not known to its end, the first ``start_samples`` suffice for the state.
+        The path is continued at both ends by its point reflection; the actuator stands still at its start.
+        Of a path that is not known to its end, the first ``start_samples`` suffice for the state.
 
         Returns
         -------
@@ -293,3 +295,24 @@ def _recovery(block: LinearBlock) -> Recovery:
         power = later @ power
     gain = np.linalg.solve(effort + b.T @ value @ b, b.T @ value @ a)
     return Recovery(*(np.array(matrix, order="C") for matrix in (a, b, gain)))
+
+
+class HammersteinInverse(Compensator):
+    """The inverse of the dynamics, known ahead, then the exact inverse of the static block."""
+
+    law: Literal["hammerstein_inverse"] = "hammerstein_inverse"
+    preview_s: NonNegativeFloat | None = Field(
+        default=None, description="how far ahead the reference is known; as far as needed if not given"
+    )
+    filter_hz: PositiveFloat | None = Field(
+        default=None, description="bandwidth of a reference filter, for references that are not smooth"
+    )
+    softening_v: NonNegativeFloat = Field(
+        default=0.0, description="voltage over which the jump at a reversal is spread"
+    )
+    run_anyway: bool = Field(default=False, description="accept a model without an inverse")
+
+    def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
+        """Build the law, see ``Compensator.design``."""
+        options = (self.preview_s, self.filter_hz, self.softening_v, self.run_anyway)
+        return HammersteinInverseLaw(model, range_v, sample_time_s, *options)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from hammerstein.blocks import Array, Law
+from hammerstein.compensators.base import Compensator
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.model import HammersteinModel
 
@@ -21,7 +22,7 @@ class NoMemory:
         return {}
 
 
-class LinearGain(Law[NoMemory]):
+class NoCompensationLaw(Law[NoMemory]):
     """U = U_start + G^+ Y_r, with the gain matrix G of the settled loops.
 
     This is the least drive if inputs outnumber outputs.
@@ -51,3 +52,13 @@ class LinearGain(Law[NoMemory]):
         drive = np.einsum("ko,ot->kt", self.gain_v_per_um, reference_um)
         low, high = self.range.counted
         return np.clip(drive + self._base_v[:, None], low[:, None], high[:, None]), start
+
+
+class NoCompensation(Compensator):
+    """The inverse of the low-frequency gain matrix."""
+
+    law: Literal["none"] = "none"
+
+    def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
+        """Build the law, see ``Compensator.design``."""
+        return NoCompensationLaw(model, range_v)

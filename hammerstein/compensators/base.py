@@ -1,0 +1,49 @@
+"""What every compensator is: options, and how a law is designed from them for a model and a drive."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, ConfigDict
+
+from hammerstein.driving import RangeLike
+from hammerstein.plugins import Family
+
+if TYPE_CHECKING:
+    from hammerstein.blocks import Controller, Law
+    from hammerstein.model import HammersteinModel
+
+
+class Compensator(BaseModel, ABC):
+    """A compensator by its options, as a scenario names it; to be frozen, with no key that it does not know.
+
+    To add one, derive from this class, give it a field ``law: Literal["its name"]`` with that default, and
+    register it.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    if TYPE_CHECKING:  # a field of every kind, behind its others
+        law: str
+
+    @abstractmethod
+    def design(
+        self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float
+    ) -> Law[Any] | Controller[Any]:
+        """Build the law.
+
+        Parameters
+        ----------
+        model : what is known of the actuator
+        range_v : range of the drive [V], see ``DriveRange.of``
+        sample_time_s : time between samples [s]
+
+        Raises
+        ------
+        InputError : options that do not fit the model
+        SimulationError : a law that cannot work
+        """
+
+
+COMPENSATORS: Family[Compensator] = Family(Compensator, "law")  # type: ignore[type-abstract]
