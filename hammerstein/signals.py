@@ -10,12 +10,13 @@ import io
 import math
 import sys
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
 
 from hammerstein.errors import InputError
@@ -40,13 +41,42 @@ class Shape(BaseModel, ABC):
         kind: str
 
     smooth_start_s: float = Field(default=0.0, ge=0.0, description="time in which the signal grows from zero")
+    offset: float | tuple[float, ...] | None = Field(
+        default=None,
+        repr=False,  # the noise of a case is drawn from this text: a path has the same wherever it lies
+        description="middle of the signal, one number or one an axis; a voltage lies about the actuator's "
+        "working point if it is not given",
+    )
 
-    def sample(self, time_s: Array, n_axes: int) -> Array:
-        """Values (axis, sample) at the given times (sample,) [s]."""
-        values = self._values(time_s, n_axes)
+    def sample(self, time_s: Array, n_axes: int, rest: ArrayLike = 0.0) -> Array:
+        """Values (axis, sample) at the given times (sample,) [s].
+
+        rest : (axis,) where the actuator stands before, and the middle of a signal without an offset
+        """
+        before = np.broadcast_to(np.asarray(rest, dtype=np.float64), n_axes)
+        values, middle = self._values(time_s, n_axes), self.middle(n_axes, before)
+        if middle.any():
+            values = values + middle[:, None]
         if self.smooth_start_s > 0.0:
             values = values * smooth_step(time_s / self.smooth_start_s)
-        return values
+        return values + before[:, None] if before.any() else values
+
+    def middle(self, n_axes: int, rest: Array) -> Array:
+        """Middle (axis,) of the signal, counted from rest (axis,).
+
+        Raises InputError where the offset has another number of axes.
+        """
+        if self.offset is None:
+            return np.zeros(n_axes)
+        if np.size(self.offset) not in (1, n_axes):
+            raise InputError("offset", f"has {np.size(self.offset)} numbers; there are {n_axes} axes")
+        middle = np.broadcast_to(np.asarray(self.offset, dtype=np.float64), n_axes) - rest
+        moved = np.ones(n_axes, dtype=np.bool_) if isinstance(self.offset, tuple) else self._moved(n_axes)
+        return np.where(moved, middle, 0.0)
+
+    def _moved(self, n_axes: int) -> NDArray[np.bool_]:
+        """Axes (axis,) that one number for all of them belongs to."""
+        return np.ones(n_axes, dtype=np.bool_)
 
     @abstractmethod
     def _values(self, time_s: Array, n_axes: int) -> Array:
@@ -106,7 +136,6 @@ class OnAxes(OneFrequency, ABC):
         default="each", description='number of the axis from 1, "each" in turn, or "all" together'
     )
     amplitude: PositiveFloat
-    offset: float = Field(default=0.0, description="added to the wave on the axes that are driven")
     phase_deg: float = 0.0
 
     @abstractmethod
@@ -114,13 +143,19 @@ class OnAxes(OneFrequency, ABC):
         """Wave of unit amplitude over cycles."""
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
-        wave = self.offset + self.amplitude * self._wave(self.frequency_hz * time_s + self.phase_deg / 360.0)
-        values = np.zeros((n_axes, len(time_s)))
-        if self.axis == "all":
-            values[:] = wave
-        elif self.axis != "each":
-            values[self.axis - 1] = wave
-        return values
+        wave = self.amplitude * self._wave(self.frequency_hz * time_s + self.phase_deg / 360.0)
+        return np.where(self._moved(n_axes)[:, None], wave, 0.0)
+
+    def _moved(self, n_axes: int) -> NDArray[np.bool_]:
+        """Those that are driven."""
+        return np.array([self.axis in ("all", k + 1) for k in range(n_axes)])
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        """Fields with the offset behind the amplitude, as in the text that the noise is drawn from."""
+        for name, value in super().__repr_args__():
+            yield name, value
+            if name == "amplitude":
+                yield "offset", 0.0 if self.offset is None else self.offset
 
 
 class Sine(OnAxes):
@@ -264,6 +299,10 @@ class FromFile(Shape):
     kind: Literal["file"] = "file"
     path: str
     scale: float = 1.0
+
+    def middle(self, n_axes: int, rest: Array) -> Array:
+        """A file of voltages holds them as they are."""
+        return super().middle(n_axes, rest) if self.offset is not None else -rest
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         times, values, _ = self.table()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.blocks import Controller, Law
 from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
@@ -145,7 +145,8 @@ class SetUp:
     def _values(self, case: Case, first: int, stop: int) -> Array:
         """Values (axis, sample) of the signal of a case from one sample to before another."""
         time_s = self.plant.sample_time_s * np.arange(first, stop, dtype=np.float64)
-        return values_of(case, time_s, len(scenario_axes(self.scenario, self.plant.model)))
+        rest = 0.0 if self.scenario.drive is None else self.plant.range.working_point_v
+        return values_of(case, time_s, len(scenario_axes(self.scenario, self.plant.model)), rest)
 
 
 def _closed(plant: Plant, law: Controller[Any], reference_um: Array, seed: list[int]) -> Response:
@@ -191,12 +192,12 @@ def driven_axes(scenario: Scenario, n_axes: int) -> Sequence[int | None]:
     return range(n_axes) if signal.axis == "each" else [signal.axis - 1]
 
 
-def values_of(case: Case, time_s: Array, n_axes: int) -> Array:
+def values_of(case: Case, time_s: Array, n_axes: int, rest: ArrayLike = 0.0) -> Array:
     """Values (axis, sample) of the case's signal."""
     signal = case.signal
     if case.axis is not None:
         signal = signal.model_copy(update={"axis": case.axis + 1})
-    return signal.sample(time_s, n_axes)
+    return signal.sample(time_s, n_axes, rest)
 
 
 def prepare(

@@ -26,6 +26,7 @@ class Measured:
         reference, or the prediction of a model [um]; None where there is nothing
     reference_um : (output, sample) path that was asked for [um], where all axes are driven together
     cycle_samples : samples of a cycle, where several equal ones of a whole number of samples are measured
+    middle_um : (output,) middle of that path [um]; zero if not given
     loops : (output,) loops of the readings against the one signal that is driven, where there is one
     """
 
@@ -38,6 +39,7 @@ class Measured:
     reference_um: Array | None = None
     cycle_samples: int | None = None
     loops: Sequence[LoopFigures] | None = None
+    middle_um: Array | None = None
 
     @cached_property
     def error_um(self) -> Array | None:

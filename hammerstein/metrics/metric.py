@@ -140,7 +140,7 @@ def euclidean_max_unsaturated_um(m: Measured) -> Values:
 
 
 @metric(
-    "largest error of the radius of a path, distance from the origin less that of the reference, from the "
+    "largest error of the radius of a path, distance from its middle less that of the reference, from the "
     "reading [um]"
 )
 def radial_max_um(m: Measured) -> Values:
@@ -203,9 +203,13 @@ def saturated_samples(m: Measured) -> Values:
 
 
 def _in_the_plane(error: Callable[[Array, Array], Array], m: Measured, path_um: Array) -> Values:
-    """Worst error of a path of two axes against its reference."""
+    """Worst error of a path of two axes against its reference, both counted from its middle."""
     reference = m.reference_um
-    return None if reference is None or len(reference) != 2 else worst(error(reference, path_um))
+    if reference is None or len(reference) != 2:
+        return None
+    if m.middle_um is not None and m.middle_um.any():
+        reference, path_um = reference - m.middle_um[:, None], path_um - m.middle_um[:, None]
+    return worst(error(reference, path_um))
 
 
 def _loops(m: Measured, of: Callable[[LoopFigures], float | None]) -> Values:
