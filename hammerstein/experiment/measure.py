@@ -224,8 +224,8 @@ def _far_from_home(setup: SetUp, results: Sequence[Result]) -> list[str]:
                         excess,
                         (
                             f"{label}: the drive goes from {went}, but the model was found from {low:.4g} to "
-                            f"{high:.4g} V. It knows nothing of the loop beyond; identify it with amplitude_v of "
-                            "the run."
+                            f"{high:.4g} V. It knows nothing of the loop beyond; identify it with the "
+                            "amplitude_v of the run."
                         ),
                     )
     return [text for _, text in farthest.values()]
