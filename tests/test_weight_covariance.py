@@ -42,9 +42,8 @@ def test_covariance_is_that_of_refits():
     np.testing.assert_allclose(np.sqrt(np.diag(known.covariance)), np.sqrt(np.diag(scatter)), rtol=0.2)
     # Errors of neighbours cancel: what counts is a sum of weights, such as the half height of the loop.
     height = np.concatenate([4.0 - R[0][0], np.zeros(2)])
-    assert np.sqrt(height @ known.covariance @ height) == pytest.approx(
-        np.sqrt(height @ scatter @ height), rel=0.2
-    )
+    told, seen = (np.sqrt(height @ matrix @ height) for matrix in (known.covariance, scatter))
+    assert told == pytest.approx(seen, rel=0.2)
     alone = np.sqrt(height**2 @ np.diag(known.covariance))
     assert told < 0.5 * alone
     errors = np.concatenate([pair.weight_errors_um_per_v for pair in fits[0].hysteresis.pairs[0]])

@@ -48,7 +48,8 @@ class HammersteinInverse(Law[PathState]):
     ``G^-1`` is exact on the sample grid, the hold included (``linear_inverse``), so that on every sample the
     model stands on the filtered reference. It needs the reference some samples ahead: one for a resonant
     axis, more for zeros outside the unit circle, half the length of the filter, and the input delay.
-    On a stream the drive leaves later by ``preview_samples``; ``drive_for`` aligns a path known ahead.
+    On a stream the drive leaves later by ``preview_samples``; ``drive_for`` aligns a path known ahead. A
+    stream starts from rest, or on a path whose first ``start_samples`` are known (``primed``).
     With less preview than that (``preview_s``), the rest is a delay of the position, ``delay_samples``.
 
     The filter F is a linear-phase low-pass: 1 within 0.1 % up to 0.7 ``filter_hz``, 1/2 at ``filter_hz``,
@@ -74,7 +75,7 @@ class HammersteinInverse(Law[PathState]):
     Attributes
     ----------
     linear : the inverse of the linear block, with what it needs and asks for
-    preview_samples, delay_samples, delay_s : see above
+    preview_samples, delay_samples, delay_s, start_samples : see above
 
     Raises
     ------
@@ -109,7 +110,7 @@ class HammersteinInverse(Law[PathState]):
         self.exact = ExactInverse(model, range_v, softening_v, run_anyway)
         self.n_inputs, self.n_outputs = self.exact.n_inputs, self.exact.n_outputs
         self.range, self.origin_um = self.exact.range, self.exact.origin_um
-        self.sample_time_s = sample_time_s
+        self.sample_time_s: float = sample_time_s
         self.linear = linear_inverse(model.dynamics, sample_time_s)
         self.taps = _low_pass_taps(filter_hz, sample_time_s)
         self.needed_samples = self.linear.preview_samples + len(self.taps) // 2
@@ -130,6 +131,11 @@ class HammersteinInverse(Law[PathState]):
         """The same as a time [s]."""
         return self.delay_samples * self.sample_time_s
 
+    @property
+    def start_samples(self) -> int:
+        """Samples of a path that must be known before its first drive, where it starts away from rest."""
+        return self.needed_samples + START_SAMPLES
+
     def statement(self) -> str:
         """Say what the law does before a run: inverse of the hysteresis, preview, delay, large gains."""
         parts = [self.exact.invertibility.statement(), self.linear.statement()]
@@ -140,6 +146,11 @@ class HammersteinInverse(Law[PathState]):
                 f"With its filter the reference must be known {samples} ahead "
                 f"({ahead * self.sample_time_s:.3g} s)"
                 + (f"; the position follows it {self.delay_s:.3g} s late." if self.delay_samples else ".")
+            )
+        if not self.delay_samples:
+            parts.append(
+                f"Where a path starts away from rest, its start needs the first {self.start_samples} samples "
+                f"of the path ({self.start_samples * self.sample_time_s:.3g} s)."
             )
         return " ".join(parts)
 
@@ -173,13 +184,21 @@ class HammersteinInverse(Law[PathState]):
         )
         return drive, PathState(kept[0].copy(), kept[1].copy(), modes, away, exact)
 
-    def drive_for(self, reference_um: ArrayLike) -> Array:
-        """Drive (m, N) aligned with a path (p, N) known ahead, from an actuator that stands still.
+    def primed(self, reference_um: ArrayLike) -> tuple[PathState, Array]:
+        """State of the law when the drive for the first sample of a path (p, N) known ahead is due.
+
+        The path is continued at both ends by its point reflection; the actuator stands still at its start.
+        Of a path that is not known to its end, the first ``start_samples`` suffice for the state.
+
+        Returns
+        -------
+        state : the law has seen the first ``preview_samples`` of the path
+        coming : (p, N) the path from there on
 
         Raises InputError where the preview is longer than the path.
         """
         if self.delay_samples:
-            return super().drive_for(reference_um)
+            return super().primed(reference_um)
         reference = checked_reference(reference_um, self.n_outputs)
         samples, needed = reference.shape[1], self.needed_samples
         if samples <= needed:
@@ -188,13 +207,14 @@ class HammersteinInverse(Law[PathState]):
                 f"has {samples} samples, but the law looks {needed} samples ahead; give a longer reference "
                 "or a filter of more bandwidth (filter_hz)",
             )
-        before, after = len(self.taps) // 2, needed
-        ends = np.pad(reference, ((0, 0), (before, after)), mode="reflect", reflect_type="odd")
-        known = self._filtered(ends)[:, self.linear.delay_samples :]
+        longest = len(self.taps) - 1
+        ends = np.pad(reference, ((0, 0), (longest // 2, needed)), mode="reflect", reflect_type="odd")
+        reach, seen = self.linear.reach_samples, longest // 2 + needed
+        known = self._filtered(ends[:, self.linear.delay_samples : seen + START_SAMPLES])
         modes = self._smooth_start(known)
         away = -self._block_state(known, modes)
-        v = self._from_rest(self._wanted(known, modes))
-        return self.range.absolute(self.exact.solve(v, self.exact.rest(), away, self.recovery)[0])
+        raw = ends[:, seen - longest : seen].copy()
+        return PathState(raw, known[:, :reach].copy(), modes, away, self.exact.rest()), ends[:, seen:]
 
     def _filtered(self, raw: Array) -> Array:
         """Reference behind the filter, shorter by its length less one."""
