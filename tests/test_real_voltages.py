@@ -4,6 +4,7 @@ The true actuator is a loop of its own here, in absolute volts; it shares nothin
 """
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -59,7 +60,7 @@ def triangles(low, high, rest, sizes, samples=400):
     tips = [rest]
     for size in sizes:
         tips += [rest + size * (far - rest), rest + 0.3 * (1.0 - size) * (far - rest)]
-    steps = [np.linspace(a, b, samples, endpoint=False) for a, b in zip(tips, tips[1:], strict=False)]
+    steps = [np.linspace(a, b, samples, endpoint=False) for a, b in pairwise(tips)]
     return np.concatenate([*steps, [tips[-1]]])
 
 

@@ -23,8 +23,8 @@ from hammerstein.simulation import Response
 Array = NDArray[np.float64]
 
 LAGGING = 2.0  # reading against true position: from here on most of the error is the sensor's
-HOLD_SHARE = 0.01  # of the amplitude; a hold that costs more is told
 BEYOND = 0.02  # part of the recorded range by which a drive may leave it before that is said
+HOLD_SHARE = 0.01  # of the amplitude; a hold that costs more is told
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +176,29 @@ def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
     ]
 
 
+def _far_from_home(setup: SetUp, results: Sequence[Result]) -> list[str]:
+    """Say where a model is used at voltages that its own records did not cover."""
+    farthest: dict[str, tuple[float, str]] = {}
+    for result in results:
+        drive = result.trace.response.drive_v
+        labels = [result.trace.label] if result.trace.label else list(setup.models)
+        for label in labels:
+            known, names = setup.models[label].recorded, setup.plant.model.inputs
+            for name, row, low, high in zip(names, drive, known.lowest_v, known.highest_v, strict=True):
+                excess = max(float(row.max()) - high, low - float(row.min()))
+                if excess > max(BEYOND * (high - low), farthest.get(label, (0.0, ""))[0]):
+                    went = f"{row.min():.4g} to {row.max():.4g} V on {name}"
+                    farthest[label] = (
+                        excess,
+                        (
+                            f"{label}: the drive goes from {went}, but the model was found from {low:.4g} to "
+                            f"{high:.4g} V. It knows nothing of the loop beyond; identify it with the "
+                            "amplitude_v of the run."
+                        ),
+                    )
+    return [text for _, text in farthest.values()]
+
+
 def _sampling(setup: SetUp) -> Iterator[str]:
     """Say what the sample time alone costs, where two of them meet, and what was not recorded."""
     scenario, step = setup.scenario, setup.plant.sample_time_s
@@ -214,29 +237,6 @@ def hold_share(frequency_hz: float, sample_time_s: float) -> float:
     return 0.0 if angle == 0.0 else abs(1.0 - (1.0 - cmath.exp(-1j * angle)) / (1j * angle))
 
 
-def _far_from_home(setup: SetUp, results: Sequence[Result]) -> list[str]:
-    """Say where a model is used at voltages that its own records did not cover."""
-    farthest: dict[str, tuple[float, str]] = {}
-    for result in results:
-        drive = result.trace.response.drive_v
-        labels = [result.trace.label] if result.trace.label else list(setup.models)
-        for label in labels:
-            known, names = setup.models[label].recorded, setup.plant.model.inputs
-            for name, row, low, high in zip(names, drive, known.lowest_v, known.highest_v, strict=True):
-                excess = max(float(row.max()) - high, low - float(row.min()))
-                if excess > max(BEYOND * (high - low), farthest.get(label, (0.0, ""))[0]):
-                    went = f"{row.min():.4g} to {row.max():.4g} V on {name}"
-                    farthest[label] = (
-                        excess,
-                        (
-                            f"{label}: the drive goes from {went}, but the model was found from {low:.4g} to "
-                            f"{high:.4g} V. It knows nothing of the loop beyond; identify it with "
-                            "amplitude_v of the run."
-                        ),
-                    )
-    return [text for _, text in farthest.values()]
-
-
 def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     """What a reader of the report must know: convergence, saturation, and what did not settle."""
     statements = [f"{label}: {text}" for label, law in setup.laws.items() if (text := law.statement())]
@@ -245,8 +245,8 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
         for label in setup.laws
         if setup.models[label].digest() == setup.plant.model.digest()
     ]
-    statements += _sampling(setup)
     statements += _far_from_home(setup, results)
+    statements += _sampling(setup)
     statements += _sensor_lag(setup, [row for result in results for row in result.rows])
     for result in results:
         row = result.rows[0]

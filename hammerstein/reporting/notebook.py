@@ -44,15 +44,16 @@ def picture_of(value: Any) -> Figure | None:
 
 @picture_of.register(HammersteinModel)
 def _(model: HammersteinModel) -> Figure | None:
-    """Settled loops of the static block, one input driven at a time."""
-    runs = []
+    """Settled loops of the static block about the middle of its range, one input driven at a time."""
+    runs, known = [], model.recorded
     sine = np.sin(2.0 * np.pi * np.arange(2 * CYCLE + 1) / CYCLE)
     for k in range(len(model.inputs)):
         for part in PARTS:
-            u = np.zeros((len(model.inputs), len(sine)))
-            u[k] = part * model.amplitude_v * sine
-            v, _ = model.hysteresis.respond(u)
-            runs.append(LoopRun(f"{part * model.amplitude_v:g} V", k, u[k, CYCLE:], v[:, CYCLE:]))
+            u = np.repeat(np.array(known.working_point_v)[:, None], len(sine), axis=1)
+            half = 0.5 * part * (known.highest_v[k] - known.lowest_v[k])
+            u[k] = 0.5 * (known.highest_v[k] + known.lowest_v[k]) + half * sine
+            v, _ = model.static_response(u)
+            runs.append(LoopRun(f"{half:g} V", k, u[k, CYCLE:], v[:, CYCLE:]))
     inputs = [f"{symbol(name, 'voltage')} [V]" for name in model.inputs]
     outputs = [f"{symbol(name, 'reading')} [µm]" for name in model.outputs]
     return loops_figure(runs, inputs, outputs, f"{plain(model.name)}: settled loops, without dynamics")
