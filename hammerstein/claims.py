@@ -8,9 +8,10 @@ from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.errors import InputError
+from hammerstein.quantities import Agreed, Figure, Frequency, Size
 from hammerstein.rows import KEY, Row
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -40,11 +41,11 @@ class Quantity(BaseModel):
     compensator: str | None = None
     excited_axis: str | None = None
     measured_axis: str | None = None
-    frequency_hz: PositiveFloat | None = None
-    from_hz: PositiveFloat | None = None
-    to_hz: PositiveFloat | None = None
-    amplitude_v: PositiveFloat | None = None
-    amplitude_um: PositiveFloat | None = None
+    frequency_hz: Frequency | None = None
+    from_hz: Frequency | None = None
+    to_hz: Frequency | None = None
+    amplitude_v: Size | None = None
+    amplitude_um: Size | None = None
     of: Literal["max", "min", "mean", "spread"] = "max"
 
     def value(self, rows: Iterable[Row]) -> float:
@@ -64,11 +65,9 @@ class Agreement(BaseModel):
 
     model_config = _STRICT
 
-    within: PositiveFloat | None = Field(
-        default=None, description="relative distance from the paper's figure"
-    )
-    at_most: float | None = None
-    at_least: float | None = None
+    within: Agreed | None = Field(default=None, description="relative distance from the paper's figure")
+    at_most: Figure | None = None
+    at_least: Figure | None = None
 
     @model_validator(mode="after")
     def _says_something(self) -> Self:
@@ -99,11 +98,11 @@ class Claim(BaseModel):
 
     id: Annotated[str, Field(min_length=1)]
     statement: Annotated[str, Field(min_length=1)]
-    paper: float | None = Field(default=None, description="the paper's figure, if it prints one")
+    paper: Figure | None = Field(default=None, description="the paper's figure, if it prints one")
     unit: str = ""
     quantity: Quantity
     over: Quantity | None = Field(default=None, description="divide by this quantity")
-    factor: float = Field(default=1.0, description="multiply by this, such as 0.5 for half a height")
+    factor: Figure = Field(default=1.0, description="multiply by this, such as 0.5 for half a height")
     agreement: Agreement
     note: str = Field(default="", description="what a reader should know if the claim is not met")
 

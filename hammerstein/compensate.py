@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 from hammerstein.compensators.feedback import Feedback
 from hammerstein.compensators.law import Law
 from hammerstein.compensators.reach import Reach, Shortfall, reach, require_reach, shortfall
-from hammerstein.compensators.specs import Compensator, NoCompensation
+from hammerstein.compensators.specs import Compensator
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.instruments import Drive
 from hammerstein.model import HammersteinModel
@@ -172,4 +172,4 @@ def _spec(model_path: str, law: str, options: Mapping[str, Any]) -> Compensator:
             {"label": law or "law", "law": law, "model": model_path, **given}
         )
     except ValidationError as error:
-        raise InputError("compensate", mistakes_of(error, NoCompensation)) from None
+        raise InputError("compensate", mistakes_of(error, TypeAdapter(Compensator))) from None

@@ -13,9 +13,19 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.errors import InputError
+from hammerstein.quantities import (
+    Axes,
+    CreepGain,
+    Damping,
+    Delay,
+    Entry,
+    Resonance,
+    SampleTime,
+    TimeConstant,
+)
 
 if TYPE_CHECKING:
     import control
@@ -41,8 +51,8 @@ class CreepMode(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    gain: float = Field(description="final creep of this mode, as a fraction of the fast displacement")
-    time_constant_s: PositiveFloat
+    gain: CreepGain = Field(description="final creep of this mode, as a fraction of the fast displacement")
+    time_constant_s: TimeConstant
 
 
 class Axis(BaseModel):
@@ -55,8 +65,8 @@ class Axis(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    resonance_hz: PositiveFloat = Field(description="undamped natural frequency")
-    damping_ratio: PositiveFloat
+    resonance_hz: Resonance = Field(description="undamped natural frequency")
+    damping_ratio: Damping
     creep: tuple[CreepMode, ...] = ()
 
 
@@ -67,7 +77,7 @@ class AxesDynamics(BaseModel):
 
     kind: Literal["axes"] = "axes"
     axes: tuple[Axis, ...] = Field(min_length=1)
-    input_delay_s: float = Field(default=0.0, ge=0.0)
+    input_delay_s: Delay = 0.0
 
     @property
     def n_outputs(self) -> int:
@@ -97,8 +107,8 @@ class StaticDynamics(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["static"] = "static"
-    n_outputs: int = Field(ge=1)
-    input_delay_s: float = Field(default=0.0, ge=0.0)
+    n_outputs: Axes
+    input_delay_s: Delay = 0.0
 
     def describe(self) -> str:
         """Say in a few words what it is."""
@@ -117,12 +127,15 @@ class StateSpaceDynamics(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["state_space"] = "state_space"
-    A: tuple[tuple[float, ...], ...]
-    B: tuple[tuple[float, ...], ...]
-    C: tuple[tuple[float, ...], ...]
-    D: tuple[tuple[float, ...], ...]
-    sample_time_s: PositiveFloat | None = Field(default=None, description="absent: continuous time")
-    input_delay_s: float = Field(default=0.0, ge=0.0)
+    A: tuple[tuple[Entry, ...], ...]
+    B: tuple[tuple[Entry, ...], ...]
+    C: tuple[tuple[Entry, ...], ...]
+    D: tuple[tuple[Entry, ...], ...]
+    sample_time_s: SampleTime | None = Field(default=None, description="absent: continuous time")
+    input_delay_s: Delay = 0.0
+    allow_unstable: Literal[True] | None = Field(
+        default=None, description="true: accept a block whose outputs grow without bound"
+    )
 
     @model_validator(mode="after")
     def _shapes_fit(self) -> Self:
@@ -132,11 +145,25 @@ class StateSpaceDynamics(BaseModel):
             matrix = getattr(self, name)
             if len(matrix) != rows or any(len(row) != columns for row in matrix):
                 raise ValueError(f"{name} must be {rows} x {columns}")
-            if not np.isfinite(np.asarray(matrix, dtype=np.float64)).all():
-                raise ValueError(f"{name} holds a value that is not finite")
         if p == 0 or m == 0:
             raise ValueError("D must have at least one row and one column")
         return self
+
+    def instability(self) -> str:
+        """Say that a pole lies on or beyond the border of stability, and what to do; empty where none does."""
+        if self.allow_unstable or not self.A:
+            return ""
+        poles = np.linalg.eigvals(np.asarray(self.A, dtype=np.float64))
+        if self.sample_time_s is None:
+            worst, bound, name = float(poles.real.max()), 0.0, "a pole with a real part of {:.6g} 1/s"
+        else:
+            worst, bound, name = float(np.abs(poles).max()), 1.0, "a pole at |z| = {:.6g}"
+        if worst < bound:
+            return ""
+        return (
+            f"is not stable ({name.format(worst)}): its outputs grow without bound. Identify it again, or set "
+            "allow_unstable = true beside A if this is meant"
+        )
 
     def describe(self) -> str:
         """Say in a few words what it is."""
@@ -144,11 +171,18 @@ class StateSpaceDynamics(BaseModel):
         return f"state space of order {len(self.A)}, {kind}"
 
     @classmethod
-    def of(cls, system: control.StateSpace, input_delay_s: float = 0.0) -> StateSpaceDynamics:
-        """Keep a ``control.StateSpace`` of the user's."""
+    def of(
+        cls, system: control.StateSpace, input_delay_s: float = 0.0, allow_unstable: bool = False
+    ) -> StateSpaceDynamics:
+        """Keep a ``control.StateSpace`` of the user's; a model refuses an unstable one that is not allowed."""
         matrices = {k: tuple(map(tuple, np.asarray(getattr(system, k)).tolist())) for k in "ABCD"}
         dt = float(system.dt) if system.isdtime(strict=True) else None
-        return cls(**matrices, sample_time_s=dt, input_delay_s=input_delay_s)
+        return cls(
+            **matrices,
+            sample_time_s=dt,
+            input_delay_s=input_delay_s,
+            allow_unstable=True if allow_unstable else None,
+        )
 
     @property
     def n_outputs(self) -> int:

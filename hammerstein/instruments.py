@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
+from pydantic import BaseModel, ConfigDict, Field
+
+from hammerstein.quantities import Bandwidth, Limit, SampleTime, Step
 
 Array = NDArray[np.float64]
 
@@ -20,9 +22,9 @@ class Drive(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
-    range_v: PositiveFloat = Field(default=10.0, description="largest voltage of either sign; inf: no limit")
-    resolution_v: float = Field(default=20.0 / 2**16, ge=0.0, description="step of the converter; 0: none")
-    sample_time_s: PositiveFloat = Field(default=50e-6, description="time for which a voltage is held")
+    range_v: Limit = Field(default=10.0, description="largest voltage of either sign; inf: no limit")
+    resolution_v: Step = Field(default=20.0 / 2**16, description="step of the converter; 0: none")
+    sample_time_s: SampleTime = Field(default=50e-6, description="time for which a voltage is held")
 
     def apply(self, u_v: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Voltages that leave the converter (input, sample), and where the range cut them."""
@@ -40,12 +42,10 @@ class Sensor(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
-    range_um: PositiveFloat = Field(
-        default=250.0, description="largest reading of either sign; inf: no limit"
-    )
-    resolution_um: float = Field(default=0.04, ge=0.0, description="step of the reading; 0: none")
-    bandwidth_hz: PositiveFloat = Field(default=2000.0, description="-3 dB of the first-order lag; inf: none")
-    noise_um: float = Field(default=0.04, ge=0.0, description="rms of the white noise; 0: none")
+    range_um: Limit = Field(default=250.0, description="largest reading of either sign; inf: no limit")
+    resolution_um: Step = Field(default=0.04, description="step of the reading; 0: none")
+    bandwidth_hz: Bandwidth = Field(default=2000.0, description="-3 dB of the first-order lag; inf: none")
+    noise_um: Step = Field(default=0.04, description="rms of the white noise; 0: none")
 
     def read(self, filtered_um: Array, generator: np.random.Generator) -> Array:
         """Readings (output, sample) of positions that have passed the sensor's bandwidth."""

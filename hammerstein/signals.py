@@ -14,9 +14,21 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.errors import InputError
+from hammerstein.quantities import (
+    Axes,
+    FileName,
+    Frequency,
+    Length,
+    Offset,
+    Phase,
+    Scale,
+    Seed,
+    Size,
+    Wait,
+)
 
 Array = NDArray[np.float64]
 
@@ -33,7 +45,7 @@ class Shape(BaseModel, ABC):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    smooth_start_s: float = Field(default=0.0, ge=0.0, description="time in which the signal grows from zero")
+    smooth_start_s: Wait = Field(default=0.0, description="time in which the signal grows from zero")
 
     def sample(self, time_s: Array, n_axes: int) -> Array:
         """Values (axis, sample) at the given times (sample,) [s]."""
@@ -80,7 +92,7 @@ def smooth_step(x: Array) -> Array:
 class OneFrequency(Shape, ABC):
     """A signal of one frequency."""
 
-    frequency_hz: PositiveFloat
+    frequency_hz: Frequency
 
     @property
     def period_s(self) -> float:
@@ -96,12 +108,12 @@ class OneFrequency(Shape, ABC):
 class OnAxes(OneFrequency, ABC):
     """The same wave on one axis, on each axis in turn, or on all axes together."""
 
-    axis: int | Literal["each", "all"] = Field(
+    axis: Axes | Literal["each", "all"] = Field(
         default="each", description='number of the axis from 1, "each" in turn, or "all" together'
     )
-    amplitude: PositiveFloat
-    offset: float = Field(default=0.0, description="added to the wave on the axes that are driven")
-    phase_deg: float = 0.0
+    amplitude: Size
+    offset: Offset = Field(default=0.0, description="added to the wave on the axes that are driven")
+    phase_deg: Phase = 0.0
 
     @abstractmethod
     def _wave(self, cycles: Array) -> Array:
@@ -139,8 +151,8 @@ class Circle(OneFrequency):
     """x = R cos(2 pi f t + phase), y = R sin(2 pi f t + phase) (paper, section 5.4)."""
 
     kind: Literal["circle"] = "circle"
-    radius: PositiveFloat
-    phase_deg: float = 0.0
+    radius: Size
+    phase_deg: Phase = 0.0
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "circle")
@@ -152,10 +164,10 @@ class Spiral(OneFrequency):
     """A circle until the trigger, then one whose radius decays as exp(-t / tau) (paper, section 5.4)."""
 
     kind: Literal["spiral"] = "spiral"
-    radius: PositiveFloat
-    trigger_s: float = Field(ge=0.0, description="time at which the decay starts")
-    decay_s: PositiveFloat = Field(description="time constant of the decay")
-    phase_deg: float = 0.0
+    radius: Size
+    trigger_s: Wait = Field(description="time at which the decay starts")
+    decay_s: Length = Field(description="time constant of the decay")
+    phase_deg: Phase = 0.0
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "spiral")
@@ -173,10 +185,10 @@ class Lissajous(Shape):
     """x = A cos(2 pi f_x t + phase), y = A sin(2 pi f_y t + phase) (paper, section 5.4)."""
 
     kind: Literal["lissajous"] = "lissajous"
-    amplitude: PositiveFloat
-    frequency_x_hz: PositiveFloat
-    frequency_y_hz: PositiveFloat
-    phase_deg: float = 0.0
+    amplitude: Size
+    frequency_x_hz: Frequency
+    frequency_y_hz: Frequency
+    phase_deg: Phase = 0.0
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "lissajous")
@@ -207,10 +219,10 @@ class Multisine(Shape):
     """
 
     kind: Literal["multisine"] = "multisine"
-    amplitude: PositiveFloat
-    lowest_hz: PositiveFloat
-    highest_hz: PositiveFloat
-    seed: int = Field(default=0, ge=0)
+    amplitude: Size
+    lowest_hz: Frequency
+    highest_hz: Frequency
+    seed: Seed = 0
 
     @model_validator(mode="after")
     def _band_is_ordered(self) -> Self:
@@ -256,8 +268,8 @@ class FromFile(Shape):
     """
 
     kind: Literal["file"] = "file"
-    path: str
-    scale: float = 1.0
+    path: FileName
+    scale: Scale = 1.0
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         times, values, _ = self.table()

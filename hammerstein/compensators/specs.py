@@ -8,12 +8,13 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, TypeAdapter, model_validator
+from pydantic import AfterValidator, Field, TypeAdapter, model_validator
 
 from hammerstein.compensators.feedback import Feedback
 from hammerstein.compensators.law import Law
 from hammerstein.compensators.tuning import Gains
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import Frequency, Gain, Passes, TimeConstant, Volts, Wait, of_equal_rows
 from hammerstein.sources import ModelSource
 
 
@@ -33,13 +34,15 @@ class InverseMultiplicativeSpec(ModelSource):
     """The paper's compensator without inversion (Theorem 4.1)."""
 
     law: Literal["inverse_multiplicative"]
-    gain: Literal["identity", "auto"] | tuple[tuple[float, ...], ...] = Field(
+    gain: Annotated[
+        Literal["identity", "auto"] | tuple[tuple[Gain, ...], ...], AfterValidator(of_equal_rows)
+    ] = Field(
         default="auto", description='"identity" (as printed), "auto" (from the slopes), or a matrix in V/um'
     )
-    filter_s: PositiveFloat | None = Field(
+    filter_s: TimeConstant | None = Field(
         default=None, description="time constant of a first-order filter in place of the one-sample delay"
     )
-    iterations: PositiveInt = Field(default=1, description="passes of the law in each sample")
+    iterations: Passes = Field(default=1, description="passes of the law in each sample")
     run_anyway: bool = Field(default=False, description="accept an iteration that cannot converge")
 
     def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
@@ -67,9 +70,7 @@ class ExactInverseSpec(ModelSource):
     """The exact inverse of the static block, cross-couplings included."""
 
     law: Literal["exact_inverse"]
-    softening_v: NonNegativeFloat = Field(
-        default=0.0, description="voltage over which the jump at a reversal is spread"
-    )
+    softening_v: Volts = Field(default=0.0, description="voltage over which the jump at a reversal is spread")
     run_anyway: bool = Field(default=False, description="accept a model without an inverse")
 
     def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
@@ -83,15 +84,13 @@ class HammersteinInverseSpec(ModelSource):
     """The inverse of the dynamics, known ahead, then the exact inverse of the static block."""
 
     law: Literal["hammerstein_inverse"]
-    preview_s: NonNegativeFloat | None = Field(
+    preview_s: Wait | None = Field(
         default=None, description="how far ahead the reference is known; as far as needed if not given"
     )
-    filter_hz: PositiveFloat | None = Field(
+    filter_hz: Frequency | None = Field(
         default=None, description="bandwidth of a reference filter, for references that are not smooth"
     )
-    softening_v: NonNegativeFloat = Field(
-        default=0.0, description="voltage over which the jump at a reversal is spread"
-    )
+    softening_v: Volts = Field(default=0.0, description="voltage over which the jump at a reversal is spread")
     run_anyway: bool = Field(default=False, description="accept a model without an inverse")
 
     def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
@@ -115,9 +114,9 @@ class FeedbackSpec(ModelSource):
         default=None, description="law whose drive is added, built from the same model"
     )
     derivative: bool = Field(default=False, description="compute a derivative gain too")
-    proportional: tuple[float, ...] | None = Field(default=None, description="gain of each output")
-    integral_per_s: tuple[float, ...] | None = None
-    derivative_s: tuple[float, ...] | None = None
+    proportional: tuple[Gain, ...] | None = Field(default=None, description="gain of each output")
+    integral_per_s: tuple[Gain, ...] | None = None
+    derivative_s: tuple[Gain, ...] | None = None
 
     @model_validator(mode="after")
     def _gains_come_together(self) -> Self:
