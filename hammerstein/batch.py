@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hammerstein.errors import HammersteinError, InputError, Mistake
 from hammerstein.experiment import run
+from hammerstein.faults import as_error
 from hammerstein.output import TraceFormat, write_report
 from hammerstein.processes import side_by_side
 from hammerstein.report import Report
@@ -98,8 +99,8 @@ def _outcome(
     try:
         report = run(scenario, name, jobs, progress)
         finish(report)
-    except HammersteinError as error:
-        return Outcome(name, None, _of(name, error))
+    except Exception as error:  # a fault in one scenario must not take the others with it
+        return Outcome(name, None, _of(name, as_error(error)))
     return Outcome(name, report.without_traces())
 
 

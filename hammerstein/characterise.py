@@ -29,6 +29,7 @@ from hammerstein.sources import ClosedFormSpec, IdentificationSpec, JointFitSpec
 
 Array = NDArray[np.float64]
 
+LOWEST_LINE_HZ = 5.0  # of the multisine
 CREEP_SAMPLES = 12_000
 CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
 """Slow steps of the creep record, in parts of the amplitude; each lasts a sixth of it."""
@@ -132,13 +133,11 @@ def _with_creep(
 
 def _records(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> list[Record]:
     """One record an input; the inputs are driven one after the other, and the actuator keeps its memory."""
+    highest = max(spec.frequencies_hz)
+    lowest = LOWEST_LINE_HZ if highest > 2.0 * LOWEST_LINE_HZ else 0.5 * highest
     bursts = [
         Sine(amplitude=spec.amplitude_v, frequency_hz=f, axis=1) for f in sorted(spec.frequencies_hz)
-    ] + [
-        Multisine(
-            amplitude=spec.amplitude_v, lowest_hz=5.0, highest_hz=max(spec.frequencies_hz), seed=seeds[0]
-        )
-    ]
+    ] + [Multisine(amplitude=spec.amplitude_v, lowest_hz=lowest, highest_hz=highest, seed=seeds[0])]
     samples = round(spec.record_s / plant.sample_time_s)
     time_s = np.linspace(0.0, (samples - 1) * plant.sample_time_s, samples)
     one = np.concatenate([np.zeros(20), *(burst.sample(time_s, 1)[0] for burst in bursts)])

@@ -24,7 +24,7 @@ _REDUCE: dict[str, Callable[[Sequence[float]], float]] = {
     "max": max,
     "min": min,
     "mean": lambda values: float(np.mean(values)),
-    "spread": lambda values: max(values) / min(values),
+    "spread": lambda values: max(values) / min(values) if min(values) else math.nan,
 }
 
 

@@ -64,6 +64,12 @@ def main(arguments: list[str] | None = None) -> None:
     except HammersteinError as error:
         _complain(str(error))
         sys.exit(error.exit_code)
+    except Exception as error:
+        from hammerstein.faults import as_error
+
+        told = as_error(error)
+        _complain(str(told))
+        sys.exit(told.exit_code)
     except _Interrupted:
         _complain("interrupted; what was finished is written, and nothing else")
         sys.exit(INTERRUPTED)
@@ -202,9 +208,14 @@ def plot(
     """Draw the figures of one scenario, and nothing else."""
     from hammerstein.batch import load_all
     from hammerstein.compilation import compile_once
+    from hammerstein.errors import InputError
     from hammerstein.experiment import run as run_scenario
     from hammerstein.figures import write_figures
+    from hammerstein.files import refuse_unwritable
 
+    if path.is_dir():
+        raise InputError(str(path), "is a folder; give the file of one scenario")
+    refuse_unwritable("--out", out)
     ((name, scenario),) = load_all([path]).items()
     compile_once(_complain)
     with _Watch(1) as watch:

@@ -150,7 +150,7 @@ class StateSpaceDynamics(BaseModel):
         return self
 
     def instability(self) -> str:
-        """Say that a pole lies on or beyond the border of stability, and what to do; empty where none does."""
+        """Say that a pole lies on the border of stability or beyond, and what to do; empty if none does."""
         if self.allow_unstable or not self.A:
             return ""
         poles = np.linalg.eigvals(np.asarray(self.A, dtype=np.float64))
@@ -161,8 +161,8 @@ class StateSpaceDynamics(BaseModel):
         if worst < bound:
             return ""
         return (
-            f"is not stable ({name.format(worst)}): its outputs grow without bound. Identify it again, or set "
-            "allow_unstable = true beside A if this is meant"
+            f"is not stable ({name.format(worst)}): its outputs grow without bound. Identify it again, or "
+            "set allow_unstable = true beside A if this is meant"
         )
 
     def describe(self) -> str:
@@ -174,7 +174,7 @@ class StateSpaceDynamics(BaseModel):
     def of(
         cls, system: control.StateSpace, input_delay_s: float = 0.0, allow_unstable: bool = False
     ) -> StateSpaceDynamics:
-        """Keep a ``control.StateSpace`` of the user's; a model refuses an unstable one that is not allowed."""
+        """Keep a ``control.StateSpace`` of the user's; models refuse an unstable one that is not allowed."""
         matrices = {k: tuple(map(tuple, np.asarray(getattr(system, k)).tolist())) for k in "ABCD"}
         dt = float(system.dt) if system.isdtime(strict=True) else None
         return cls(

@@ -5,11 +5,11 @@ reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from hammerstein.bands import bands_of
 from hammerstein.claims import verdicts
-from hammerstein.errors import InputError
+from hammerstein.errors import InputError, SimulationError
 from hammerstein.measure import rows_of, statements_of
 from hammerstein.plant import Response
 from hammerstein.report import Report
@@ -130,6 +130,7 @@ def run(
         if progress:
             progress("simulating", i + 1, len(cases))
     rows = tuple(row for result in results for row in result.rows)
+    _refuse_not_finite(rows)
     answers = {setup.plant.model.name: rows} | _other_answers(scenario, name, jobs, progress)
     traces = tuple(result.trace for result in results)
     return Report(
@@ -147,6 +148,16 @@ def run(
         bands=bands_of(setup, cases, jobs, progress),
         traces=traces,
     )
+
+
+def _refuse_not_finite(rows: Iterable[Row]) -> None:
+    """No figure leaves a run that is infinite or NaN, whatever brought it about."""
+    for row in rows:
+        if figure := row.not_finite():
+            raise SimulationError(
+                f"{figure} of {row.measured_axis} is {getattr(row, figure)} at {row.frequency_hz:g} Hz with "
+                f"{row.compensator or 'this drive'}: nothing follows. Use another amplitude or frequency"
+            )
 
 
 def _other_answers(

@@ -53,6 +53,13 @@ class Sensor(BaseModel):
         noisy = filtered_um + self.noise_um * noise
         return _rounded(np.clip(noisy, -self.range_um, self.range_um), self.resolution_um)
 
+    def clipped(self, reading_um: Array) -> int:
+        """Samples of the readings (output, sample) at which the range cut one of them, or may have."""
+        if math.isinf(self.range_um):
+            return 0
+        largest = float(_rounded(np.array([self.range_um]), self.resolution_um)[0])
+        return int((np.abs(reading_um) >= largest * (1.0 - 1e-12)).any(axis=0).sum())
+
 
 def standard_noise(generator: np.random.Generator, outputs: int, samples: int) -> Array:
     """Standard normal numbers (output, sample), drawn sample by sample: a run in pieces draws the same."""

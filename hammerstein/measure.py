@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from hammerstein import metrics
 from hammerstein.dynamics import StaticDynamics, discretise
+from hammerstein.errors import SimulationError
 from hammerstein.model import HammersteinModel
-from hammerstein.plant import Response
+from hammerstein.plant import Response, refuse_unbounded
 from hammerstein.report import Prediction, Trace
 from hammerstein.rows import Row
 from hammerstein.setup import Case, SetUp, Window, scenario_axes
@@ -29,11 +30,12 @@ SETTLED_FRACTION = 1e-3  # cycles may differ by this part of the range, beside t
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Rows of one case, its measured trace, and whether it had settled."""
+    """Rows of one case, its measured trace, whether it had settled, and samples at the sensor's range."""
 
     rows: tuple[Row, ...]
     trace: Trace
     settled: bool
+    clipped: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +50,7 @@ class Target:
 def rows_of(setup: SetUp, case: Case) -> Result:
     """Simulate one case and measure it."""
     response = setup.simulate(case)
+    _refuse_still(setup, case, response)
     window = Window.of(setup.scenario, case.signal, setup.plant.sample_time_s)
     targets = _targets(setup, case, response)
     loops = _loops(setup, case, response, window)
@@ -69,7 +72,20 @@ def rows_of(setup: SetUp, case: Case) -> Result:
         first_sample=window.first,
         predictions=predictions,
     )
-    return Result(rows, trace, _settled(setup, case, response, window))
+    clipped = setup.plant.instruments.sensor.clipped(response.reading_um[:, window.first :])
+    return Result(rows, trace, _settled(setup, case, response, window), clipped)
+
+
+def _refuse_still(setup: SetUp, case: Case, response: Response) -> None:
+    """Refuse a drive in volts of which the converter leaves nothing: no loop, no error, no answer."""
+    if setup.scenario.drive is None or np.ptp(response.drive_v, axis=1).any():
+        return
+    drive = setup.plant.instruments.drive
+    raise SimulationError(
+        f"the drive stands still at {response.drive_v[case.axis or 0, -1]:.4g} V throughout: its converter "
+        f"has steps of {drive.resolution_v:.3g} V and a range of {drive.range_v:g} V. Use a larger "
+        "amplitude, or an offset within the range"
+    )
 
 
 def error_rows(setup: SetUp, case: Case, response: Response) -> tuple[Row, ...]:
@@ -106,11 +122,14 @@ def _targets(setup: SetUp, case: Case, response: Response) -> list[Target] | lis
 def _prediction(setup: SetUp, model: HammersteinModel, response: Response) -> tuple[Array, Array]:
     """What a model says the sensor reads, and where it says the actuator is."""
     v, _ = model.hysteresis.respond(response.drive_v)
+    refuse_unbounded(f"prediction of {model.name}_um", v, response.sample_time_s)
     if isinstance(model.dynamics, StaticDynamics):
         return v, v  # a static model was found from readings: it stands for both
     sensor = setup.plant.instruments.sensor
     block = discretise(model.dynamics, setup.plant.sample_time_s, sensor.bandwidth_hz)
-    position, reading = np.split(block.respond(v)[0], 2)
+    both, _ = block.respond(v)
+    refuse_unbounded(f"prediction of {model.name}_um", both, response.sample_time_s)
+    position, reading = np.split(both, 2)
     return reading, position
 
 
@@ -256,4 +275,9 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
             statements.append(f"{where}: the loop has not settled; wait longer (measure.settle_cycles).")
         if row.saturated_samples:
             statements.append(f"{where}: the drive's range cut {row.saturated_samples} samples.")
+        if result.clipped:
+            statements.append(
+                f"{where}: the sensor's range cut {result.clipped} samples of the reading; use a larger "
+                "instruments.sensor.range_um, or look at the true position."
+            )
     return tuple(statements)

@@ -10,11 +10,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import LinearBlock, discretise
+from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import PlayState
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import POSITION_UM, VOLTAGE_V, Range
 
 Array = NDArray[np.float64]
+
+
+LIMITS = {"um": POSITION_UM, "v": VOLTAGE_V}
+"""What the wires of each unit may hold."""
+
+
+def refuse_unbounded(name: str, wire: Array, sample_time_s: float, limits: Range = POSITION_UM) -> None:
+    """Refuse a wire (axis, sample) that leaves all bounds, or is not finite.
+
+    Raises SimulationError, which says where and when.
+    """
+    if wire.size == 0 or (limits.low <= wire.min() and wire.max() <= limits.high):  # never true for NaN
+        return
+    bad = ~((wire >= limits.low) & (wire <= limits.high))
+    sample = int(np.argmax(bad.any(axis=0)))
+    axis = int(np.argmax(bad[:, sample]))
+    quantity, _, unit = name.rpartition("_")
+    raise SimulationError(
+        f"{quantity.replace('_', ' ')} of axis {axis + 1} reaches {wire[axis, sample]:.3g} "
+        f"{'V' if unit == 'v' else unit} after {sample * sample_time_s:.4g} s: something on its way is not "
+        "stable. Look at the actuator's dynamics, and at the gains of the law"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +52,10 @@ class Response:
     position_um : true position [um]
     reading_um : what the sensor says [um]
     saturated : where the drive's range cut the voltage (input, sample)
+
+    Raises
+    ------
+    SimulationError : a wire that is not finite or leaves all bounds
     """
 
     sample_time_s: float
@@ -43,6 +71,12 @@ class Response:
     def time_s(self) -> Array:
         """Time of each sample [s], from zero."""
         return np.asarray(np.arange(self.drive_v.shape[1]) * self.sample_time_s, dtype=np.float64)
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            wire, limits = getattr(self, field.name), LIMITS.get(field.name.rpartition("_")[2])
+            if wire is not None and limits is not None:
+                refuse_unbounded(field.name, wire, self.sample_time_s, limits)
 
     def after(self, first: int) -> Response:
         """Give the same run from one sample on."""

@@ -238,9 +238,12 @@ def compensate(
     """Turn a reference into the voltages to send, with the predicted response."""
     from hammerstein.compensate import compensate as compensated
     from hammerstein.compilation import compile_once
+    from hammerstein.errors import InputError
     from hammerstein.files import write_atomic
     from hammerstein.tables import compensation_table, show
 
+    if gain not in (None, "auto", "identity"):
+        raise InputError("--gain", f"must be auto or identity, not {gain!r}; a matrix goes into a scenario")
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
     _refuse_output(out, [Path(model), reference])
     compile_once(_say)

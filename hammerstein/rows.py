@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -47,6 +48,10 @@ class Row:
         """Figures that have a meaning in this row, by name."""
         named = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in KEY}
         return {name: value for name, value in named.items() if value is not None}
+
+    def not_finite(self) -> str:
+        """Name of a figure that is infinite or NaN, empty if all are finite."""
+        return next((name for name, value in self.numbers().items() if not math.isfinite(value)), "")
 
 
 KEY = ("compensator", "excited_axis", "measured_axis", "frequency_hz", "amplitude_v", "amplitude_um")
