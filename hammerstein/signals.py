@@ -17,18 +17,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.errors import InputError
-from hammerstein.quantities import (
-    Axes,
-    FileName,
-    Frequency,
-    Length,
-    Offset,
-    Phase,
-    Scale,
-    Seed,
-    Size,
-    Wait,
-)
+from hammerstein.quantities import Axes, FileName, Frequency, Length, Offset, Phase, Scale, Seed, Size, Wait
 
 Array = NDArray[np.float64]
 

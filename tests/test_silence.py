@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from hammerstein.cli import main
+from hammerstein.commands.cli import main
 from hammerstein.model import HammersteinModel
 
 DRIVE = """
@@ -163,7 +163,7 @@ def test_a_fault_of_ours_is_one_line_a_code_of_its_own_and_a_file(run, tmp_path,
     def broken(*_):
         raise ZeroDivisionError("a fault put in by a test")
 
-    monkeypatch.setattr("hammerstein.experiment.rows_of", broken)
+    monkeypatch.setattr("hammerstein.experiment.run.rows_of", broken)
     code, said = run(DRIVE.format(actuator="duo_bimorph"))
     assert code == 70
     (line,) = [line for line in said.splitlines() if "internal error" in line]
@@ -171,7 +171,7 @@ def test_a_fault_of_ours_is_one_line_a_code_of_its_own_and_a_file(run, tmp_path,
     assert str(file) in line
     assert "a fault put in by a test" in line
     assert "in broken" in file.read_text()
-    monkeypatch.setattr("hammerstein.batch.load_all", broken)
+    monkeypatch.setattr("hammerstein.experiment.batch.load_all", broken)
     code, said = run(DRIVE.format(actuator="duo_bimorph"))
     assert (code, said.count("\n")) == (70, 1)
 
@@ -206,7 +206,7 @@ def test_no_figure_leaves_a_run_that_is_not_finite():
 
 def test_bounds_of_wires():
     from hammerstein.errors import SimulationError
-    from hammerstein.plant import refuse_unbounded
+    from hammerstein.simulation import refuse_unbounded
 
     wire = np.zeros((2, 100))
     refuse_unbounded("position_um", wire, 1e-3)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from hammerstein.errors import InputError, Mistake
 from hammerstein.identification.operators import Partition, input_grids
-from hammerstein.identification.records import Record
-from hammerstein.identification.starts import StartMode
+from hammerstein.identification.static.history import StartMode
 from hammerstein.quantities import DELAY_SAMPLES, FREQUENCY_HZ, RIDGE, THRESHOLD_V
+from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
 Method = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
