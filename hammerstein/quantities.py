@@ -63,9 +63,14 @@ def _plain(number: float) -> str:
     >>> _plain(1e-06), _plain(200), _plain(2**53)
     ('1e-6', '200', '9007199254740992')
     """
-    if isinstance(number, int) and abs(number) >= 1_000_000:
-        return str(number) if number % 10 else f"{number:.0e}".replace("e+0", "e").replace("e+", "e")
-    return f"{number:g}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
+    if isinstance(number, int) and number % 10:
+        return str(number)
+    small_or_large = 0.0 < abs(number) < 1e-3 or abs(number) >= 1e6
+    return (
+        f"{number:.0e}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
+        if small_or_large
+        else f"{number:g}"
+    )
 
 
 POSITION_UM = Range(-1e9, 1e9)  # a kilometre: no wire of a simulation goes there
