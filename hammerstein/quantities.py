@@ -65,12 +65,9 @@ def _plain(number: float) -> str:
     """
     if isinstance(number, int) and number % 10:
         return str(number)
-    small_or_large = 0.0 < abs(number) < 1e-3 or abs(number) >= 1e6
-    return (
-        f"{number:.0e}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
-        if small_or_large
-        else f"{number:g}"
-    )
+    if number == 0.0 or 1e-3 <= abs(number) < 1e6:
+        return f"{number:g}"
+    return f"{number:.0e}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
 
 
 POSITION_UM = Range(-1e9, 1e9)  # a kilometre: no wire of a simulation goes there

@@ -17,11 +17,25 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.errors import InputError
-from hammerstein.quantities import Axes, FileName, Frequency, Length, Offset, Phase, Scale, Seed, Size, Wait
+from hammerstein.quantities import (
+    POSITION_UM,
+    Axes,
+    FileName,
+    Frequency,
+    Length,
+    Offset,
+    Phase,
+    Scale,
+    Seed,
+    Size,
+    Wait,
+)
 
 Array = NDArray[np.float64]
 
 
+MOST_LINES = 2000  # of a multisine
+FARTHEST_RATIO = 100  # of the two frequencies of a Lissajous figure
 PEAK_POINTS = 16  # of a multisine, in a period of its highest line
 
 
@@ -179,6 +193,14 @@ class Lissajous(Shape):
     frequency_y_hz: Frequency
     phase_deg: Phase = 0.0
 
+    @model_validator(mode="after")
+    def _repeats_soon(self) -> Self:
+        if not 1 / FARTHEST_RATIO <= self.frequency_x_hz / self.frequency_y_hz <= FARTHEST_RATIO:
+            raise ValueError(
+                f"frequency_x_hz and frequency_y_hz must be within a factor of {FARTHEST_RATIO} of each other"
+            )
+        return self
+
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "lissajous")
         phase = math.radians(self.phase_deg)
@@ -217,6 +239,10 @@ class Multisine(Shape):
     def _band_is_ordered(self) -> Self:
         if self.highest_hz <= self.lowest_hz:
             raise ValueError("highest_hz must be above lowest_hz")
+        if self.highest_hz / self.lowest_hz > MOST_LINES:
+            raise ValueError(
+                f"highest_hz must be at most {MOST_LINES} times lowest_hz, the distance of its lines"
+            )
         return self
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
@@ -308,22 +334,23 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
         raise InputError(str(path), f"is not a CSV table: {error}") from None
     if "time_s" not in frame.columns or frame.shape[1] < 2:
         raise InputError(str(path), "needs a header with a column time_s and one column for each axis")
-    first_row = 2 + sum(line.lstrip().startswith("#") for line in text.splitlines()[:20])
+    lines = enumerate(text.splitlines(), start=1)
+    rows = [number for number, line in lines if line.strip() and not line.lstrip().startswith("#")][1:]
     numbers = frame.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
-    bad = np.argwhere(~np.isfinite(numbers))
+    bad = np.argwhere(~(np.abs(numbers) <= POSITION_UM.high))
     if len(bad):
         row, column = (int(i) for i in bad[0])
         value = frame.iloc[row, column]
         raise InputError(
             str(path),
-            f"row {row + first_row}, column {frame.columns[column]}: {value!s} is not a finite number",
+            f"row {rows[row]}, column {frame.columns[column]}: {value!s} is not a finite number within 1e9",
         )
     times = frame["time_s"].to_numpy(dtype=float)
     if len(times) < 2:
         raise InputError(str(path), "has a single row; a signal needs at least two")
     late = np.nonzero(np.diff(times) <= 0)[0]
     if len(late):
-        raise InputError(str(path), f"row {int(late[0]) + first_row + 1}: time_s does not increase")
+        raise InputError(str(path), f"row {rows[int(late[0]) + 1]}: time_s does not increase")
     axes = frame.drop(columns="time_s")
     return times, axes.to_numpy(dtype=float).T, [str(name) for name in axes.columns]
 

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+MOST_DELAY_STATES = 2000
+
+
 def natural_frequency_hz(bandwidth_hz: float, damping_ratio: float) -> float:
     """Undamped natural frequency [Hz] of a second-order axis whose gain is -3 dB at ``bandwidth_hz``.
 
@@ -351,6 +354,13 @@ class LinearBlock:
         if samples == 0:
             return self
         m, n = self.n_inputs, self.A.shape[0]
+        if m * samples > MOST_DELAY_STATES:
+            raise InputError(
+                "dynamics",
+                f"an input delay of {samples * self.sample_time_s:g} s is {samples} samples of "
+                f"{self.sample_time_s:g} s; at most {MOST_DELAY_STATES // m} are carried: use a shorter "
+                "input_delay_s or a longer sample time",
+            )
         shift = np.eye(m * samples, k=-m)
         last = np.zeros((m, m * samples))
         last[:, -m:] = np.eye(m)

@@ -9,7 +9,8 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.measure import rows_of, statements_of
-from hammerstein.experiment.prepare import Case, Progress, SetUp, prepare, scenario_axes
+from hammerstein.experiment.plan import Plan, identification_parts, plan_of
+from hammerstein.experiment.prepare import Case, Progress, SetUp, plant_of, prepare, scenario_axes
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.uncertainty_bands import bands_of
 from hammerstein.rows import Row
@@ -90,6 +91,7 @@ def _chosen(
 ) -> tuple[SetUp, Case]:
     swept = {key: (value,) for key, value in values.items()}
     chosen = scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update=swept)})
+    Plan(tuple(identification_parts(chosen, plant_of(chosen)))).refuse_too_large()
     setup = prepare(chosen)
     names = scenario_axes(scenario, setup.plant.model)
     for case in setup.cases():
@@ -121,6 +123,7 @@ def run(
     """
     from joblib import Parallel, delayed
 
+    plan_of(scenario, jobs).refuse_too_large()
     setup = prepare(scenario, name, progress)
     cases = list(setup.cases())
     results = []

@@ -24,7 +24,7 @@ from hammerstein.instruments import Drive
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.cache import kept
-from hammerstein.signals import Multisine, Sine
+from hammerstein.signals import MOST_LINES, Multisine, Sine
 from hammerstein.simulation import Plant
 
 Array = NDArray[np.float64]
@@ -135,6 +135,7 @@ def _records(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> list[Record]
     """One record an input; the inputs are driven one after the other, and the actuator keeps its memory."""
     highest = max(spec.frequencies_hz)
     lowest = LOWEST_LINE_HZ if highest > 2.0 * LOWEST_LINE_HZ else 0.5 * highest
+    lowest = max(lowest, highest / MOST_LINES)
     bursts = [
         Sine(amplitude=spec.amplitude_v, frequency_hz=f, axis=1) for f in sorted(spec.frequencies_hz)
     ] + [Multisine(amplitude=spec.amplitude_v, lowest_hz=lowest, highest_hz=highest, seed=seeds[0])]

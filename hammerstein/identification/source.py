@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_val
 from hammerstein.quantities import Cycles, FileName, Frequency, Length, Modes, Operators, SampleTime, Size
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
-Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1)]
+Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=1000)]
 
 
 class ClosedFormSpec(BaseModel):
@@ -26,6 +26,11 @@ class ClosedFormSpec(BaseModel):
     sample_time_s: SampleTime | None = Field(
         default=None, description="sample time of this experiment, where it is not that of the run"
     )
+
+    @property
+    def highest_frequency_hz(self) -> float:
+        """Highest frequency that the actuator is driven with."""
+        return self.frequency_hz
 
 
 class JointFitSpec(BaseModel):
@@ -49,6 +54,11 @@ class JointFitSpec(BaseModel):
     )
     creep_modes: Modes = 0
     creep_record_s: Length = Field(default=600.0, description="length of the slow record")
+
+    @property
+    def highest_frequency_hz(self) -> float:
+        """Highest frequency that the actuator is driven with."""
+        return max(self.frequencies_hz)
 
 
 def _method(value: Any) -> str:

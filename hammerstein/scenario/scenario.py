@@ -26,8 +26,9 @@ from hammerstein.scenario.uncertainty import Uncertainty
 from hammerstein.signals import Excitation, FromFile, Reference
 from hammerstein.validation import mistakes_of
 
-Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1)]
-Sizes = Annotated[tuple[Size, ...], Field(min_length=1)]
+MOST_VALUES = 10_000  # of one key of a sweep
+Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=MOST_VALUES)]
+Sizes = Annotated[tuple[Size, ...], Field(min_length=1, max_length=MOST_VALUES)]
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 if TYPE_CHECKING:
     Number = str
@@ -45,11 +46,16 @@ class Sweep(BaseModel):
     amplitude_v: Sizes | None = None
     radius_um: Sizes | None = None
 
-    def combinations(self) -> Iterator[dict[str, float]]:
-        """Every combination of the values, by key."""
-        keys = [name for name in type(self).model_fields if getattr(self, name) is not None]
-        for values in itertools.product(*(getattr(self, key) for key in keys)):
-            yield dict(zip(keys, values, strict=True))
+    def values(self) -> list[tuple[str, tuple[float, ...]]]:
+        """Keys that are swept, with their values."""
+        found = ((name, getattr(self, name)) for name in type(self).model_fields)
+        return [(name, values) for name, values in found if values is not None]
+
+    def combinations(self, only: str | None = None) -> Iterator[dict[str, float]]:
+        """Every combination of the values, by key; of one key alone if ``only`` names it."""
+        swept = [(name, values) for name, values in self.values() if only in (None, name)]
+        for values in itertools.product(*(values for _, values in swept)):
+            yield dict(zip((name for name, _ in swept), values, strict=True))
 
 
 class Measure(BaseModel):
@@ -146,10 +152,10 @@ class Scenario(BaseModel):
         assert signal is not None  # held by the validation above
         return signal
 
-    def signals(self) -> Iterator[Reference | Excitation]:
-        """Every signal of the sweep."""
+    def signals(self, only: str | None = None) -> Iterator[Reference | Excitation]:
+        """Every signal of the sweep; of one swept key alone if ``only`` names it."""
         fields = {name: name.removesuffix("_um").removesuffix("_v") for name in Sweep.model_fields}
-        for values in self.sweep.combinations():
+        for values in self.sweep.combinations(only):
             yield self.signal.model_copy(update={fields[key]: value for key, value in values.items()})
 
     def portable(self) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
 
 EFFORT = 1e-4  # small: the drive then leaves its range only when the path is nearly met again
+LONGEST_FILTER = 100_000
 DOUBLINGS = 11  # of one sample: a horizon of 2048
 START_SAMPLES = 64
 
@@ -251,6 +252,13 @@ def _low_pass_taps(filter_hz: float | None, sample_time_s: float) -> Array:
             "filter_hz", f"must lie between 0 and {nyquist / 1.3:g} Hz at this sample time, not {filter_hz:g}"
         )
     length, beta = kaiserord(66.0, 0.6 * filter_hz / nyquist)
+    if length > LONGEST_FILTER:
+        least = filter_hz * length / LONGEST_FILTER
+        raise InputError(
+            "filter_hz",
+            f"{filter_hz:g} Hz needs a filter of {length:.3g} samples of {sample_time_s:g} s, and "
+            f"{LONGEST_FILTER} are the most; use {least:.3g} Hz or more, or a longer sample time",
+        )
     return np.asarray(firwin(length | 1, filter_hz / nyquist, window=("kaiser", beta)), dtype=np.float64)
 
 
