@@ -13,6 +13,7 @@ import typer
 
 from hammerstein.commands import records as record_commands
 from hammerstein.errors import HammersteinError
+from hammerstein.runtime.deadline import ended_in_time
 
 if TYPE_CHECKING:
     from hammerstein.experiment.batch import Outcome
@@ -62,7 +63,8 @@ def main(arguments: list[str] | None = None) -> None:
     signal.signal(signal.SIGINT, _interrupt)
     _one_thread_a_job()
     try:
-        app(arguments)
+        with ended_in_time(_say_interrupted, INTERRUPTED):
+            app(arguments)
     except HammersteinError as error:
         _complain(str(error))
         sys.exit(error.exit_code)
@@ -73,8 +75,12 @@ def main(arguments: list[str] | None = None) -> None:
         _complain(str(told))
         sys.exit(told.exit_code)
     except _Interrupted:
-        _complain("interrupted; what was finished is written, and nothing else")
+        _say_interrupted()
         sys.exit(INTERRUPTED)
+
+
+def _say_interrupted() -> None:
+    _complain("interrupted; what was finished is written, and nothing else")
 
 
 @app.command()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -85,7 +86,8 @@ def run_all(
 
 
 def _size(scenario: Scenario) -> int:
-    return len(list(scenario.signals())) * max(1, len(scenario.compensators) + len(scenario.models))
+    values = math.prod(len(values) for _, values in scenario.sweep.values())
+    return values * max(1, len(scenario.compensators) + len(scenario.models))
 
 
 def _outcome(
