@@ -17,6 +17,9 @@ MOST_OWNERS = 3
 PLAIN = (
     ("Value error, ", ""),
     ("Input should be", "must be"),
+    (", unable to parse string as a number", ""),
+    (", unable to parse string as an integer", ""),
+    ("String should", "must"),
     ("a valid integer", "a whole number"),
     ("a valid number", "a number"),
     ("a valid string", "text in quotes"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
 from typing import Any
 
 from hypothesis import strategies as st
@@ -138,7 +137,7 @@ def altered(seeds: list[dict[str, Any]]) -> st.SearchStrategy[Any]:
     def draw(drawn: Any) -> Any:
         chance = drawn(st.randoms(use_true_random=False))
         content = json.loads(json.dumps(chance.choice(seeds)))
-        for _ in range(chance.choice([1, 1, 2, 3])):
+        for _ in range(chance.choice([1, 1, 1, 2])):
             _alter(content, chance)
         return content
 
@@ -147,8 +146,7 @@ def altered(seeds: list[dict[str, Any]]) -> st.SearchStrategy[Any]:
 
 def _alter(content: Any, chance: Any) -> None:
     """Replace, remove or double one value somewhere."""
-    places = list(_places(content))
-    table, key = chance.choice(places)
+    table, key = _place(content, chance)
     old = table[key]
     choice = chance.random()
     if choice < 0.05 and isinstance(table, dict):
@@ -163,13 +161,13 @@ def _alter(content: Any, chance: Any) -> None:
         table[key] = chance.choice(HOSTILE)
 
 
-def _places(content: Any) -> Iterator[tuple[Any, Any]]:
-    inside = content.items() if isinstance(content, dict) else enumerate(content)
-    for key, value in list(inside):
-        if isinstance(value, dict | list):
-            yield from _places(value)
-        if not isinstance(value, dict | list) or not value:
-            yield content, key
+def _place(content: Any, chance: Any) -> tuple[Any, Any]:
+    """A value somewhere, found from the top downwards: a long list weighs no more than a single key."""
+    key = chance.choice(list(content) if isinstance(content, dict) else range(len(content)))
+    inside = content[key]
+    if isinstance(inside, dict | list) and inside and chance.random() < 0.97:
+        return _place(inside, chance)
+    return content, key
 
 
 def good_scenarios() -> list[dict[str, Any]]:
@@ -219,7 +217,7 @@ def good_scenarios() -> list[dict[str, Any]]:
                   "uncertainty": {"draws": 3, "seed": 1, "weights": 0.05, "resonance": 0.05, "damping": 0.1,
                                   "noise": 0.1}})  # fmt: skip
     found.append({"question": "?", "reference": sine, "sweep": {"frequency_hz": [40.0, 50.0]},
-                  "compensators": [{"label": "a", **laws[0], "only_at_hz": [40.0]}, {"label": "b", **laws[0]}],
+                  "compensators": [{"label": "a", **laws[0], "only_at_hz": [40.0]}],
                   "claims": [{"id": "c", "statement": "s", "paper": 1.0, "factor": 2.0, "quantity": {
                       "metric": "rms_um", "from_hz": 10.0, "to_hz": 60.0, "of": "spread"},
                       "agreement": {"within": 0.1, "at_most": 5.0}}]})  # fmt: skip
