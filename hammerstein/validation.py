@@ -20,6 +20,8 @@ PLAIN = (
     (", unable to parse string as a number", ""),
     (", unable to parse string as an integer", ""),
     ("String should", "must"),
+    ("Tuple should", "must"),
+    (" after validation", ""),
     ("a valid integer", "a whole number"),
     ("a valid number", "a number"),
     ("a valid string", "text in quotes"),
@@ -43,6 +45,8 @@ def mistakes_of(error: ValidationError, model: type[BaseModel] | TypeAdapter[Any
     schema = Schema(content)
     found: dict[str, list[dict[str, Any]]] = {}
     for finding in error.errors():
+        if finding["type"] == "too_short" and finding["input"]:
+            continue  # too short without the entries that are wrong themselves
         place = schema.place(_without_mark(finding["loc"]))
         found.setdefault(_where(dict(finding), place), []).append({**finding, "place": place})
     return [_mistake(where, findings, schema) for where, findings in found.items()]
