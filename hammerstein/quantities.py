@@ -33,7 +33,8 @@ class Range:
 
     def holds(self, value: float) -> bool:
         """Whether a number lies within; NaN never does."""
-        return self.low <= value <= self.high or (self.or_inf and value == math.inf)
+        switched_off = self.or_inf and (value == math.inf or (self.low < 0.0 and value == -math.inf))
+        return switched_off or self.low <= value <= self.high
 
     def words(self) -> str:
         """Say what is allowed."""
@@ -51,7 +52,9 @@ class Range:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        limits: dict[str, Any] = {"minimum": self.low}
+        limits: dict[str, Any] = {}
+        if not (self.or_inf and self.low < 0.0):
+            limits["minimum"] = self.low
         if not self.or_inf:
             limits["maximum"] = self.high
         return handler(schema) | limits
@@ -72,6 +75,7 @@ def _plain(number: float) -> str:
 
 POSITION_UM = Range(-1e9, 1e9)  # a kilometre: no wire of a simulation goes there
 VOLTAGE_V = Range(-1e6, 1e6)
+END_V = Range(-1e6, 1e6, or_inf=True)  # of a drive's range
 BANDWIDTH_HZ = Range(1e-6, 1e9, or_inf=True)
 FREQUENCY_HZ = Range(1e-6, 1e8)
 SAMPLE_TIME_S = Range(1e-9, 1e4)
@@ -90,6 +94,7 @@ Phase = Annotated[float, Range(-1e6, 1e6)]
 Frequency = Annotated[float, FREQUENCY_HZ]
 Bandwidth = Annotated[float, BANDWIDTH_HZ]
 Limit = Annotated[float, Range(1e-6, 1e6, or_inf=True)]  # of a drive or a sensor; inf: none
+End = Annotated[float, END_V]
 Step = Annotated[float, Range(0.0, 1e6)]  # of a converter, or the rms of a noise; 0: none
 SampleTime = Annotated[float, SAMPLE_TIME_S]
 Scale = Annotated[float, SCALE]

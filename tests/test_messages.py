@@ -129,12 +129,12 @@ def test_other_misspelt_models_stand_there_too(tmp_path, place):
 
 def test_a_model_file_names_the_pair(tmp_path):
     model = json.loads(HammersteinModel.load("duo_bimorph").to_json())
-    model["pairs"][0][1]["weights_um_per_v"][2] = 1e300
+    model["hysteresis"]["pairs"][0][1]["weights_um_per_v"][2] = 1e300
     model["dynamics"]["axes"][1]["resonance"] = 5.0
     path = tmp_path / "model.json"
     path.write_text(json.dumps(model))
     with pytest.raises(InputError) as caught:
         HammersteinModel.load(path)
     mistakes = {mistake.where: mistake.what for mistake in caught.value.mistakes}
-    assert "must be -1e9 to 1e9, not 1e+300" in mistakes["pairs[1][2].weights_um_per_v[3]"]
+    assert "must be -1e9 to 1e9, not 1e+300" in mistakes["hysteresis.pairs[1][2].weights_um_per_v[3]"]
     assert "did you mean resonance_hz?" in mistakes["dynamics.axes[2].resonance"]

@@ -197,11 +197,11 @@ def test_a_name_that_is_too_long_is_one_message(command, capsys):
 
 
 def test_no_figure_leaves_a_run_that_is_not_finite():
-    from hammerstein.rows import Row
+    from hammerstein.metrics import Row
 
-    row = Row("a", "x", "x", 50.0, rms_um=1.0, gain=float("nan"))
+    row = Row("a", "x", "x", 50.0, figures={"rms_um": 1.0, "gain": float("nan")})
     assert row.not_finite() == "gain"
-    assert Row("a", "x", "x", 50.0, rms_um=1.0).not_finite() == ""
+    assert Row("a", "x", "x", 50.0, figures={"rms_um": 1.0}).not_finite() == ""
 
 
 def test_bounds_of_wires():

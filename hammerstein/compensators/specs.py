@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field, TypeAdapter, model_validator
 from hammerstein.blocks import Law
 from hammerstein.compensators.feedback.pid import Feedback
 from hammerstein.compensators.feedback.tuning import Gains
+from hammerstein.driving import RangeLike
 from hammerstein.identification.source import ModelSource
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Frequency, Gain, Passes, TimeConstant, Volts, Wait, of_equal_rows
@@ -23,7 +24,7 @@ class NoCompensation(ModelSource):
 
     law: Literal["none"]
 
-    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
+    def build(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Give the law for a model, a drive range and a sample time."""
         from hammerstein.compensators.linear_gain import LinearGain
 
@@ -45,7 +46,7 @@ class InverseMultiplicativeSpec(ModelSource):
     iterations: Passes = Field(default=1, description="passes of the law in each sample")
     run_anyway: bool = Field(default=False, description="accept an iteration that cannot converge")
 
-    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
+    def build(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Give the law for a model, a drive range and a sample time."""
         from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
 
@@ -59,7 +60,7 @@ class DecoupledInverseSpec(ModelSource):
 
     law: Literal["decoupled_inverse"]
 
-    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
+    def build(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Give the law for a model, a drive range and a sample time."""
         from hammerstein.compensators.decoupled_inverse import DecoupledInverse
 
@@ -73,7 +74,7 @@ class ExactInverseSpec(ModelSource):
     softening_v: Volts = Field(default=0.0, description="voltage over which the jump at a reversal is spread")
     run_anyway: bool = Field(default=False, description="accept a model without an inverse")
 
-    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
+    def build(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Give the law for a model, a drive range and a sample time."""
         from hammerstein.compensators.exact.inverse import ExactInverse
 
@@ -93,7 +94,7 @@ class HammersteinInverseSpec(ModelSource):
     softening_v: Volts = Field(default=0.0, description="voltage over which the jump at a reversal is spread")
     run_anyway: bool = Field(default=False, description="accept a model without an inverse")
 
-    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
+    def build(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Give the law for a model, a drive range and a sample time."""
         from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
 
@@ -125,7 +126,7 @@ class FeedbackSpec(ModelSource):
             raise ValueError("give proportional and integral_per_s together, or none of the gains")
         return self
 
-    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Feedback:
+    def build(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Feedback:
         """Give the law for a model, a drive range and a sample time."""
         added = None
         if self.feedforward is not None:

@@ -19,7 +19,9 @@ class ClosedFormSpec(BaseModel):
 
     method: Literal["closed_form"] = "closed_form"
     frequency_hz: Frequency = 50.0
-    amplitude_v: Size = 10.0
+    amplitude_v: Size | None = Field(
+        default=None, description="about the middle of the actuator's range; all of that if not given"
+    )
     operators: Operators = 15
     settle_cycles: Cycles = 5
     measured_cycles: Cycles = 10
@@ -44,7 +46,9 @@ class JointFitSpec(BaseModel):
     model_config = _STRICT
 
     method: Literal["hammerstein"]
-    amplitude_v: Size = 10.0
+    amplitude_v: Size | None = Field(
+        default=None, description="about the middle of the actuator's range; all of that if not given"
+    )
     operators: Operators = 15
     partition: Literal["time", "voltage", "fitted"] = "time"
     frequencies_hz: Frequencies = (50.0,)

@@ -6,10 +6,9 @@ import hashlib
 import itertools
 import json
 import tomllib
-from collections.abc import Iterator
-from dataclasses import fields
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -19,21 +18,17 @@ from hammerstein.files import read_limited
 from hammerstein.identification.source import ModelSource
 from hammerstein.instruments import Instruments
 from hammerstein.model import place_of
+from hammerstein.plugins import load_plugins
 from hammerstein.quantities import Cycles, FileName, Frequency, NoCycles, Seed, Size, Tolerated, Wait
-from hammerstein.rows import KEY, Row
-from hammerstein.scenario.claims import Claim
+from hammerstein.scenario.claims import Claim, NumberName
 from hammerstein.scenario.uncertainty import Uncertainty
-from hammerstein.signals import Excitation, FromFile, Reference
+from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference
 from hammerstein.validation import mistakes_of
 
 MOST_VALUES = 10_000  # of one key of a sweep
 Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=MOST_VALUES)]
 Sizes = Annotated[tuple[Size, ...], Field(min_length=1, max_length=MOST_VALUES)]
 _STRICT = ConfigDict(frozen=True, extra="forbid")
-if TYPE_CHECKING:
-    Number = str
-else:  # a column of a row, or the value of a claim
-    Number = Literal[(*(f.name for f in fields(Row) if f.name not in KEY), "value")]
 
 
 class Sweep(BaseModel):
@@ -80,7 +75,7 @@ class Tolerance(BaseModel):
 class Scenario(BaseModel):
     """One experiment: an actuator, a signal, and what is compared."""
 
-    model_config = _STRICT
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     question: Annotated[str, Field(min_length=1)]
     paper_figure: str | None = Field(default=None, description='the figure it answers, such as "Fig. 9"')
@@ -96,7 +91,7 @@ class Scenario(BaseModel):
     compensators: tuple[Compensator, ...] = ()
     models: tuple[ModelSource, ...] = ()
     uncertainty: Uncertainty | None = Field(default=None, description="repeat the run on drawn actuators")
-    tolerances: dict[Number, Tolerance] = {}
+    tolerances: dict[NumberName, Tolerance] = {}
     claims: tuple[Claim, ...] = ()
     claims_also_on: tuple[FileName, ...] = Field(
         default=(), description="other actuators that answer the claims, for comparison"
@@ -177,6 +172,12 @@ class Scenario(BaseModel):
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
+SIGNALS.used_by(Scenario)
+
+ScenarioSource = Scenario | str | Path | Mapping[str, Any]
+"""A scenario as it is, its file, or what a file would hold."""
+
+
 def _without_folders(value: Any, key: str = "") -> Any:
     """The same content wherever the files lie: of a path only its last part is kept."""
     if isinstance(value, dict):
@@ -186,6 +187,19 @@ def _without_folders(value: Any, key: str = "") -> Any:
     return Path(value).name if key in {"actuator", "model", "path"} and isinstance(value, str) else value
 
 
+def scenario_of(source: ScenarioSource) -> tuple[str, Scenario]:
+    """Name and value of a scenario, given as it is, as its file, or as what a file would hold.
+
+    Paths in a mapping are relative to the working folder. Raises InputError with every mistake.
+    """
+    if isinstance(source, Scenario):
+        return "scenario", source
+    load_plugins()
+    if isinstance(source, Mapping):
+        return "scenario", _validated(source, "scenario")
+    return Path(source).stem, load_scenario(source)
+
+
 def load_scenario(path: str | Path) -> Scenario:
     """Read a scenario file.
 
@@ -193,20 +207,25 @@ def load_scenario(path: str | Path) -> Scenario:
 
     Raises InputError with every mistake in the file, each with its key, and the nearest known name.
     """
+    load_plugins()
     path = Path(path)
     text = read_limited(path, what="scenario file", limit=1_000_000)
     data = _parsed(text, path)
-    unknown = list(_unknown_models(data, path.parent))
+    return _relative_to(_validated(data, str(path), path.parent), path.parent)
+
+
+def _validated(data: Mapping[str, Any], source: str, folder: Path | None = None) -> Scenario:
+    unknown = list(_unknown_models(data, folder or Path()))
     try:
         # As JSON, so that a number in quotes is refused while a list still makes a tuple.
         scenario = Scenario.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         found = _split(mistakes_of(error, Scenario))
         told = {mistake.where for mistake in found}
-        raise InputError(str(path), [*found, *(m for m in unknown if m.where not in told)]) from None
+        raise InputError(source, [*found, *(m for m in unknown if m.where not in told)]) from None
     if unknown:
-        raise InputError(str(path), unknown)
-    return _relative_to(scenario, path.parent)
+        raise InputError(source, unknown)
+    return scenario
 
 
 def _parsed(text: str, path: Path) -> dict[str, Any]:
@@ -222,7 +241,7 @@ def _parsed(text: str, path: Path) -> dict[str, Any]:
     raise InputError(str(path), what)
 
 
-def _unknown_models(data: dict[str, Any], folder: Path) -> Iterator[Mistake]:
+def _unknown_models(data: Mapping[str, Any], folder: Path) -> Iterator[Mistake]:
     """Actuators and model files that a scenario names and that are not there."""
     for where, name in _named_models(data):
         if not isinstance(name, str) or not name.isprintable():
@@ -235,7 +254,7 @@ def _unknown_models(data: dict[str, Any], folder: Path) -> Iterator[Mistake]:
             yield Mistake(where, f"{name!r} cannot be read ({(error.strerror or str(error)).lower()})")
 
 
-def _named_models(data: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+def _named_models(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Places in a scenario that name an actuator or a model, whatever else is wrong with it."""
     yield "actuator", data.get("actuator")
     also = data.get("claims_also_on")
