@@ -9,12 +9,14 @@ from functools import partial
 from pathlib import Path
 
 from hammerstein.errors import HammersteinError, InputError, Mistake
-from hammerstein.experiment.prepare import Progress
+from hammerstein.experiment.prepare import Progress, Window
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.runtime.faults import as_error
 from hammerstein.runtime.processes import side_by_side
 from hammerstein.scenario import Scenario, load_scenario
+
+LEAST_SAMPLES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +87,17 @@ def run_all(
     yield from side_by_side(tasks, min(jobs, len(scenarios)))
 
 
-def _size(scenario: Scenario) -> int:
-    values = math.prod(len(values) for _, values in scenario.sweep.values())
-    return values * max(1, len(scenario.compensators) + len(scenario.models))
+def _size(scenario: Scenario) -> float:
+    """Samples to work through, about; a case with its share of the figures costs at least some."""
+    step = scenario.instruments.drive.sample_time_s
+    others = math.prod(len(values) for name, values in scenario.sweep.values() if name != "frequency_hz")
+    try:
+        signals = scenario.signals(only="frequency_hz")
+        lengths = [Window.of(scenario, signal, step).total for signal in signals]
+    except InputError:  # a signal's file; its own scenario tells
+        return 0.0
+    sources = max(1, len(scenario.compensators) + len(scenario.models))
+    return float(others * sources * sum(max(length, LEAST_SAMPLES) for length in lengths))
 
 
 def _outcome(

@@ -8,9 +8,15 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from hammerstein.compensators.specs import Compensator, HammersteinInverseSpec, InverseMultiplicativeSpec
+from hammerstein.compensators.specs import (
+    Compensator,
+    FeedbackSpec,
+    HammersteinInverseSpec,
+    InverseMultiplicativeSpec,
+)
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.prepare import Window, driven_axes, plant_of, scenario_axes
+from hammerstein.experiment.recording import STRETCH
 from hammerstein.identification.source import ClosedFormSpec, JointFitSpec
 from hammerstein.runtime.memory import COPIES, free_bytes, run_bytes
 from hammerstein.scenario import Scenario
@@ -157,10 +163,14 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
     models = len(scenario.models)
     seconds = samples * SECONDS_A_SAMPLE * (1 + models) + cases * SECONDS_A_CASE + work
     seconds *= 1 + len(scenario.claims_also_on)
-    kept = run_bytes(samples, m, p + 2 * models) + COPIES * jobs * run_bytes(longest, m, p + 2 * models)
+    every = scenario.measure.record_every or 1
+    whole = any(isinstance(c, HammersteinInverseSpec | FeedbackSpec) for c in scenario.compensators)
+    at_once = longest if every == 1 or whole else min(longest, STRETCH)
+    kept = run_bytes(samples / every, m, p + 2 * models)
+    kept += COPIES * jobs * run_bytes(at_once, m, p + 2 * models)
     keys = (
         "the values in [sweep], measure.measured_cycles, measure.settle_cycles or measure.settle_s, or raise "
-        "instruments.drive.sample_time_s or the frequency"
+        "instruments.drive.sample_time_s, the frequency or measure.record_every"
     )
     if any(isinstance(c, InverseMultiplicativeSpec) and c.iterations > 1 for c in scenario.compensators):
         keys += ", or lower iterations"

@@ -20,7 +20,7 @@ from hammerstein.instruments import Instruments
 from hammerstein.model import place_of
 from hammerstein.plugins import load_plugins
 from hammerstein.quantities import Cycles, FileName, Frequency, NoCycles, Seed, Size, Tolerated, Wait
-from hammerstein.scenario.claims import Claim, NumberName
+from hammerstein.scenario.claims import Claim, MetricName, NumberName
 from hammerstein.scenario.uncertainty import Uncertainty
 from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference
 from hammerstein.validation import mistakes_of
@@ -61,6 +61,9 @@ class Measure(BaseModel):
     settle_cycles: NoCycles = Field(default=2, description="cycles before the measurement")
     settle_s: Wait = Field(default=0.05, description="time before the measurement, at least")
     measured_cycles: Cycles = Field(default=2, description="cycles that are measured")
+    record_every: Cycles | None = Field(
+        default=None, description="samples of which one is recorded, so that a long run fits the memory"
+    )
 
 
 class Tolerance(BaseModel):
@@ -91,6 +94,9 @@ class Scenario(BaseModel):
     compensators: tuple[Compensator, ...] = ()
     models: tuple[ModelSource, ...] = ()
     uncertainty: Uncertainty | None = Field(default=None, description="repeat the run on drawn actuators")
+    answered_by: MetricName | None = Field(
+        default=None, description="figure of merit that answers the question; it is told and drawn first"
+    )
     tolerances: dict[NumberName, Tolerance] = {}
     claims: tuple[Claim, ...] = ()
     claims_also_on: tuple[FileName, ...] = Field(
