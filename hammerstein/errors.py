@@ -1,7 +1,7 @@
 """What can go wrong, one class per exit code of the command line.
 
 Exit codes: 0 fine, 1 a number left its tolerance, 2 a file is wrong,
-3 a simulation diverged or is out of reach, 4 identification cannot fit.
+3 a simulation diverged or is out of reach, 4 identification cannot fit, 70 a fault of ours.
 """
 
 from __future__ import annotations
@@ -67,3 +67,9 @@ class IdentificationError(HammersteinError):
     """The data do not determine the model that was asked for."""
 
     exit_code = 4
+
+
+class InternalError(HammersteinError):
+    """A fault of this program, which no caller can mend."""
+
+    exit_code = 70

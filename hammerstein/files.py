@@ -30,6 +30,14 @@ def read_limited(path: Path, what: str, limit: int = LARGEST_TEXT_BYTES) -> str:
         raise InputError(str(path), f"cannot be read ({_reason(error)})") from None
 
 
+def is_there(path: Path) -> bool:
+    """Whether something of this name exists, as far as anybody may know: no name is too long to ask for."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
 def write_atomic(path: Path, content: str | bytes) -> None:
     """Write under a temporary name and move into place; InputError if the folder cannot be written."""
     data = content.encode("utf-8") if isinstance(content, str) else content

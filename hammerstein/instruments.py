@@ -7,12 +7,13 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveFloat
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from hammerstein.errors import InputError
+from hammerstein.quantities import END_V, Bandwidth, End, Limit, SampleTime, Step
 
 Array = NDArray[np.float64]
-Interval = tuple[float, float]
+Interval = tuple[End, End]
 
 ALLOWED = 1e-9
 """Part of the range by which a voltage may pass it before it counts as cut."""
@@ -38,6 +39,8 @@ def _interval(given: Any) -> Interval:
         numbers = [float(end) for end in ends if not isinstance(end, bool)]
     except (TypeError, ValueError):
         numbers = []
+    if not all(END_V.holds(number) for number in numbers):
+        raise ValueError(f"{END_V.words()} V at each end")
     if len(numbers) == 1 == len(ends) and numbers[0] > 0.0:
         return -numbers[0], numbers[0]
     if len(numbers) == 2 == len(ends) and numbers[0] < numbers[1]:
@@ -47,7 +50,7 @@ def _interval(given: Any) -> Interval:
 
 RangeV = Annotated[
     Interval | tuple[Interval, ...],
-    BeforeValidator(intervals, json_schema_input_type=PositiveFloat | Interval | tuple[Interval, ...]),
+    BeforeValidator(intervals, json_schema_input_type=Limit | Interval | tuple[Interval, ...]),
 ]
 
 
@@ -65,8 +68,8 @@ class Drive(BaseModel):
         description="[lowest, highest] voltage, for all inputs or a list of one an input; a single number N "
         "is [-N, N]; inf: no limit",
     )
-    resolution_v: float = Field(default=20.0 / 2**16, ge=0.0, description="step of the converter; 0: none")
-    sample_time_s: PositiveFloat = Field(default=50e-6, description="time for which a voltage is held")
+    resolution_v: Step = Field(default=20.0 / 2**16, description="step of the converter; 0: none")
+    sample_time_s: SampleTime = Field(default=50e-6, description="time for which a voltage is held")
 
     def limits(self, inputs: int) -> Array:
         """Lowest and highest voltage (2, input) of each input [V].
@@ -109,18 +112,23 @@ class Sensor(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
-    range_um: PositiveFloat = Field(
-        default=250.0, description="largest reading of either sign; inf: no limit"
-    )
-    resolution_um: float = Field(default=0.04, ge=0.0, description="step of the reading; 0: none")
-    bandwidth_hz: PositiveFloat = Field(default=2000.0, description="-3 dB of the first-order lag; inf: none")
-    noise_um: float = Field(default=0.04, ge=0.0, description="rms of the white noise; 0: none")
+    range_um: Limit = Field(default=250.0, description="largest reading of either sign; inf: no limit")
+    resolution_um: Step = Field(default=0.04, description="step of the reading; 0: none")
+    bandwidth_hz: Bandwidth = Field(default=2000.0, description="-3 dB of the first-order lag; inf: none")
+    noise_um: Step = Field(default=0.04, description="rms of the white noise; 0: none")
 
     def read(self, filtered_um: Array, generator: np.random.Generator) -> Array:
         """Readings (output, sample) of positions that have passed the sensor's bandwidth."""
         noise = standard_noise(generator, *filtered_um.shape) if self.noise_um else 0.0
         noisy = filtered_um + self.noise_um * noise
         return _rounded(np.clip(noisy, -self.range_um, self.range_um), self.resolution_um)
+
+    def clipped(self, reading_um: Array) -> int:
+        """Samples of the readings (output, sample) at which the range cut one of them, or may have."""
+        if math.isinf(self.range_um):
+            return 0
+        largest = float(_rounded(np.array([self.range_um]), self.resolution_um)[0])
+        return int((np.abs(reading_um) >= largest * (1.0 - 1e-12)).any(axis=0).sum())
 
 
 def standard_noise(generator: np.random.Generator, outputs: int, samples: int) -> Array:

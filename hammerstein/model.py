@@ -13,15 +13,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, PositiveFloat, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from hammerstein.axis_names import unique
 from hammerstein.dynamics import AxesDynamics, Dynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError, Mistake
-from hammerstein.files import read_limited, write_atomic
+from hammerstein.files import is_there, read_limited, write_atomic
 from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii, WeightCovariance
 from hammerstein.instruments import Instruments
 from hammerstein.pictured import Pictured
+from hammerstein.quantities import Name, NoCycles, Plain, Size, Threshold, Weight, WeightError
 from hammerstein.validation import mistakes_of, suggestion
 from hammerstein.voltages import Verdict, Voltages
 
@@ -88,6 +89,11 @@ class HammersteinModel(Pictured):
             mistakes.append(
                 Mistake("dynamics", f"must have {p} inputs and {p} outputs, as the hysteresis has")
             )
+        for key, names in (("inputs", self.inputs), ("outputs", self.outputs)):
+            if len(set(names)) < len(names):
+                mistakes.append(Mistake(key, "name two axes alike; every name must differ"))
+        if isinstance(self.dynamics, StateSpaceDynamics) and (unstable := self.dynamics.instability()):
+            mistakes.append(Mistake("dynamics.A", unstable))
         if mistakes:
             raise InputError(f"model {self.name}", mistakes)
 
@@ -156,7 +162,7 @@ class HammersteinModel(Pictured):
 
         Raises InputError with every mistake in the file.
         """
-        source = _place_of(str(path))
+        source = place_of(str(path))
         return cls.from_json(read_limited(source, what="model file"), str(path))
 
     @classmethod
@@ -194,9 +200,9 @@ class PairFile(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    thresholds_v: tuple[float, ...]
-    weights_um_per_v: tuple[float, ...]
-    weight_errors_um_per_v: tuple[float, ...] | None = None
+    thresholds_v: tuple[Threshold, ...]
+    weights_um_per_v: tuple[Weight, ...]
+    weight_errors_um_per_v: tuple[WeightError, ...] | None = None
 
     @model_validator(mode="after")
     def _is_a_pair(self) -> Self:
@@ -226,9 +232,9 @@ class CovarianceFile(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    factor_um_per_v: tuple[tuple[float, ...], ...] = Field(description="rows of L, each up to its diagonal")
-    slopes_at_bound: int = Field(
-        default=0, ge=0, description="slopes held at a bound of the fit: the covariance is that of the others"
+    factor_um_per_v: tuple[tuple[Weight, ...], ...] = Field(description="rows of L, each up to its diagonal")
+    slopes_at_bound: NoCycles = Field(
+        default=0, description="slopes held at a bound of the fit: the covariance is that of the others"
     )
 
     def covariance(self) -> WeightCovariance:
@@ -285,13 +291,13 @@ class ModelFile(BaseModel):
     name: str
     hysteresis: Hysteresis
     dynamics: Dynamics
-    amplitude_v: PositiveFloat
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
+    amplitude_v: Size
+    inputs: tuple[Name, ...]
+    outputs: tuple[Name, ...]
     instruments: Instruments = Instruments()
     voltages: Voltages | None = None
     verdict: Verdict | None = None
-    provenance: JsonValue = None
+    provenance: Plain = None
 
     @model_validator(mode="before")
     @classmethod
@@ -322,12 +328,15 @@ def packaged_actuators() -> list[str]:
     return sorted(f.name.removesuffix(".json") for f in folder.iterdir() if f.name.endswith(".json"))
 
 
-def _place_of(name: str) -> Path:
-    """Place of a packaged actuator, or of the file that is named."""
+def place_of(name: str) -> Path:
+    """Place of a packaged actuator, or of the file that is named.
+
+    Raises InputError for a name that is neither.
+    """
     names = packaged_actuators()
     if name in names:
         return Path(str(resources.files("hammerstein.actuators") / f"{name}.json"))
-    if Path(name).suffix or Path(name).exists():
+    if Path(name).suffix or is_there(Path(name)):
         return Path(name)
     raise InputError(
         name, f"is neither a model file nor a packaged actuator ({', '.join(names)}){suggestion(name, names)}"

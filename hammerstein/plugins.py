@@ -61,13 +61,13 @@ class Family(Generic[T]):
         """Note a model that has a field of this family: it follows when a kind is added."""
         self._users.append(model)
 
-    def value(self, data: Any) -> T:
-        """Validate one of the kinds, told by its tag, from plain data.
+    def adapter(self) -> TypeAdapter[T]:
+        """What validates one of the kinds, told by its tag, from plain data."""
+        return TypeAdapter(Annotated[self.base, self.field()])  # type: ignore[arg-type]
 
-        Raises ValidationError.
-        """
-        adapter: TypeAdapter[T] = TypeAdapter(Annotated[self.base, self.field()])  # type: ignore[arg-type]
-        return adapter.validate_python(data)
+    def value(self, data: Any) -> T:
+        """One of the kinds from plain data; ValidationError where it is wrong."""
+        return self.adapter().validate_python(data)
 
     def field(self, form: Callable[[type[T]], type[BaseModel]] = lambda kind: kind) -> Choice:
         """Annotation of a field that holds one of the kinds, in the form that the field wants."""

@@ -17,14 +17,29 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.errors import InputError
 from hammerstein.plugins import Family
+from hammerstein.quantities import (
+    POSITION_UM,
+    Axes,
+    FileName,
+    Frequency,
+    Length,
+    Offset,
+    Phase,
+    Scale,
+    Seed,
+    Size,
+    Wait,
+)
 
 Array = NDArray[np.float64]
 
 
+MOST_LINES = 2000  # of a multisine
+FARTHEST_RATIO = 100  # of the two frequencies of a Lissajous figure
 PEAK_POINTS = 16  # of a multisine, in a period of its highest line
 
 
@@ -40,8 +55,8 @@ class Shape(BaseModel, ABC):
     if TYPE_CHECKING:  # a field of every kind, behind its others
         kind: str
 
-    smooth_start_s: float = Field(default=0.0, ge=0.0, description="time in which the signal grows from zero")
-    offset: float | tuple[float, ...] | None = Field(
+    smooth_start_s: Wait = Field(default=0.0, description="time in which the signal grows from zero")
+    offset: Offset | tuple[Offset, ...] | None = Field(
         default=None,
         repr=False,  # the noise of a case is drawn from this text: a path has the same wherever it lies
         description="middle of the signal, one number or one an axis; a voltage lies about the actuator's "
@@ -116,7 +131,7 @@ def smooth_step(x: Array) -> Array:
 class OneFrequency(Shape, ABC):
     """A signal of one frequency."""
 
-    frequency_hz: PositiveFloat
+    frequency_hz: Frequency
 
     @property
     def period_s(self) -> float:
@@ -132,11 +147,11 @@ class OneFrequency(Shape, ABC):
 class OnAxes(OneFrequency, ABC):
     """The same wave on one axis, on each axis in turn, or on all axes together."""
 
-    axis: int | Literal["each", "all"] = Field(
+    axis: Axes | Literal["each", "all"] = Field(
         default="each", description='number of the axis from 1, "each" in turn, or "all" together'
     )
-    amplitude: PositiveFloat
-    phase_deg: float = 0.0
+    amplitude: Size
+    phase_deg: Phase = 0.0
 
     @abstractmethod
     def _wave(self, cycles: Array) -> Array:
@@ -180,8 +195,8 @@ class Circle(OneFrequency):
     """x = R cos(2 pi f t + phase), y = R sin(2 pi f t + phase) (paper, section 5.4)."""
 
     kind: Literal["circle"] = "circle"
-    radius: PositiveFloat
-    phase_deg: float = 0.0
+    radius: Size
+    phase_deg: Phase = 0.0
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "circle")
@@ -193,10 +208,10 @@ class Spiral(OneFrequency):
     """A circle until the trigger, then one whose radius decays as exp(-t / tau) (paper, section 5.4)."""
 
     kind: Literal["spiral"] = "spiral"
-    radius: PositiveFloat
-    trigger_s: float = Field(ge=0.0, description="time at which the decay starts")
-    decay_s: PositiveFloat = Field(description="time constant of the decay")
-    phase_deg: float = 0.0
+    radius: Size
+    trigger_s: Wait = Field(description="time at which the decay starts")
+    decay_s: Length = Field(description="time constant of the decay")
+    phase_deg: Phase = 0.0
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "spiral")
@@ -214,10 +229,18 @@ class Lissajous(Shape):
     """x = A cos(2 pi f_x t + phase), y = A sin(2 pi f_y t + phase) (paper, section 5.4)."""
 
     kind: Literal["lissajous"] = "lissajous"
-    amplitude: PositiveFloat
-    frequency_x_hz: PositiveFloat
-    frequency_y_hz: PositiveFloat
-    phase_deg: float = 0.0
+    amplitude: Size
+    frequency_x_hz: Frequency
+    frequency_y_hz: Frequency
+    phase_deg: Phase = 0.0
+
+    @model_validator(mode="after")
+    def _repeats_soon(self) -> Self:
+        if not 1 / FARTHEST_RATIO <= self.frequency_x_hz / self.frequency_y_hz <= FARTHEST_RATIO:
+            raise ValueError(
+                f"frequency_x_hz and frequency_y_hz must be within a factor of {FARTHEST_RATIO} of each other"
+            )
+        return self
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "lissajous")
@@ -248,15 +271,19 @@ class Multisine(Shape):
     """
 
     kind: Literal["multisine"] = "multisine"
-    amplitude: PositiveFloat
-    lowest_hz: PositiveFloat
-    highest_hz: PositiveFloat
-    seed: int = Field(default=0, ge=0)
+    amplitude: Size
+    lowest_hz: Frequency
+    highest_hz: Frequency
+    seed: Seed = 0
 
     @model_validator(mode="after")
     def _band_is_ordered(self) -> Self:
         if self.highest_hz <= self.lowest_hz:
             raise ValueError("highest_hz must be above lowest_hz")
+        if self.highest_hz / self.lowest_hz > MOST_LINES:
+            raise ValueError(
+                f"highest_hz must be at most {MOST_LINES} times lowest_hz, the distance of its lines"
+            )
         return self
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
@@ -297,8 +324,8 @@ class FromFile(Shape):
     """
 
     kind: Literal["file"] = "file"
-    path: str
-    scale: float = 1.0
+    path: FileName
+    scale: Scale = 1.0
 
     def middle(self, n_axes: int, rest: Array) -> Array:
         """A file of voltages holds them as they are."""
@@ -352,22 +379,23 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
         raise InputError(str(path), f"is not a CSV table: {error}") from None
     if "time_s" not in frame.columns or frame.shape[1] < 2:
         raise InputError(str(path), "needs a header with a column time_s and one column for each axis")
-    first_row = 2 + sum(line.lstrip().startswith("#") for line in text.splitlines()[:20])
+    lines = enumerate(text.splitlines(), start=1)
+    rows = [number for number, line in lines if line.strip() and not line.lstrip().startswith("#")][1:]
     numbers = frame.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
-    bad = np.argwhere(~np.isfinite(numbers))
+    bad = np.argwhere(~(np.abs(numbers) <= POSITION_UM.high))
     if len(bad):
         row, column = (int(i) for i in bad[0])
         value = frame.iloc[row, column]
         raise InputError(
             str(path),
-            f"row {row + first_row}, column {frame.columns[column]}: {value!s} is not a finite number",
+            f"row {rows[row]}, column {frame.columns[column]}: {value!s} is not a finite number within 1e9",
         )
     times = frame["time_s"].to_numpy(dtype=float)
     if len(times) < 2:
         raise InputError(str(path), "has a single row; a signal needs at least two")
     late = np.nonzero(np.diff(times) <= 0)[0]
     if len(late):
-        raise InputError(str(path), f"row {int(late[0]) + first_row + 1}: time_s does not increase")
+        raise InputError(str(path), f"row {rows[int(late[0]) + 1]}: time_s does not increase")
     axes = frame.drop(columns="time_s")
     return times, axes.to_numpy(dtype=float).T, [str(name) for name in axes.columns]
 

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from hammerstein.blocks import Controller
 from hammerstein.driving import DriveRange
 from hammerstein.dynamics import LinearBlock, discretise
-from hammerstein.errors import InputError
+from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PlayState
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.pictured import Pictured
+from hammerstein.quantities import POSITION_UM, VOLTAGE_V, Range
 
 if TYPE_CHECKING:
     import control
@@ -33,6 +34,28 @@ WIRES = ("reference_um", "requested_v", "drive_v", "hysteresis_um", "position_um
 """In the order of the block diagram."""
 
 
+LIMITS = {"um": POSITION_UM, "v": VOLTAGE_V}
+"""What the wires of each unit may hold."""
+
+
+def refuse_unbounded(name: str, wire: Array, sample_time_s: float, limits: Range = POSITION_UM) -> None:
+    """Refuse a wire (axis, sample) that leaves all bounds, or is not finite.
+
+    Raises SimulationError, which says where and when.
+    """
+    if wire.size == 0 or (limits.low <= wire.min() and wire.max() <= limits.high):  # never true for NaN
+        return
+    bad = ~((wire >= limits.low) & (wire <= limits.high))
+    sample = int(np.argmax(bad.any(axis=0)))
+    axis = int(np.argmax(bad[:, sample]))
+    quantity, _, unit = name.rpartition("_")
+    raise SimulationError(
+        f"{quantity.replace('_', ' ')} of axis {axis + 1} reaches {wire[axis, sample]:.3g} "
+        f"{'V' if unit == 'v' else unit} after {sample * sample_time_s:.4g} s: something on its way is not "
+        "stable. Look at the actuator's dynamics, and at the gains of the law"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Response(Pictured):
     """One run, every wire kept; rows are axes, columns samples.
@@ -45,6 +68,10 @@ class Response(Pictured):
     reading_um : what the sensor says [um]
     saturated : where the drive's range cut the voltage (input, sample)
     inputs, outputs : names of the axes; numbers from 1 if not given
+
+    Raises
+    ------
+    SimulationError : a wire that is not finite or leaves all bounds
 
     Examples
     --------
@@ -80,6 +107,12 @@ class Response(Pictured):
     def time_s(self) -> Array:
         """Time of each sample [s], from zero."""
         return np.asarray(np.arange(self.drive_v.shape[1]) * self.sample_time_s, dtype=np.float64)
+
+    def __post_init__(self) -> None:
+        for name in WIRES:
+            wire = getattr(self, name)
+            if wire is not None:
+                refuse_unbounded(name, wire, self.sample_time_s, LIMITS[name.rpartition("_")[2]])
 
     def after(self, first: int) -> Response:
         """Give the same run from one sample on."""

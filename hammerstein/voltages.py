@@ -7,7 +7,9 @@ from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from hammerstein.quantities import Figure, Offset
 
 ONE_SIDED = 0.25
 """Part of the larger side up to which the smaller one does not make a record two-sided."""
@@ -23,9 +25,9 @@ class Voltages(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    working_point_v: tuple[FiniteFloat, ...] = Field(description="voltage at which the plays rest")
-    lowest_v: tuple[FiniteFloat, ...] = Field(description="lowest voltage of the records")
-    highest_v: tuple[FiniteFloat, ...] = Field(description="highest voltage of the records")
+    working_point_v: tuple[Offset, ...] = Field(description="voltage at which the plays rest")
+    lowest_v: tuple[Offset, ...] = Field(description="lowest voltage of the records")
+    highest_v: tuple[Offset, ...] = Field(description="highest voltage of the records")
     poling: tuple[Poling, ...] = Field(
         description="sign of the voltages that the records stayed on, up to a quarter of the larger side"
     )
@@ -86,4 +88,4 @@ class Verdict(BaseModel):
     statements: tuple[str, ...] = Field(default=(), description="what it cannot represent")
     held_out: bool = Field(default=False, description="whether it was judged by a record held back")
     sentence: str = Field(default="", description="which block lowers the error")
-    nrmse_percent: tuple[float, ...] = Field(default=(), description="error of each output it was judged by")
+    nrmse_percent: tuple[Figure, ...] = Field(default=(), description="error of each output it was judged by")

@@ -87,7 +87,7 @@ def test_traces_hold_every_wire(folder, kind):
     ("change", "code", "message"),
     [
         (("radius_um", "radus_um"), 2, "did you mean radius_um?"),
-        (("radius_um = 15", "radius_um = -15"), 2, "greater than 0"),
+        (("radius_um = 15", "radius_um = -15"), 2, "must be 1e-6 to 1e6, not -15"),
         (("frequency_hz = 50\n[[", "frequency_hz = 10000\n[["), 2, "half the sample rate"),
         (("radius_um = 15", "radius_um = 70"), 3, "asks for 70 um"),
         (('"inverse_multiplicative"', '"inverse_multiplicative"\ngain = "identity"'), 3, "does not converge"),

@@ -10,12 +10,12 @@ import theory
 
 from hammerstein.blocks import Law
 from hammerstein.commands.cli import main
-from hammerstein.compensators.decoupled_inverse import DecoupledInverse
-from hammerstein.compensators.exact.inverse import ExactInverse
+from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
+from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.exact.reach import reach
-from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
-from hammerstein.compensators.linear_gain import LinearGain
-from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
+from hammerstein.compensators.no_compensation import NoCompensationLaw
+from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.driving import DriveRange
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError
@@ -34,12 +34,12 @@ W = np.array(
 )
 REST = np.array([0.0, -20.0])
 LAWS = {
-    "none": lambda model, limits: LinearGain(model, limits),
-    "inverse_multiplicative": lambda model, limits: InverseMultiplicative(model, limits, T, iterations=40),
-    "decoupled_inverse": lambda model, limits: DecoupledInverse(model, limits),
-    "exact_inverse": lambda model, limits: ExactInverse(model, limits),
-    "exact_inverse, softened": lambda model, limits: ExactInverse(model, limits, softening_v=0.05),
-    "hammerstein_inverse": lambda model, limits: HammersteinInverse(model, limits, T),
+    "none": lambda model, limits: NoCompensationLaw(model, limits),
+    "inverse_multiplicative": lambda model, limits: InverseMultiplicativeLaw(model, limits, T, iterations=40),
+    "decoupled_inverse": lambda model, limits: DecoupledInverseLaw(model, limits),
+    "exact_inverse": lambda model, limits: ExactInverseLaw(model, limits),
+    "exact_inverse, softened": lambda model, limits: ExactInverseLaw(model, limits, softening_v=0.05),
+    "hammerstein_inverse": lambda model, limits: HammersteinInverseLaw(model, limits, T),
 }
 
 
@@ -97,7 +97,7 @@ def test_a_model_with_dynamics_starts_where_it_stands():
     axes = AxesDynamics(axes=pair)
     limits = DriveRange.of([(0.0, 100.0), (-20.0, 120.0)], model_of(axes), [40.0, 55.0])
     path = wave(9.0)
-    drive = HammersteinInverse(model_of(axes), limits, T).drive_for(path)
+    drive = HammersteinInverseLaw(model_of(axes), limits, T).drive_for(path)
     output = played(np.hstack([[[40.0], [55.0]], drive]))
     position, _ = discretise(axes, T).respond(output[:, 1:] - output[:, :1])
     assert np.abs(position - path)[:, 5:-5].max() < 1e-6
@@ -128,7 +128,7 @@ def test_after_the_range_cut_the_memory_is_still_that_of_the_actuator():
     """What an input at an end of its range cannot do is missed; afterwards the path is met again exactly."""
     for rest in (REST, np.array([100.0, 120.0])):
         limits = DriveRange.of([(0.0, 100.0), (-20.0, 120.0)], model_of(rest=rest))
-        law, path = ExactInverse(model_of(rest=rest), limits), wave(55.0, 3000)
+        law, path = ExactInverseLaw(model_of(rest=rest), limits), wave(55.0, 3000)
         drive = law.drive_for(path)
         left = np.abs(played(drive, rest) - path)
         cut = limits.reached(drive).any(axis=0)

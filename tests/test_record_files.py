@@ -205,7 +205,7 @@ class TestFiles:
         for what in ("no file", "inputs", "rate or time", "input scale", "output scale"):
             assert what in text
         assert "give one of them" in message(read, csv(), rate_hz=None)
-        assert "must be above 0" in message(read, csv(), rate_hz=-5.0)
+        assert "must be 1e-4 to 1e9" in message(read, csv(), rate_hz=-5.0)
 
     @pytest.mark.parametrize(("array", "name"), [("rows", "2"), ("columns", "2")])
     def test_numpy_array_either_way_round(self, tmp_path, table, array, name):

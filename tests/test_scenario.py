@@ -36,8 +36,8 @@ def test_values_arrive(tmp_path):
     ("old", "new", "messages"),
     [
         ("radius_um", "radus_um", ["reference.radus_um", "unknown key; did you mean radius_um?"]),
-        ("radius_um = 50", "radius_um = -50", ["reference.radius_um", "greater than 0, not -50"]),
-        ("radius_um = 50", 'radius_um = "wide"', ["reference.radius_um", "valid number", "'wide'"]),
+        ("radius_um = 50", "radius_um = -50", ["reference.radius_um", "must be 1e-6 to 1e6, not -50"]),
+        ("radius_um = 50", 'radius_um = "wide"', ["reference.radius_um", "must be a number, not 'wide'"]),
         ("radius_um = 50", "radius_um = nan", ["reference.radius_um"]),
         ("frequency_hz = 50\n[[", "[[", ["reference.frequency_hz", "is missing"]),
         ('"circle"', '"cirle"', ["reference.kind", "did you mean circle?"]),

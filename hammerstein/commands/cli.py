@@ -13,10 +13,12 @@ import typer
 
 from hammerstein.commands import records as record_commands
 from hammerstein.errors import HammersteinError
+from hammerstein.runtime.deadline import ended_in_time
 
 if TYPE_CHECKING:
     from hammerstein.experiment.batch import Outcome
     from hammerstein.experiment.prepare import Progress
+    from hammerstein.scenario import Scenario
 
 app = typer.Typer(
     name="hammerstein",
@@ -36,6 +38,7 @@ Paths = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Scenario f
 Jobs = Annotated[
     int, typer.Option(min=1, help="Runs side by side.", show_default="the processors of this machine")
 ]
+Yes = Annotated[bool, typer.Option("--yes", help="Start also what takes more than ten minutes.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 INTERRUPTED = 130
 PROCESSORS = os.cpu_count() or 1
@@ -77,13 +80,24 @@ def main(arguments: list[str] | None = None) -> None:
     signal.signal(signal.SIGINT, _interrupt)
     _one_thread_a_job()
     try:
-        app(arguments)
+        with ended_in_time(_say_interrupted, INTERRUPTED):
+            app(arguments)
     except HammersteinError as error:
         _complain(str(error))
         sys.exit(error.exit_code)
+    except Exception as error:
+        from hammerstein.runtime.faults import as_error
+
+        told = as_error(error)
+        _complain(str(told))
+        sys.exit(told.exit_code)
     except _Interrupted:
-        _complain("interrupted; what was finished is written, and nothing else")
+        _say_interrupted()
         sys.exit(INTERRUPTED)
+
+
+def _say_interrupted() -> None:
+    _complain("interrupted; what was finished is written, and nothing else")
 
 
 @app.command()
@@ -98,6 +112,7 @@ def run(
     page: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write all claims and figures on one page there.")
     ] = None,
+    yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
     """Run scenarios and write a report for each: numbers, a page, figures."""
@@ -119,6 +134,7 @@ def run(
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
+    jobs = _planned(scenarios, jobs, yes)
     compile_once(_complain)
     writer = Writer(out, figures, "mat" if traces == "mat" else "csv" if traces == "csv" else None)
     outcomes = []
@@ -147,6 +163,25 @@ def run(
     _fail_with(outcomes)
 
 
+def _planned(scenarios: dict[str, Scenario], jobs: int, yes: bool) -> int:
+    """How many jobs fit the memory together; what takes long is told, and wants ``--yes`` of a person.
+
+    Raises InputError where a person watches and has not said yes.
+    """
+    from hammerstein.errors import InputError
+    from hammerstein.experiment.plan import jobs_that_fit, plans_of, together
+
+    plans = plans_of(scenarios)
+    if text := together(plans).announcement(jobs):
+        if sys.stdin.isatty() and sys.stderr.isatty() and not yes:
+            raise InputError("plan", f"{text}. Or start it with --yes")
+        _complain(text)
+    fitting = jobs_that_fit(plans, jobs)
+    if fitting < jobs:
+        _complain(f"{jobs} jobs do not fit the memory together: {fitting} run side by side")
+    return fitting
+
+
 def _fail_with(outcomes: list[Outcome]) -> None:
     """Tell every error; exit with the code of the gravest."""
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
@@ -168,19 +203,22 @@ def check(
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the result for CI.")] = None,
     markdown: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a summary page.")] = None,
     jobs: Jobs = PROCESSORS,
+    yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
     """Run scenarios again and compare every number with its baseline."""
     from hammerstein.commands.warm_up import compile_once
-    from hammerstein.experiment.batch import find_scenarios
+    from hammerstein.experiment.batch import load_all
     from hammerstein.files import refuse_unwritable, write_atomic
     from hammerstein.regression.check import check_files
 
     for option, file in (("--junit", junit), ("--markdown", markdown)):
         if file is not None:
             refuse_unwritable(option, file.parent)
+    scenarios = load_all(paths)
+    jobs = _planned(scenarios, jobs, yes)
     compile_once(_complain)
-    with _Watch(len(find_scenarios(paths))) as watch:
+    with _Watch(len(scenarios)) as watch:
         result = check_files(paths, baseline, update_baseline, jobs, watch.progress, watch.finished)
     if junit is not None:
         write_atomic(junit, result.junit())
@@ -216,14 +254,21 @@ def plot(
     path: Annotated[Path, typer.Argument(help="Scenario file.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the figures go.")] = Path("reports"),
     jobs: Jobs = PROCESSORS,
+    yes: Yes = False,
 ) -> None:
     """Draw the figures of one scenario, and nothing else."""
     from hammerstein.commands.warm_up import compile_once
+    from hammerstein.errors import InputError
     from hammerstein.experiment.batch import load_all
     from hammerstein.experiment.run import run as run_scenario
+    from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.figures import write_figures
 
+    if path.is_dir():
+        raise InputError(str(path), "is a folder; give the file of one scenario")
+    refuse_unwritable("--out", out)
     ((name, scenario),) = load_all([path]).items()
+    _planned({name: scenario}, jobs, yes)
     compile_once(_complain)
     with _Watch(1) as watch:
         report = run_scenario(scenario, name, jobs, watch.progress)

@@ -265,8 +265,11 @@ def compensate(
     from hammerstein.commands.tables import compensation_table, show
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.compensators.drive_file import Terms, compensate as compensated
+    from hammerstein.errors import InputError
     from hammerstein.files import write_atomic
 
+    if gain not in (None, "auto", "identity"):
+        raise InputError("--gain", f"must be auto or identity, not {gain!r}; a matrix goes into a scenario")
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
     _refuse_output(out, [Path(model), reference])
     compile_once(_say)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hammerstein.experiment.report import Report
+from hammerstein.experiment.selection import is_direct
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.claims_page import Line
@@ -37,13 +38,10 @@ def result_table(reports: Iterable[Report]) -> Table:
     table = _table("Worst figures of each scenario, over its direct transfers and paths", columns)
     for report in reports:
         for label in dict.fromkeys(row.compensator for row in report.rows):
-            rows = [row for row in report.rows if row.compensator == label and _is_direct(row)]
+            own = [row for row in report.rows if row.compensator == label]
+            rows = [row for row in own if is_direct(report, row)] or own
             table.add_row(report.name, label or "(drive in V)", *_figures(rows))
     return table
-
-
-def _is_direct(row: Row) -> bool:
-    return row.excited_axis in (row.measured_axis, "all")
 
 
 def _figures(rows: Sequence[Row]) -> list[str]:

@@ -337,6 +337,4 @@ def _options(law: str, options: Mapping[str, Any]) -> Compensator:
     try:
         return COMPENSATORS.value({"law": law, **given})
     except ValidationError as error:
-        raise InputError(
-            "compensate", mistakes_of(error, COMPENSATORS.kinds.get(law, COMPENSATORS.base))
-        ) from None
+        raise InputError("compensate", mistakes_of(error, COMPENSATORS.adapter())) from None

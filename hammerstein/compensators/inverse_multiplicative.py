@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import AfterValidator, Field
 
 from hammerstein.blocks import Array, Law, require_square
 from hammerstein.compensators.base import Compensator
@@ -17,6 +17,7 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PlayState, PrandtlIshlinskii
 from hammerstein.hysteresis.slopes import slope_matrices
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import Gain, Passes, TimeConstant, of_equal_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,13 +219,15 @@ class InverseMultiplicative(Compensator):
     """The paper's compensator without inversion (Theorem 4.1)."""
 
     law: Literal["inverse_multiplicative"] = "inverse_multiplicative"
-    gain: Literal["identity", "auto"] | tuple[tuple[float, ...], ...] = Field(
+    gain: Annotated[
+        Literal["identity", "auto"] | tuple[tuple[Gain, ...], ...], AfterValidator(of_equal_rows)
+    ] = Field(
         default="auto", description='"identity" (as printed), "auto" (from the slopes), or a matrix in V/um'
     )
-    filter_s: PositiveFloat | None = Field(
+    filter_s: TimeConstant | None = Field(
         default=None, description="time constant of a first-order filter in place of the one-sample delay"
     )
-    iterations: PositiveInt = Field(default=1, description="passes of the law in each sample")
+    iterations: Passes = Field(default=1, description="passes of the law in each sample")
     run_anyway: bool = Field(default=False, description="accept an iteration that cannot converge")
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:

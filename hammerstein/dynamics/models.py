@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.errors import InputError
+from hammerstein.quantities import Axes, CreepGain, Damping, Delay, Entry, Resonance, SampleTime, TimeConstant
 
 if TYPE_CHECKING:
     import control
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 CONTINUOUS = 0.0  # sample time [s] of a block in continuous time, as python-control writes it
+
+
+MOST_DELAY_STATES = 2000
 
 
 def natural_frequency_hz(bandwidth_hz: float, damping_ratio: float) -> float:
@@ -44,8 +48,8 @@ class CreepMode(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    gain: float = Field(description="final creep of this mode, as a fraction of the fast displacement")
-    time_constant_s: PositiveFloat
+    gain: CreepGain = Field(description="final creep of this mode, as a fraction of the fast displacement")
+    time_constant_s: TimeConstant
 
 
 class Axis(BaseModel):
@@ -58,8 +62,8 @@ class Axis(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    resonance_hz: PositiveFloat = Field(description="undamped natural frequency")
-    damping_ratio: PositiveFloat
+    resonance_hz: Resonance = Field(description="undamped natural frequency")
+    damping_ratio: Damping
     creep: tuple[CreepMode, ...] = ()
 
 
@@ -70,7 +74,7 @@ class AxesDynamics(BaseModel):
 
     kind: Literal["axes"] = "axes"
     axes: tuple[Axis, ...] = Field(min_length=1)
-    input_delay_s: float = Field(default=0.0, ge=0.0)
+    input_delay_s: Delay = 0.0
 
     @property
     def n_outputs(self) -> int:
@@ -100,8 +104,8 @@ class StaticDynamics(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["static"] = "static"
-    n_outputs: int = Field(ge=1)
-    input_delay_s: float = Field(default=0.0, ge=0.0)
+    n_outputs: Axes
+    input_delay_s: Delay = 0.0
 
     def describe(self) -> str:
         """Say in a few words what it is."""
@@ -122,12 +126,15 @@ class StateSpaceDynamics(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["state_space"] = "state_space"
-    A: tuple[tuple[float, ...], ...]
-    B: tuple[tuple[float, ...], ...]
-    C: tuple[tuple[float, ...], ...]
-    D: tuple[tuple[float, ...], ...]
-    sample_time_s: PositiveFloat | None = Field(default=None, description="absent: continuous time")
-    input_delay_s: float = Field(default=0.0, ge=0.0)
+    A: tuple[tuple[Entry, ...], ...]
+    B: tuple[tuple[Entry, ...], ...]
+    C: tuple[tuple[Entry, ...], ...]
+    D: tuple[tuple[Entry, ...], ...]
+    sample_time_s: SampleTime | None = Field(default=None, description="absent: continuous time")
+    input_delay_s: Delay = 0.0
+    allow_unstable: Literal[True] | None = Field(
+        default=None, description="true: accept a block whose outputs grow without bound"
+    )
 
     @model_validator(mode="after")
     def _shapes_fit(self) -> Self:
@@ -137,11 +144,25 @@ class StateSpaceDynamics(BaseModel):
             matrix = getattr(self, name)
             if len(matrix) != rows or any(len(row) != columns for row in matrix):
                 raise ValueError(f"{name} must be {rows} x {columns}")
-            if not np.isfinite(np.asarray(matrix, dtype=np.float64)).all():
-                raise ValueError(f"{name} holds a value that is not finite")
         if p == 0 or m == 0:
             raise ValueError("D must have at least one row and one column")
         return self
+
+    def instability(self) -> str:
+        """Say that a pole lies on the border of stability or beyond, and what to do; empty if none does."""
+        if self.allow_unstable or not self.A:
+            return ""
+        poles = np.linalg.eigvals(np.asarray(self.A, dtype=np.float64))
+        if self.sample_time_s is None:
+            worst, bound, name = float(poles.real.max()), 0.0, "a pole with a real part of {:.6g} 1/s"
+        else:
+            worst, bound, name = float(np.abs(poles).max()), 1.0, "a pole at |z| = {:.6g}"
+        if worst < bound:
+            return ""
+        return (
+            f"is not stable ({name.format(worst)}): its outputs grow without bound. Identify it again, or "
+            "set allow_unstable = true beside A if this is meant"
+        )
 
     def describe(self) -> str:
         """Say in a few words what it is."""
@@ -149,8 +170,12 @@ class StateSpaceDynamics(BaseModel):
         return f"state space of order {len(self.A)}, {kind}"
 
     @classmethod
-    def of(cls, system: control.LTI, input_delay_s: float = 0.0) -> StateSpaceDynamics:
+    def of(
+        cls, system: control.LTI, input_delay_s: float = 0.0, allow_unstable: bool = False
+    ) -> StateSpaceDynamics:
         """Keep a linear system of python-control, continuous or discrete: state space or transfer function.
+
+        A model refuses one that is not stable, unless ``allow_unstable``.
 
         Raises
         ------
@@ -167,7 +192,8 @@ class StateSpaceDynamics(BaseModel):
 
         a, b, c, d, sample_time_s = matrices_of(system)
         rows = {k: tuple(map(tuple, m.tolist())) for k, m in zip("ABCD", (a, b, c, d), strict=True)}
-        return cls(**rows, sample_time_s=sample_time_s, input_delay_s=input_delay_s)
+        allowed: Literal[True] | None = True if allow_unstable else None
+        return cls(**rows, sample_time_s=sample_time_s, input_delay_s=input_delay_s, allow_unstable=allowed)
 
     @property
     def n_outputs(self) -> int:
@@ -396,6 +422,13 @@ class LinearBlock:
         if samples == 0:
             return self
         m, n = self.n_inputs, self.A.shape[0]
+        if m * samples > MOST_DELAY_STATES:
+            raise InputError(
+                "dynamics",
+                f"an input delay of {samples * self.sample_time_s:g} s is {samples} samples of "
+                f"{self.sample_time_s:g} s; at most {MOST_DELAY_STATES // m} are carried: use a shorter "
+                "input_delay_s or a longer sample time",
+            )
         shift = np.eye(m * samples, k=-m)
         last = np.zeros((m, m * samples))
         last[:, -m:] = np.eye(m)

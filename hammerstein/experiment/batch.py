@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -11,6 +12,7 @@ from hammerstein.errors import HammersteinError, InputError, Mistake
 from hammerstein.experiment.prepare import Progress, Window
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
+from hammerstein.runtime.faults import as_error
 from hammerstein.runtime.processes import side_by_side
 from hammerstein.scenario import Scenario, load_scenario
 
@@ -88,13 +90,14 @@ def run_all(
 def _size(scenario: Scenario) -> float:
     """Samples to work through, about; a case with its share of the figures costs at least some."""
     step = scenario.instruments.drive.sample_time_s
+    others = math.prod(len(values) for name, values in scenario.sweep.values() if name != "frequency_hz")
     try:
-        lengths = [Window.of(scenario, signal, step).total for signal in scenario.signals()]
+        signals = scenario.signals(only="frequency_hz")
+        lengths = [Window.of(scenario, signal, step).total for signal in signals]
     except InputError:  # a signal's file; its own scenario tells
         return 0.0
-    return sum(max(length, LEAST_SAMPLES) for length in lengths) * max(
-        1, len(scenario.compensators) + len(scenario.models)
-    )
+    sources = max(1, len(scenario.compensators) + len(scenario.models))
+    return float(others * sources * sum(max(length, LEAST_SAMPLES) for length in lengths))
 
 
 def _outcome(
@@ -107,8 +110,8 @@ def _outcome(
     try:
         report = run(scenario, name, jobs, progress)
         finish(report)
-    except HammersteinError as error:
-        return Outcome(name, None, _of(name, error))
+    except Exception as error:  # a fault in one scenario must not take the others with it
+        return Outcome(name, None, _of(name, as_error(error)))
     return Outcome(name, report.without_traces())
 
 

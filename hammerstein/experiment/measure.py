@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.errors import SimulationError
 from hammerstein.experiment.prepare import Case, SetUp, Window, scenario_axes
 from hammerstein.experiment.recording import Target, recorded, targets_of
 from hammerstein.experiment.report import Prediction, Trace
@@ -29,17 +30,22 @@ HOLD_SHARE = 0.01  # of the amplitude; a hold that costs more is told
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Rows of one case, its measured trace, and what to do if it had not settled; empty if it had."""
+    """Rows of one case, its measured trace, what to do if it had not settled, and samples that are cut.
+
+    unsettled : empty if it had; clipped : samples at the sensor's range
+    """
 
     rows: tuple[Row, ...]
     trace: Trace
     unsettled: str
+    clipped: int
 
 
 def rows_of(setup: SetUp, case: Case) -> Result:
     """Simulate one case and measure it."""
     recording = recorded(setup, case)
     response, targets = recording.response, recording.targets
+    _refuse_still(setup, case, response)
     window = Window.of(setup.scenario, case.signal, response.sample_time_s)
     loops = _loops(setup, case, response, window)
     rows = tuple(_rows(setup, case, response, targets, METRICS.values(), loops))
@@ -58,7 +64,21 @@ def rows_of(setup: SetUp, case: Case) -> Result:
         predictions=predictions,
     )
     unsettled = "" if settled(setup, case, response) else advice(setup, case)
-    return Result(rows, trace, unsettled)
+    clipped = setup.plant.instruments.sensor.clipped(response.reading_um[:, window.first :])
+    return Result(rows, trace, unsettled, clipped)
+
+
+def _refuse_still(setup: SetUp, case: Case, response: Response) -> None:
+    """Refuse a drive in volts of which the converter leaves nothing: no loop, no error, no answer."""
+    if setup.scenario.drive is None or np.ptp(response.drive_v, axis=1).any():
+        return
+    drive = setup.plant.instruments.drive
+    low, high = drive.limits(len(response.drive_v))[:, case.axis or 0]
+    raise SimulationError(
+        f"the drive stands still at {response.drive_v[case.axis or 0, -1]:.4g} V throughout: its converter "
+        f"has steps of {drive.resolution_v:.3g} V and a range of {low:g} to {high:g} V. Use a larger "
+        "amplitude, or an offset within the range"
+    )
 
 
 def drawn_rows(setup: SetUp, case: Case, response: Response) -> tuple[Row, ...]:
@@ -257,4 +277,9 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
             statements.append(f"{where}: the loop has not settled; {result.unsettled}.")
         if row.saturated_samples:
             statements.append(f"{where}: the drive's range cut {row.saturated_samples} samples.")
+        if result.clipped:
+            statements.append(
+                f"{where}: the sensor's range cut {result.clipped} samples of the reading; use a larger "
+                "instruments.sensor.range_um, or look at the true position."
+            )
     return tuple(statements)

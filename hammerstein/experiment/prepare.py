@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from hammerstein.blocks import Controller, Law
 from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
 from hammerstein.driving import DriveRange
-from hammerstein.errors import InputError, Mistake, SimulationError
+from hammerstein.errors import HammersteinError, IdentificationError, InputError, Mistake, SimulationError
 from hammerstein.instruments import Instruments, standard_noise
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.memory import refuse_too_long
@@ -216,11 +216,7 @@ def prepare(
     SimulationError : a reference is out of reach, or a law cannot converge
     IdentificationError : a model cannot be identified
     """
-    model = model or HammersteinModel.load(scenario.actuator)
-    own = model.instruments.model_dump()
-    given = scenario.instruments.model_dump(exclude_unset=True)
-    merged = {name: {**own[name], **given.get(name, {})} for name in own}
-    plant = Plant(model, Instruments.model_validate(merged))
+    plant = plant_of(scenario, model)
     _check_signal(scenario, plant, source)
     models = _models(scenario, plant, progress)
     laws: dict[str, AnyLaw] = {}
@@ -229,13 +225,22 @@ def prepare(
     return SetUp(scenario, plant, models, laws)
 
 
+def plant_of(scenario: Scenario, model: HammersteinModel | None = None) -> Plant:
+    """The actuator of a scenario on its set-up; InputError where its file is wrong."""
+    model = model or HammersteinModel.load(scenario.actuator)
+    own = model.instruments.model_dump()
+    given = scenario.instruments.model_dump(exclude_unset=True)
+    merged = {name: {**own[name], **given.get(name, {})} for name in own}
+    return Plant(model, Instruments.model_validate(merged))
+
+
 def _law(compensator: TestedCompensator, model: HammersteinModel, plant: Plant) -> AnyLaw:
     """A law for the instruments of the scenario, whatever those that its model was found with."""
     here = replace(model, instruments=plant.instruments)
     try:
         return compensator.design(here, _range(model, plant), plant.sample_time_s)
     except (InputError, SimulationError) as error:
-        raise type(error)(*_labelled(compensator.label, error)) from None
+        raise type(error)(*_labelled(f"compensator {compensator.label!r}", error)) from None
 
 
 def _range(model: HammersteinModel, plant: Plant) -> DriveRange:
@@ -247,10 +252,10 @@ def _range(model: HammersteinModel, plant: Plant) -> DriveRange:
     )
 
 
-def _labelled(label: str, error: InputError | SimulationError) -> tuple[Any, ...]:
+def _labelled(name: str, error: HammersteinError) -> tuple[Any, ...]:
     if isinstance(error, InputError):
-        return f"compensator {label!r}: {error.source}", error.mistakes
-    return (f"compensator {label!r}: {error}",)
+        return f"{name}: {error.source}", error.mistakes
+    return (f"{name}: {error}",)
 
 
 def _models(scenario: Scenario, plant: Plant, progress: Progress | None) -> dict[str, HammersteinModel]:
@@ -264,12 +269,13 @@ def _models(scenario: Scenario, plant: Plant, progress: Progress | None) -> dict
         if progress:
             progress("identifying", i, len(sources))
         key = source.identification or source.model
-        if key not in found:
-            found[key] = (
-                HammersteinModel.load(str(source.model))
-                if source.identification is None
-                else identify_by_experiment(plant, source.identification, scenario.seed)
-            )
+        if key not in found and source.identification is None:
+            found[key] = HammersteinModel.load(str(source.model))
+        elif key not in found and source.identification is not None:
+            try:
+                found[key] = identify_by_experiment(plant, source.identification, scenario.seed)
+            except (InputError, SimulationError, IdentificationError) as error:
+                raise type(error)(*_labelled(f"identification of {source.label!r}", error)) from None
         models[source.label] = found[key]
     return models
 
@@ -288,10 +294,25 @@ def _check_signal(scenario: Scenario, plant: Plant, source: str) -> None:
             mistakes.append(Mistake("axis", f"{signal.axis} does not exist; the actuator has {n_axes}"))
         if isinstance(signal, FromFile):
             _check_order(signal, scenario_axes(scenario, plant.model))
+    mistakes += _too_fast(scenario, plant)
     if mistakes:
         raise InputError(source, list(dict.fromkeys(mistakes)))
     if scenario.reference is not None:
         _check_reach(scenario, plant, source)
+
+
+def _too_fast(scenario: Scenario, plant: Plant) -> Iterator[Mistake]:
+    """Identification experiments with a sine that their own sample time would turn into another one."""
+    for table, sources in (("compensators", scenario.compensators), ("models", scenario.models)):
+        for i, one in enumerate(sources, start=1):
+            if one.identification is None:
+                continue
+            nyquist = 0.5 / (one.identification.sample_time_s or plant.sample_time_s)
+            if (highest := one.identification.highest_frequency_hz) >= nyquist:
+                yield Mistake(
+                    f"{table}[{i}].identification",
+                    f"{highest:g} Hz is not below half the sample rate, {nyquist:g} Hz",
+                )
 
 
 def _check_order(signal: FromFile, axes: tuple[str, ...]) -> None:

@@ -13,7 +13,7 @@ from hammerstein.dynamics import StaticDynamics, discretise
 from hammerstein.experiment.prepare import Case, SetUp
 from hammerstein.hysteresis import PlayState
 from hammerstein.model import HammersteinModel
-from hammerstein.simulation import Response
+from hammerstein.simulation import Response, refuse_unbounded
 
 Array = NDArray[np.float64]
 
@@ -89,11 +89,13 @@ def _prediction(
 ) -> tuple[Array, Array, PredictionState]:
     """What a model predicts that the sensor reads, and where the actuator is."""
     v, plays = model.static_response(drive_v, start.plays)
+    refuse_unbounded(f"prediction of {model.name}_um", v, setup.plant.sample_time_s)
     if isinstance(model.dynamics, StaticDynamics):
         return v, v, PredictionState(plays)  # found from readings: it stands for both
     plant = setup.plant
     block = discretise(model.dynamics, plant.sample_time_s, plant.instruments.sensor.bandwidth_hz)
     both, linear = block.respond(v, start.linear)
+    refuse_unbounded(f"prediction of {model.name}_um", both, plant.sample_time_s)
     position, reading = np.split(both, 2)
     return reading, position, PredictionState(plays, linear)
 

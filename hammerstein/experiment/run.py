@@ -5,12 +5,13 @@ reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from hammerstein.errors import InputError
+from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.causes import changes_of, rows_needed
 from hammerstein.experiment.measure import rows_of, statements_of
-from hammerstein.experiment.prepare import Case, Progress, SetUp, prepare, scenario_axes
+from hammerstein.experiment.plan import Plan, identification_parts, plan_of
+from hammerstein.experiment.prepare import Case, Progress, SetUp, plant_of, prepare, scenario_axes
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.uncertainty_bands import bands_of
 from hammerstein.metrics import Row
@@ -96,6 +97,7 @@ def _chosen(
     _, scenario = scenario_of(source)
     swept = {key: (value,) for key, value in values.items()}
     chosen = scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update=swept)})
+    Plan(tuple(identification_parts(chosen, plant_of(chosen)))).refuse_too_large()
     setup = prepare(chosen)
     names = scenario_axes(scenario, setup.plant.model)
     for case in setup.cases():
@@ -129,6 +131,7 @@ def run(
 
     own_name, scenario = scenario_of(scenario)
     name = name or own_name
+    plan_of(scenario, jobs).refuse_too_large()
     setup = prepare(scenario, name, progress)
     cases = list(setup.cases())
     results = []
@@ -138,6 +141,7 @@ def run(
         if progress:
             progress("simulating", i + 1, len(cases))
     rows = tuple(row for result in results for row in result.rows)
+    _refuse_not_finite(rows)
     answers: dict[str, Sequence[Row]] = {setup.plant.model.name: rows}
     answers |= _other_answers(scenario, name)
     traces = tuple(result.trace for result in results)
@@ -158,6 +162,16 @@ def run(
         bands=bands_of(setup, cases, jobs, progress),
         traces=traces,
     )
+
+
+def _refuse_not_finite(rows: Iterable[Row]) -> None:
+    """No figure leaves a run that is infinite or NaN, whatever brought it about."""
+    for row in rows:
+        if figure := row.not_finite():
+            raise SimulationError(
+                f"{figure} of {row.measured_axis} is {getattr(row, figure)} at {row.frequency_hz:g} Hz with "
+                f"{row.compensator or 'this drive'}: nothing follows. Use another amplitude or frequency"
+            )
 
 
 def _other_answers(scenario: Scenario, name: str) -> dict[str, Sequence[Row]]:

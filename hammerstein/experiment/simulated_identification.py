@@ -25,12 +25,13 @@ from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.cache import kept
 from hammerstein.scenario.source import ClosedFormSpec, IdentificationSpec, JointFitSpec
-from hammerstein.signals import Multisine, Sine, smooth_step
+from hammerstein.signals import MOST_LINES, Multisine, Sine, smooth_step
 from hammerstein.simulation import Plant
 from hammerstein.voltages import Voltages
 
 Array = NDArray[np.float64]
 
+LOWEST_LINE_HZ = 5.0  # of the multisine
 REST_SAMPLES = 20
 CREEP_SAMPLES = 12_000
 CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
@@ -139,17 +140,16 @@ def _with_creep(
 
 def _records(plant: Plant, spec: JointFitSpec, drive: _Excursion, seeds: list[int]) -> list[Record]:
     """One record an input; the inputs are driven one after the other, and the actuator keeps its memory."""
+    highest = max(spec.frequencies_hz)
+    lowest = LOWEST_LINE_HZ if highest > 2.0 * LOWEST_LINE_HZ else 0.5 * highest
+    lowest = max(lowest, highest / MOST_LINES)
     samples = round(spec.record_s / plant.sample_time_s)
     time_s = np.linspace(0.0, (samples - 1) * plant.sample_time_s, samples)
     blocks = []
     for k, amplitude_v in enumerate(drive.amplitude_v.tolist()):
         bursts = [
             Sine(amplitude=amplitude_v, frequency_hz=f, axis=1) for f in sorted(spec.frequencies_hz)
-        ] + [
-            Multisine(
-                amplitude=amplitude_v, lowest_hz=5.0, highest_hz=max(spec.frequencies_hz), seed=seeds[0]
-            )
-        ]
+        ] + [Multisine(amplitude=amplitude_v, lowest_hz=lowest, highest_hz=highest, seed=seeds[0])]
         waves = np.concatenate([burst.sample(time_s, 1)[0] for burst in bursts])
         away = drive.centre_v[k] - drive.rest_v[k]
         ramp = away * smooth_step(np.arange(len(waves)) / samples)

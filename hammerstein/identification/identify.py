@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import wraps
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import StaticDynamics
-from hammerstein.errors import InputError
+from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.candidates import (
     Built,
     Task,
@@ -59,6 +60,8 @@ from hammerstein.voltages import Verdict, Voltages
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
+P = ParamSpec("P")
+T = TypeVar("T")
 
 DELAY_OPERATORS = 15
 """Operators with which the delay is found where their number is still open."""
@@ -77,6 +80,23 @@ class Judgement(NamedTuple):
     answer: Array
 
 
+def _told(work: Callable[P, T]) -> Callable[P, T]:
+    """Turn equations that cannot be solved, whichever they are, into what a person can do about them."""
+
+    @wraps(work)
+    def identified(*args: P.args, **options: P.kwargs) -> T:
+        try:
+            return work(*args, **options)
+        except np.linalg.LinAlgError as error:
+            raise IdentificationError(
+                f"the records do not determine what was asked for: its equations cannot be solved ({error}). "
+                "Record longer, or ask for less: fewer operators, another partition, no dynamics"
+            ) from None
+
+    return identified
+
+
+@_told
 def identify(
     records: Sequence[Record],
     settings: Settings | None = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from hammerstein.errors import InputError, Mistake
 from hammerstein.identification.operators import Partition, input_grids
 from hammerstein.identification.static.history import StartMode
+from hammerstein.quantities import DELAY_SAMPLES, FREQUENCY_HZ, RIDGE, THRESHOLD_V
 from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
@@ -20,6 +22,7 @@ DynamicsKind = Literal["none", "second_order", "state_space"]
 
 MOST_OPERATORS = 200
 MOST_CREEP_MODES = 5
+MOST_STATES = 100
 _CHOICES = {
     "partition": ("time", "voltage", "fitted"),
     "method": ("closed_form", "least_squares", "nonnegative", "invertible"),
@@ -118,21 +121,24 @@ class Settings:
     def _bad_numbers(self) -> list[Mistake]:
         counts = np.ravel(self.operators) if not isinstance(self.operators, str) else np.array([1])
         bandwidth = self.sensor_bandwidth_hz
+        thresholds = [] if self.thresholds_v is None else _flat(self.thresholds_v)
         wrong = {
             "operators": (counts < 1).any() or (counts > MOST_OPERATORS).any(),
-            "order": self.order is not None and self.order < 1,
+            "order": self.order is not None and not 1 <= self.order <= MOST_STATES,
             "creep_modes": not 0 <= self.creep_modes <= MOST_CREEP_MODES,
-            "delay_samples": self.delay_samples is not None and self.delay_samples < 0,
-            "sensor_bandwidth_hz": bandwidth is not None and not bandwidth > 0.0,
-            "ridge": not (np.isfinite(self.ridge) and self.ridge >= 0.0),
+            "delay_samples": self.delay_samples is not None and not DELAY_SAMPLES.holds(self.delay_samples),
+            "sensor_bandwidth_hz": bandwidth is not None and not FREQUENCY_HZ.holds(bandwidth),
+            "ridge": not RIDGE.holds(self.ridge),
+            "thresholds": not all(THRESHOLD_V.holds(value) for value in thresholds),
         }
         limits = {
             "operators": f"must be 1 to {MOST_OPERATORS}",
-            "order": "must be 1 or more",
+            "order": f"must be 1 to {MOST_STATES}",
             "creep_modes": f"must be 0 to {MOST_CREEP_MODES}",
-            "delay_samples": "must be 0 or more",
-            "sensor_bandwidth_hz": "must be above 0",
-            "ridge": "must be 0 or more",
+            "delay_samples": DELAY_SAMPLES.words(),
+            "sensor_bandwidth_hz": f"{FREQUENCY_HZ.words()}; leave it out for a sensor without lag",
+            "ridge": RIDGE.words(),
+            "thresholds": THRESHOLD_V.words(),
         }
         return [Mistake(name, limits[name]) for name, is_wrong in wrong.items() if is_wrong]
 
@@ -171,6 +177,13 @@ class Settings:
         ]
 
 
+def _flat(thresholds_v: Array | Sequence[float] | Sequence[Sequence[Array]]) -> list[float]:
+    """All thresholds, however they are nested."""
+    if np.ndim(thresholds_v) == 0:
+        return [float(thresholds_v)]  # type: ignore[arg-type]
+    return [value for part in thresholds_v for value in _flat(part)]  # type: ignore[arg-type]
+
+
 def _given(
     thresholds_v: Array | Sequence[float] | Sequence[Sequence[Array]], p: int, m: int
 ) -> list[list[Array]]:
@@ -195,7 +208,7 @@ def settings_of(operators: str, thresholds: str | None = None, **options: Any) -
         except ValueError:
             what = f"{thresholds!r} are no voltages with commas between them, such as 0,0.5,1.2"
             raise InputError("identification", [Mistake("thresholds", what)]) from None
-    if operators != "auto" and not operators.isdigit():
+    if operators != "auto" and not re.fullmatch(r"[0-9]{1,9}", operators):
         raise InputError(
             "identification", [Mistake("operators", f"{operators!r} is neither a number nor auto")]
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -33,6 +34,10 @@ class Row:
     def key(self) -> dict[str, Any]:
         """Give what tells this row from the others."""
         return {name: getattr(self, name) for name in KEY}
+
+    def not_finite(self) -> str:
+        """Name of a figure that is infinite or NaN, empty if all are finite."""
+        return next((name for name, value in self.figures.items() if not math.isfinite(value)), "")
 
     def columns(self) -> dict[str, Any]:
         """Everything in the row by name, None where a figure has no meaning."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import math
 import warnings
+import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,12 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import InputError, Mistake
+from hammerstein.records.matlab_v5 import is_matlab_v5, read_matlab_v5
 
 Array = NDArray[np.float64]
 Variables = Mapping[str, Callable[[], Any]]
 """Name of each variable in a file, and how to load it; the only one of an ``.npy`` file has no name."""
 
 SUFFIXES = (".npy", ".npz", ".mat")
+MOST_NUMBERS = 50_000_000
+"""As many numbers are read from one variable; a file that declares more is not opened up."""
 
 
 def array_columns(path: Path, wanted: Sequence[str]) -> Array:
@@ -87,12 +92,32 @@ def _loaded(variables: Variables, name: str) -> Array:
         raise InputError("file", f"{start}{f'; did you mean {near[0]}?' if near else ';'} {known}")
     try:
         array = np.asarray(variables[name]())
+        refuse_large(array.shape)
+    except InputError as error:
+        raise InputError("file", f"{name or 'the array'} {error.mistakes[0].what}") from None
     except Exception as error:  # on a damaged file NumPy, SciPy and h5py raise whatever they stumble over
-        raise InputError("file", f"{name or 'the array'} cannot be read ({error})") from None
+        raise InputError("file", f"{name or 'the array'} cannot be read ({_reason(error)})") from None
     if array.dtype.kind not in "biuf":
         kind = "complex numbers" if array.dtype.kind == "c" else "no numbers"
         raise InputError("file", f"{name or 'the array'} holds {kind}; save an array of real numbers")
     return array.astype(np.float64)
+
+
+def refuse_large(shape: Sequence[int]) -> None:
+    """Refuse an array before it is unpacked, by the shape that its file declares."""
+    numbers = math.prod(int(n) for n in shape)
+    if numbers > MOST_NUMBERS:
+        raise InputError(
+            "file",
+            f"holds {numbers / 1e6:,.0f} million numbers ({8e-9 * numbers:.3g} GB); at most "
+            f"{MOST_NUMBERS // 10**6} million are read: cut it into several records, or take fewer samples",
+        )
+
+
+def _reason(error: Exception) -> str:
+    """What a library says of a damaged file, as far as a person can read it."""
+    text = str(error).partition("\n")[0]
+    return "its header is damaged" if " object at 0x" in text or not text else text[:200]
 
 
 def _column(array: Array, column: str, numbers: Sequence[int]) -> Array:
@@ -120,7 +145,8 @@ def _variables(path: Path) -> Variables:
             return _numpy_array(path)
         return _numpy_archive(path) if suffix == ".npz" else _matlab(path)
     except Exception as error:  # as above
-        what = f"is no {suffix} file that can be read ({error}); was it cut short, or is it of another kind?"
+        why = _reason(error)
+        what = f"is no {suffix} file that can be read ({why}); was it cut short, or is it of another kind?"
         raise InputError(str(path), what) from None
 
 
@@ -136,10 +162,19 @@ def _numpy_archive(path: Path) -> Variables:
         names = list(archive.files)
 
     def load(name: str) -> Any:
+        refuse_large(_declared_shape(path, name))
         with np.load(path, allow_pickle=False) as archive:
             return archive[name]
 
     return {name: partial(load, name) for name in names}
+
+
+def _declared_shape(path: Path, name: str) -> tuple[int, ...]:
+    """Shape that the header of an array in an ``.npz`` file declares."""
+    with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as file:
+        old = np.lib.format.read_magic(file) == (1, 0)
+        read = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
+        return tuple(read(file)[0])
 
 
 def _matlab(path: Path) -> Variables:
@@ -150,11 +185,14 @@ def _matlab(path: Path) -> Variables:
 
 def _matlab_old(path: Path) -> Variables:
     """Versions 4 to 7.2."""
-    import scipy.io
+    if is_matlab_v5(path):
+        content = read_matlab_v5(path, most_bytes=8 * MOST_NUMBERS)
+    else:
+        import scipy.io
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # SciPy warns of objects that it cannot read; they are left out here
-        content = scipy.io.loadmat(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # SciPy warns of what it cannot read; that is left out here
+            content = scipy.io.loadmat(path)
     found = (pair for name, value in content.items() if name[:2] != "__" for pair in _flat(name, value))
     return {name: partial(np.asarray, value) for name, value in found}
 
@@ -188,6 +226,7 @@ def _matlab_hdf5(path: Path) -> Variables:
 
     def load(name: str) -> Any:
         with h5py.File(path, "r") as file:
+            refuse_large(file[name].shape)
             return file[name][()].T
 
     with h5py.File(path, "r") as file:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import InputError, Mistake
-from hammerstein.records.array_files import SUFFIXES, array_columns, whole_array
+from hammerstein.records.array_files import SUFFIXES, array_columns, refuse_large, whole_array
 from hammerstein.records.checks import gap_mistakes, where
 from hammerstein.records.text_files import find_layout, read_text
 
@@ -187,6 +187,7 @@ def _parquet_columns(path: Path, wanted: Sequence[str]) -> Columns:
         with parquet.ParquetFile(path) as file:
             names = list(file.schema_arrow.names)
             chosen = tuple(names[k] for k in _choose(path, wanted, names, len(names)))
+            refuse_large((len(chosen), file.metadata.num_rows))
             table = file.read(columns=list(chosen))
     except (OSError, arrow.ArrowException) as error:
         raise InputError(str(path), f"is no Parquet file that can be read ({error})") from None

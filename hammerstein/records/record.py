@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from hammerstein.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.pictured import Pictured
+from hammerstein.quantities import RATE_HZ, SCALE
 from hammerstein.records.checks import (
     clipping_mistakes,
     gap_mistakes,
@@ -251,11 +252,11 @@ def _refuse_arguments(
         mistakes.append(
             Mistake("rate or time", "give one of them: the rate in Hz (--rate) or a column (--time)")
         )
-    if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
-        mistakes.append(Mistake("rate", f"is {rate_hz:g} Hz; it must be above 0"))
+    if rate_hz is not None and not RATE_HZ.holds(rate_hz):
+        mistakes.append(Mistake("rate", f"is {rate_hz:g} Hz; it {RATE_HZ.words()}"))
     for name, scale in (("input scale", input_scale), ("output scale", output_scale)):
-        if not np.isfinite(scale) or scale == 0:
-            mistakes.append(Mistake(name, f"is {scale:g}; give a factor that is finite and not 0"))
+        if not SCALE.holds(scale) or scale == 0:
+            mistakes.append(Mistake(name, f"is {scale:g}; it {SCALE.words()}, and not 0"))
     if mistakes:
         raise InputError("records", mistakes)
 

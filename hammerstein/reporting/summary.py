@@ -23,6 +23,7 @@ from hammerstein.signals import OneFrequency
 MOST_CLAUSES = 4  # conditions that are told one by one; more are told as ranges of frequency
 MOST_LABELS = 4  # compensators or models that are told in one clause
 NOT_SETTLED = "has not settled"  # the words of a statement of the report
+SENSOR_CUT = "the sensor's range cut"  # those of another
 DIVERGES = "does not converge: slopes"  # the same
 
 Quote = Callable[[str], str]
@@ -278,12 +279,15 @@ def _conduct(report: Report) -> Iterator[str]:
     compared = report.scenario.reference is not None  # each compensator is a run, models share theirs
     runs = {(r.compensator if compared else "", r.excited_axis, Condition.of(r)): r for r in report.rows}
     cut = sum(bool(row.saturated_samples) for row in runs.values())
+    clipped = sum(SENSOR_CUT in statement for statement in report.statements)
     unsettled = sum(NOT_SETTLED in statement for statement in report.statements)
     yield (
         f"The drive's range cut the voltage in {cut} of {len(runs)} runs."
         if cut
         else ("The drive's range cut no voltage.")
     )
+    if clipped:
+        yield f"The sensor's range cut the reading in {clipped} of {len(runs)} runs."
     signal = report.scenario.signal
     if unsettled:
         yield f"In {unsettled} of {len(runs)} runs the loop had not settled."

@@ -1,18 +1,29 @@
-"""Whether a run fits the memory of the machine, told before it begins."""
+"""How much memory there is: what is free on this machine, and what this process may have of it."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from pathlib import Path
 
 from hammerstein.errors import SimulationError
 
 BYTES = 8
-COPIES = 3
+COPIES = 2
 """Peak of a run in parts of the wires that it keeps."""
+UNLIMITED = 2**60
+"""A limit from here on is none."""
+GROUPS = Path("/sys/fs/cgroup")
+OWN_GROUP = Path("/proc/self/cgroup")
+
+
+def run_bytes(samples: float, inputs: int, outputs: int) -> float:
+    """Bytes of the wires that one run keeps."""
+    return samples * (BYTES * (2 * inputs + 4 * outputs) + inputs)
 
 
 def refuse_too_long(samples: int, inputs: int, outputs: int) -> None:
-    """Refuse a run whose wires do not fit the memory of this machine, where the system tells how much it has.
+    """Refuse a run whose wires do not fit the memory that is free, where the system tells how much that is.
 
     Parameters
     ----------
@@ -23,14 +34,73 @@ def refuse_too_long(samples: int, inputs: int, outputs: int) -> None:
     ------
     SimulationError : says how much is needed, and what to do
     """
-    try:
-        there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, OSError, ValueError):
-        return
-    needed = COPIES * BYTES * samples * (2 * inputs + 4 * outputs)
-    if needed > there:
+    needed, free = COPIES * run_bytes(samples, inputs, outputs), free_bytes()
+    if free is not None and needed > free:
         raise SimulationError(
-            f"a run of {samples:.3g} samples needs about {needed / 1e9:.3g} GB of memory, this "
-            f"machine has {there / 1e9:.3g}. Measure fewer cycles, settle for a shorter time, use a longer "
+            f"a run of {samples:.3g} samples needs about {needed / 1e9:.3g} GB of memory, and "
+            f"{free / 1e9:.3g} GB are free. Measure fewer cycles, settle for a shorter time, use a longer "
             "instruments.drive.sample_time_s, or simulate it from Python with simulate_in_stretches."
         )
+
+
+def free_bytes() -> float | None:
+    """Memory that this process may still take; None where the system does not tell."""
+    known = [*_of_the_machine(), *_of_the_groups(), *_of_the_process()]
+    return min(known) if known else None
+
+
+def _of_the_machine() -> Iterator[float]:
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                yield 1024.0 * int(line.split()[1])
+                return
+    except (OSError, ValueError, IndexError):
+        pass
+    try:
+        yield float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, OSError, ValueError):
+        return
+
+
+def _of_the_groups() -> Iterator[float]:
+    """What the control groups around this process leave of their limits (version 2, then 1)."""
+    try:
+        lines = OWN_GROUP.read_text().splitlines()
+    except OSError:
+        return
+    for line in lines:
+        _, controllers, path = line.split(":", 2)
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        top = GROUPS / "memory" if controllers else GROUPS
+        names = ("limit", "usage") if controllers else ("max", "current")
+        folder = top / path.lstrip("/")
+        for place in (folder, *folder.parents):
+            files = [place / (f"memory.{n}_in_bytes" if controllers else f"memory.{n}") for n in names]
+            limit, used = (_number(file) for file in files)
+            if limit is not None and used is not None and limit < UNLIMITED:
+                yield max(limit - used, 0.0)
+            if place == top:
+                break
+
+
+def _number(file: Path) -> float | None:
+    """Content of a file of the system; None for one that says "max" or is not there."""
+    try:
+        return float(int(file.read_text()))
+    except (OSError, ValueError):
+        return None
+
+
+def _of_the_process() -> Iterator[float]:
+    """What a limit on the addresses of the process leaves, as ``ulimit -v`` sets it."""
+    try:
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if limit not in (resource.RLIM_INFINITY, -1):
+            pages = int(Path("/proc/self/statm").read_text().split()[0])
+            yield max(0.0, float(limit) - pages * os.sysconf("SC_PAGE_SIZE"))
+    except (ImportError, OSError, ValueError, IndexError):
+        return

@@ -8,11 +8,12 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticKnownError
 
 from hammerstein.errors import InputError
 from hammerstein.metrics import KEY, METRICS, Row
+from hammerstein.quantities import Agreed, Figure, Frequency, Size
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
@@ -23,18 +24,25 @@ def _known(name: str) -> str:
     return name
 
 
+def _known_or_claim(name: str) -> str:
+    return name if name == CLAIMED else _known(name)
+
+
 def _named(schema: dict[str, Any]) -> None:
     schema["enum"] = list(METRICS)
 
 
 MetricName = Annotated[str, AfterValidator(_known), Field(json_schema_extra=_named)]
 """Name of a figure of merit, those of plug-ins included."""
+CLAIMED = "value"  # the number of a claim
+NumberName = Annotated[str, AfterValidator(_known_or_claim)]
+"""Name of a number of a report: a figure of merit, or the value of a claim."""
 
 _REDUCE: dict[str, Callable[[Sequence[float]], float]] = {
     "max": max,
     "min": min,
     "mean": lambda values: float(np.mean(values)),
-    "spread": lambda values: max(values) / min(values),
+    "spread": lambda values: max(values) / min(values) if min(values) else math.nan,
 }
 
 
@@ -67,11 +75,11 @@ class Quantity(BaseModel):
     compensator: str | None = None
     excited_axis: str | None = None
     measured_axis: str | None = None
-    frequency_hz: PositiveFloat | None = None
-    from_hz: PositiveFloat | None = None
-    to_hz: PositiveFloat | None = None
-    amplitude_v: PositiveFloat | None = None
-    amplitude_um: PositiveFloat | None = None
+    frequency_hz: Frequency | None = None
+    from_hz: Frequency | None = None
+    to_hz: Frequency | None = None
+    amplitude_v: Size | None = None
+    amplitude_um: Size | None = None
     of: Literal["max", "min", "mean", "spread"] = "max"
 
     def value(self, rows: Iterable[Row]) -> float:
@@ -99,11 +107,9 @@ class Agreement(BaseModel):
 
     model_config = _STRICT
 
-    within: PositiveFloat | None = Field(
-        default=None, description="relative distance from the paper's figure"
-    )
-    at_most: float | None = None
-    at_least: float | None = None
+    within: Agreed | None = Field(default=None, description="relative distance from the paper's figure")
+    at_most: Figure | None = None
+    at_least: Figure | None = None
 
     @model_validator(mode="after")
     def _says_something(self) -> Self:
@@ -145,7 +151,7 @@ class Claim(BaseModel):
 
     id: Annotated[str, Field(min_length=1)]
     statement: Annotated[str, Field(min_length=1)]
-    paper: float | None = Field(default=None, description="the paper's figure, if it prints one")
+    paper: Figure | None = Field(default=None, description="the paper's figure, if it prints one")
     unit: str = ""
     quantity: Quantity
     over: Quantity | None = Field(default=None, description="divide by this quantity")
@@ -153,7 +159,7 @@ class Claim(BaseModel):
         default=False,
         description="divide each row by that of the same axes, frequency and amplitude, then reduce",
     )
-    factor: float = Field(default=1.0, description="multiply by this, such as 0.5 for half a height")
+    factor: Figure = Field(default=1.0, description="multiply by this, such as 0.5 for half a height")
     agreement: Agreement
     note: str = Field(default="", description="what a reader should know if the claim is not met")
     calibrated: bool = Field(

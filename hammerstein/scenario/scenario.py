@@ -10,29 +10,25 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    PositiveFloat,
-    PositiveInt,
-    ValidationError,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from hammerstein.compensators import COMPENSATORS
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited
 from hammerstein.instruments import Instruments
+from hammerstein.model import place_of
 from hammerstein.plugins import load_plugins
-from hammerstein.scenario.claims import Claim, MetricName
+from hammerstein.quantities import Cycles, FileName, Frequency, NoCycles, Seed, Size, Tolerated, Wait
+from hammerstein.scenario.claims import Claim, MetricName, NumberName
 from hammerstein.scenario.source import ModelSource
 from hammerstein.scenario.tested import Tested
 from hammerstein.scenario.uncertainty import Uncertainty
 from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference
 from hammerstein.validation import mistakes_of
 
-Frequencies = Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
+MOST_VALUES = 10_000  # of one key of a sweep
+Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=MOST_VALUES)]
+Sizes = Annotated[tuple[Size, ...], Field(min_length=1, max_length=MOST_VALUES)]
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
@@ -42,15 +38,20 @@ class Sweep(BaseModel):
     model_config = _STRICT
 
     frequency_hz: Frequencies | None = None
-    amplitude_um: Frequencies | None = None
-    amplitude_v: Frequencies | None = None
-    radius_um: Frequencies | None = None
+    amplitude_um: Sizes | None = None
+    amplitude_v: Sizes | None = None
+    radius_um: Sizes | None = None
 
-    def combinations(self) -> Iterator[dict[str, float]]:
-        """Every combination of the values, by key."""
-        keys = [name for name in type(self).model_fields if getattr(self, name) is not None]
-        for values in itertools.product(*(getattr(self, key) for key in keys)):
-            yield dict(zip(keys, values, strict=True))
+    def values(self) -> list[tuple[str, tuple[float, ...]]]:
+        """Keys that are swept, with their values."""
+        found = ((name, getattr(self, name)) for name in type(self).model_fields)
+        return [(name, values) for name, values in found if values is not None]
+
+    def combinations(self, only: str | None = None) -> Iterator[dict[str, float]]:
+        """Every combination of the values, by key; of one key alone if ``only`` names it."""
+        swept = [(name, values) for name, values in self.values() if only in (None, name)]
+        for values in itertools.product(*(values for _, values in swept)):
+            yield dict(zip((name for name, _ in swept), values, strict=True))
 
 
 class Measure(BaseModel):
@@ -58,10 +59,10 @@ class Measure(BaseModel):
 
     model_config = _STRICT
 
-    settle_cycles: int = Field(default=2, ge=0, description="cycles before the measurement")
-    settle_s: float = Field(default=0.05, ge=0.0, description="time before the measurement, at least")
-    measured_cycles: PositiveInt = Field(default=2, description="cycles that are measured")
-    record_every: PositiveInt | None = Field(
+    settle_cycles: NoCycles = Field(default=2, description="cycles before the measurement")
+    settle_s: Wait = Field(default=0.05, description="time before the measurement, at least")
+    measured_cycles: Cycles = Field(default=2, description="cycles that are measured")
+    record_every: Cycles | None = Field(
         default=None, description="samples of which one is recorded, so that a long run fits the memory"
     )
 
@@ -71,8 +72,8 @@ class Tolerance(BaseModel):
 
     model_config = _STRICT
 
-    relative: float = Field(default=1e-3, ge=0.0)
-    absolute: float = Field(default=1e-6, ge=0.0)
+    relative: Tolerated = 1e-3
+    absolute: Tolerated = 1e-6
 
 
 class Scenario(BaseModel):
@@ -82,8 +83,8 @@ class Scenario(BaseModel):
 
     question: Annotated[str, Field(min_length=1)]
     paper_figure: str | None = Field(default=None, description='the figure it answers, such as "Fig. 9"')
-    actuator: str = Field(default="duo_bimorph", description="packaged actuator or model file")
-    seed: int = Field(default=1, ge=0)
+    actuator: FileName = Field(default="duo_bimorph", description="packaged actuator or model file")
+    seed: Seed = 1
     instruments: Instruments = Field(
         default=Instruments(), description="what is given here replaces the actuator's own"
     )
@@ -97,9 +98,9 @@ class Scenario(BaseModel):
     answered_by: MetricName | None = Field(
         default=None, description="figure of merit that answers the question; it is told and drawn first"
     )
-    tolerances: dict[str, Tolerance] = {}
+    tolerances: dict[NumberName, Tolerance] = {}
     claims: tuple[Claim, ...] = ()
-    claims_also_on: tuple[str, ...] = Field(
+    claims_also_on: tuple[FileName, ...] = Field(
         default=(), description="other actuators that answer the claims, for comparison"
     )
 
@@ -122,10 +123,29 @@ class Scenario(BaseModel):
         labels = [source.label for source in (*self.compensators, *self.models)]
         for label in sorted({label for label in labels if labels.count(label) > 1}):
             yield f"the label {label!r} is used twice; every label must differ"
+        yield from self._never_tested()
         signal = self.reference or self.drive
         for key in self.sweep.model_dump(exclude_none=True):
             if signal is not None and key not in signal.model_dump():
                 yield f"sweep.{key} is not a key of the {signal.kind} in this scenario"
+
+    def _never_tested(self) -> Iterator[str]:
+        """A compensator or model for frequencies that the scenario does not have is a mistake."""
+        signal = self.reference or self.drive
+        if signal is None:
+            return
+        known = set(self.sweep.frequency_hz or ())
+        if not known and not isinstance(signal, FromFile):
+            known = {signal.highest_frequency_hz}
+        for table, sources in (("compensators", self.compensators), ("models", self.models)):
+            for i, source in enumerate(sources, start=1):
+                missed = [f"{f:g}" for f in source.only_at_hz or () if f not in known]
+                if missed:
+                    have = ", ".join(f"{f:g}" for f in sorted(known)) or "none, as its signal is a file"
+                    yield (
+                        f"{table}[{i}].only_at_hz: there is no run at {', '.join(missed)} Hz, where "
+                        f"{source.label!r} should be tested; the frequencies of this scenario are {have}"
+                    )
 
     @property
     def signal(self) -> Reference | Excitation:
@@ -134,10 +154,10 @@ class Scenario(BaseModel):
         assert signal is not None  # held by the validation above
         return signal
 
-    def signals(self) -> Iterator[Reference | Excitation]:
-        """Every signal of the sweep."""
+    def signals(self, only: str | None = None) -> Iterator[Reference | Excitation]:
+        """Every signal of the sweep; of one swept key alone if ``only`` names it."""
         fields = {name: name.removesuffix("_um").removesuffix("_v") for name in Sweep.model_fields}
-        for values in self.sweep.combinations():
+        for values in self.sweep.combinations(only):
             yield self.signal.model_copy(update={fields[key]: value for key, value in values.items()})
 
     def portable(self) -> dict[str, Any]:
@@ -198,20 +218,61 @@ def load_scenario(path: str | Path) -> Scenario:
     load_plugins()
     path = Path(path)
     text = read_limited(path, what="scenario file", limit=1_000_000)
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        what = f"is not TOML: {error}; a line is a [table], or key = value with text in quotes"
-        raise InputError(str(path), what) from None
-    return _relative_to(_validated(data, str(path)), path.parent)
+    data = _parsed(text, path)
+    return _relative_to(_validated(data, str(path), path.parent), path.parent)
 
 
-def _validated(data: Mapping[str, Any], source: str) -> Scenario:
+def _validated(data: Mapping[str, Any], source: str, folder: Path | None = None) -> Scenario:
+    unknown = list(_unknown_models(data, folder or Path()))
     try:
         # As JSON, so that a number in quotes is refused while a list still makes a tuple.
-        return Scenario.model_validate_json(json.dumps(data, default=str), strict=True)
+        scenario = Scenario.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
-        raise InputError(source, _split(mistakes_of(error, Scenario))) from None
+        found = _split(mistakes_of(error, Scenario))
+        told = {mistake.where for mistake in found}
+        raise InputError(source, [*found, *(m for m in unknown if m.where not in told)]) from None
+    if unknown:
+        raise InputError(source, unknown)
+    return scenario
+
+
+def _parsed(text: str, path: Path) -> dict[str, Any]:
+    """Content of a TOML file."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        what = f"is not TOML: {error}; a line is a [table], or key = value with text in quotes"
+    except RecursionError:
+        what = "has lists or tables too deep within each other; is it the right file?"
+    except ValueError as error:  # a whole number of thousands of digits
+        what = f"holds a number that cannot be read ({str(error).partition(';')[0].lower()})"
+    raise InputError(str(path), what)
+
+
+def _unknown_models(data: Mapping[str, Any], folder: Path) -> Iterator[Mistake]:
+    """Actuators and model files that a scenario names and that are not there."""
+    for where, name in _named_models(data):
+        if not isinstance(name, str) or not name.isprintable():
+            continue  # told by the validation
+        try:
+            place_of(_resolved(name, folder)).stat()
+        except InputError as error:
+            yield Mistake(where, f"{name!r} {error.mistakes[0].what}")
+        except OSError as error:
+            yield Mistake(where, f"{name!r} cannot be read ({(error.strerror or str(error)).lower()})")
+
+
+def _named_models(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Places in a scenario that name an actuator or a model, whatever else is wrong with it."""
+    yield "actuator", data.get("actuator")
+    also = data.get("claims_also_on")
+    for i, name in enumerate(also if isinstance(also, list) else [], start=1):
+        yield f"claims_also_on[{i}]", name
+    for table in ("compensators", "models"):
+        entries = data.get(table)
+        for i, entry in enumerate(entries if isinstance(entries, list) else [], start=1):
+            if isinstance(entry, dict):
+                yield f"{table}[{i}].model", entry.get("model")
 
 
 def _split(mistakes: list[Mistake]) -> list[Mistake]:

@@ -4,19 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Discriminator,
-    Field,
-    PositiveFloat,
-    PositiveInt,
-    Tag,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+
+from hammerstein.quantities import Cycles, FileName, Frequency, Length, Modes, Operators, SampleTime, Size
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
-Frequencies = Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
+Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=1000)]
 
 
 class ClosedFormSpec(BaseModel):
@@ -25,16 +18,21 @@ class ClosedFormSpec(BaseModel):
     model_config = _STRICT
 
     method: Literal["closed_form"] = "closed_form"
-    frequency_hz: PositiveFloat = 50.0
-    amplitude_v: PositiveFloat | None = Field(
+    frequency_hz: Frequency = 50.0
+    amplitude_v: Size | None = Field(
         default=None, description="about the middle of the actuator's range; all of that if not given"
     )
-    operators: PositiveInt = 15
-    settle_cycles: PositiveInt = 5
-    measured_cycles: PositiveInt = 10
-    sample_time_s: PositiveFloat | None = Field(
+    operators: Operators = 15
+    settle_cycles: Cycles = 5
+    measured_cycles: Cycles = 10
+    sample_time_s: SampleTime | None = Field(
         default=None, description="sample time of this experiment, where it is not that of the run"
     )
+
+    @property
+    def highest_frequency_hz(self) -> float:
+        """Highest frequency that the actuator is driven with."""
+        return self.frequency_hz
 
 
 class JointFitSpec(BaseModel):
@@ -48,18 +46,23 @@ class JointFitSpec(BaseModel):
     model_config = _STRICT
 
     method: Literal["hammerstein"]
-    amplitude_v: PositiveFloat | None = Field(
+    amplitude_v: Size | None = Field(
         default=None, description="about the middle of the actuator's range; all of that if not given"
     )
-    operators: PositiveInt = 15
+    operators: Operators = 15
     partition: Literal["time", "voltage", "fitted"] = "time"
     frequencies_hz: Frequencies = (50.0,)
-    record_s: PositiveFloat = Field(default=0.1, description="length of each sine, and of the multisine")
-    sample_time_s: PositiveFloat | None = Field(
+    record_s: Length = Field(default=0.1, description="length of each sine, and of the multisine")
+    sample_time_s: SampleTime | None = Field(
         default=None, description="sample time of this experiment, where it is not that of the run"
     )
-    creep_modes: int = Field(default=0, ge=0, le=5)
-    creep_record_s: PositiveFloat = Field(default=600.0, description="length of the slow record")
+    creep_modes: Modes = 0
+    creep_record_s: Length = Field(default=600.0, description="length of the slow record")
+
+    @property
+    def highest_frequency_hz(self) -> float:
+        """Highest frequency that the actuator is driven with."""
+        return max(self.frequencies_hz)
 
 
 def _method(value: Any) -> str:
@@ -81,7 +84,7 @@ class ModelSource(BaseModel):
 
     label: Annotated[str, Field(min_length=1, max_length=60)]
     identification: IdentificationSpec | None = None
-    model: str | None = Field(default=None, description="model file, or name of a packaged actuator")
+    model: FileName | None = Field(default=None, description="model file, or name of a packaged actuator")
     only_at_hz: Frequencies | None = Field(
         default=None, description="frequencies of the sweep at which it is tested; all if not given"
     )

@@ -7,13 +7,14 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field
 
 from hammerstein.dynamics import AxesDynamics, Axis, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import Deviation, Draws, Seed
 
 Array = NDArray[np.float64]
 
@@ -27,15 +28,15 @@ class Uncertainty(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    draws: PositiveInt = 50
-    seed: int = Field(default=1, ge=0)
-    weights: float | Literal["standard_errors"] = Field(
+    draws: Draws = 50
+    seed: Seed = 1
+    weights: Deviation | Literal["standard_errors"] = Field(
         default=0.0, description='relative, or "standard_errors" from the actuator\'s model file'
     )
-    resonance: float = Field(default=0.0, ge=0.0)
-    damping: float = Field(default=0.0, ge=0.0)
-    creep: float = Field(default=0.0, ge=0.0)
-    noise: float = Field(default=0.0, ge=0.0)
+    resonance: Deviation = 0.0
+    damping: Deviation = 0.0
+    creep: Deviation = 0.0
+    noise: Deviation = 0.0
 
     def draw(
         self, model: HammersteinModel, instruments: Instruments, number: int

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat
+from pydantic import Field
 
 from hammerstein.blocks import Array, Law
 from hammerstein.compensators.base import Compensator
@@ -16,6 +16,7 @@ from hammerstein.errors import InputError
 from hammerstein.hysteresis import play
 from hammerstein.hysteresis.invertibility import completed, invertibility, require_inverse
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import Volts
 
 STILL = 1e-13
 
@@ -208,9 +209,7 @@ class ExactInverse(Compensator):
     """The exact inverse of the static block, cross-couplings included."""
 
     law: Literal["exact_inverse"] = "exact_inverse"
-    softening_v: NonNegativeFloat = Field(
-        default=0.0, description="voltage over which the jump at a reversal is spread"
-    )
+    softening_v: Volts = Field(default=0.0, description="voltage over which the jump at a reversal is spread")
     run_anyway: bool = Field(default=False, description="accept a model without an inverse")
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:

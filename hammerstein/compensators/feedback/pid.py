@@ -20,6 +20,7 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.instruments import Drive, Sensor
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import Gain
 
 if TYPE_CHECKING:
     from hammerstein.interop.block_system import BlockSystem
@@ -318,9 +319,9 @@ class Feedback(Compensator):
         default=None, description="law whose drive is added, built from the same model"
     )
     derivative: bool = Field(default=False, description="compute a derivative gain too")
-    proportional: tuple[float, ...] | None = Field(default=None, description="gain of each output")
-    integral_per_s: tuple[float, ...] | None = None
-    derivative_s: tuple[float, ...] | None = None
+    proportional: tuple[Gain, ...] | None = Field(default=None, description="gain of each output")
+    integral_per_s: tuple[Gain, ...] | None = None
+    derivative_s: tuple[Gain, ...] | None = None
 
     @model_validator(mode="after")
     def _gains_come_together(self) -> Self:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, NonNegativeFloat, PositiveFloat
+from pydantic import Field
 
 from hammerstein.blocks import Array, Law, checked_reference
 from hammerstein.compensators.base import Compensator
@@ -18,8 +18,10 @@ from hammerstein.driving import RangeLike
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import Frequency, Volts, Wait
 
 EFFORT = 1e-4  # small: the drive then leaves its range only when the path is nearly met again
+LONGEST_FILTER = 100_000
 DOUBLINGS = 11  # of one sample: a horizon of 2048
 START_SAMPLES = 64
 
@@ -276,6 +278,13 @@ def _low_pass_taps(filter_hz: float | None, sample_time_s: float) -> Array:
             "filter_hz", f"must lie between 0 and {nyquist / 1.3:g} Hz at this sample time, not {filter_hz:g}"
         )
     length, beta = kaiserord(66.0, 0.6 * filter_hz / nyquist)
+    if length > LONGEST_FILTER:
+        least = filter_hz * length / LONGEST_FILTER
+        raise InputError(
+            "filter_hz",
+            f"{filter_hz:g} Hz needs a filter of {length:.3g} samples of {sample_time_s:g} s, and "
+            f"{LONGEST_FILTER} are the most; use {least:.3g} Hz or more, or a longer sample time",
+        )
     return np.asarray(firwin(length | 1, filter_hz / nyquist, window=("kaiser", beta)), dtype=np.float64)
 
 
@@ -301,15 +310,13 @@ class HammersteinInverse(Compensator):
     """The inverse of the dynamics, known ahead, then the exact inverse of the static block."""
 
     law: Literal["hammerstein_inverse"] = "hammerstein_inverse"
-    preview_s: NonNegativeFloat | None = Field(
+    preview_s: Wait | None = Field(
         default=None, description="how far ahead the reference is known; as far as needed if not given"
     )
-    filter_hz: PositiveFloat | None = Field(
+    filter_hz: Frequency | None = Field(
         default=None, description="bandwidth of a reference filter, for references that are not smooth"
     )
-    softening_v: NonNegativeFloat = Field(
-        default=0.0, description="voltage over which the jump at a reversal is spread"
-    )
+    softening_v: Volts = Field(default=0.0, description="voltage over which the jump at a reversal is spread")
     run_anyway: bool = Field(default=False, description="accept a model without an inverse")
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:

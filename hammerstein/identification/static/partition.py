@@ -58,8 +58,8 @@ def nodes_uniform_in_time(operators: int, samples_per_half_cycle: float) -> Indi
     if spacing < 1:
         raise IdentificationError(
             f"the rising half of a cycle has {samples_per_half_cycle:g} samples, too few for {operators} "
-            f"operators; use at most {max(math.floor(samples_per_half_cycle) - 1, 0)} operators, a lower "
-            "frequency or a faster recording, or thresholds uniform in voltage"
+            f"operators; use {_fewer(samples_per_half_cycle)}a lower frequency or a faster recording, or "
+            "thresholds uniform in voltage"
         )
     return spacing * np.arange(1, operators + 2, dtype=np.int64) - 1
 
@@ -88,3 +88,9 @@ def thresholds_uniform_in_voltage(amplitude_v: float, operators: int) -> Array:
 def _refuse_count(operators: int) -> None:
     if operators < 1:
         raise IdentificationError(f"{operators} operators cannot describe anything; use at least one")
+
+
+def _fewer(samples_per_half_cycle: float) -> str:
+    """The most operators there may be, where that is one at least."""
+    most = math.floor(samples_per_half_cycle) - 1
+    return f"at most {most} operators, " if most > 0 else ""

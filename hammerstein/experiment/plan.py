@@ -1,0 +1,218 @@
+"""How large a scenario is, found out before it starts: memory and time of each of its parts."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from hammerstein.compensators import (
+    Compensator,
+    Feedback,
+    HammersteinInverse,
+    InverseMultiplicative,
+)
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.experiment.prepare import Window, driven_axes, plant_of, scenario_axes
+from hammerstein.experiment.recording import STRETCH
+from hammerstein.runtime.memory import COPIES, free_bytes, run_bytes
+from hammerstein.scenario import Scenario
+from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec
+from hammerstein.simulation import Plant
+
+# Of a two-axis actuator on a processor of 2.5 GHz, rounded up; they only have to tell minutes from hours.
+SECONDS_A_SAMPLE = 1e-6
+SECONDS_A_CASE = 5e-3
+SECONDS_A_PASS = 8e-8
+SECONDS_A_TAP = 2e-9
+SECONDS_OF_A_FIT, SECONDS_A_FITTED_SAMPLE = 5.0, 4e-5
+BYTES_A_ROW = 3_000
+BYTES_OF_A_DRAWN_ACTUATOR = 30_000
+BYTES_A_FITTED_SAMPLE, BYTES_A_REGRESSOR = 200, 24
+TAPS = 13.5  # of a reference filter of half the sample rate
+LONG_S = 600.0
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a plan: what it is, what it needs, and the keys that make it smaller."""
+
+    what: str
+    bytes: float
+    seconds: float
+    keys: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that a scenario will do."""
+
+    parts: tuple[Part, ...]
+
+    @property
+    def bytes(self) -> float:
+        """Memory at the peak."""
+        return sum(part.bytes for part in self.parts)
+
+    @property
+    def seconds(self) -> float:
+        """Time on one processor."""
+        return sum(part.seconds for part in self.parts)
+
+    def refuse_too_large(self) -> None:
+        """Refuse what does not fit the memory that is free.
+
+        Raises SimulationError, which names the largest part and what makes it smaller.
+        """
+        free = free_bytes()
+        if free is None or self.bytes <= free:
+            return
+        largest = max(self.parts, key=lambda part: part.bytes)
+        raise SimulationError(
+            f"this needs about {size(self.bytes)} of memory, and {size(free)} are free. The largest part is "
+            f"{largest.what}, with {size(largest.bytes)}. Lower {largest.keys}"
+        )
+
+    def announcement(self, jobs: int) -> str:
+        """Say how long it takes where that is long; empty where it is not."""
+        seconds = self.seconds / max(jobs, 1)
+        if not seconds > LONG_S:
+            return ""
+        longest = max(self.parts, key=lambda part: part.seconds)
+        return (
+            f"this takes about {duration(seconds)}; the longest part is {longest.what} "
+            f"({duration(longest.seconds)} on one processor). To shorten it, lower {longest.keys}"
+        )
+
+
+def plans_of(scenarios: Mapping[str, Scenario]) -> list[Plan]:
+    """Plans of the scenarios whose files can be read; what is wrong with the others is told when they run."""
+    plans = []
+    for scenario in scenarios.values():
+        with contextlib.suppress(InputError, SimulationError):
+            plans.append(plan_of(scenario))
+    return plans
+
+
+def together(plans: Sequence[Plan]) -> Plan:
+    """All parts of several plans."""
+    return Plan(tuple(part for plan in plans for part in plan.parts))
+
+
+def jobs_that_fit(plans: Sequence[Plan], jobs: int) -> int:
+    """How many of the plans fit the memory side by side, up to so many jobs, and one at least."""
+    free = free_bytes()
+    if free is None:
+        return jobs
+    sizes = list(itertools.accumulate(sorted((plan.bytes for plan in plans), reverse=True)))
+    return max(1, jobs - sum(size > free for size in sizes[:jobs]))
+
+
+def plan_of(scenario: Scenario, jobs: int = 1) -> Plan:
+    """What a run of a scenario needs; InputError where its files are wrong."""
+    plant = plant_of(scenario)
+    return Plan((*identification_parts(scenario, plant), *_runs(scenario, plant, jobs)))
+
+
+def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
+    """One part for each identification experiment."""
+    m, p = plant.model.hysteresis.n_inputs, plant.model.hysteresis.n_outputs
+    sources = (*scenario.compensators, *scenario.models)
+    done = set()
+    for source in sources:
+        spec = source.identification
+        if spec is None or spec in done:
+            continue
+        done.add(spec)
+        step = spec.sample_time_s or plant.sample_time_s
+        if isinstance(spec, ClosedFormSpec):
+            cycles = max(spec.settle_cycles, math.ceil(0.05 * spec.frequency_hz)) + spec.measured_cycles
+            samples = cycles / (spec.frequency_hz * step)
+            words = f"the identification of {source.label!r}, a run of {samples:.3g} samples an input"
+            needed, seconds = COPIES * run_bytes(samples, m, p), m * samples * SECONDS_A_SAMPLE
+            yield Part(words, needed, seconds, "its measured_cycles or settle_cycles, or raise frequency_hz")
+        else:
+            yield _joint_fit(spec, source.label, m, p, step)
+
+
+def _joint_fit(spec: JointFitSpec, label: str, m: int, p: int, step: float) -> Part:
+    samples = m * (len(spec.frequencies_hz) + 1) * spec.record_s / step
+    fitted = samples * (BYTES_A_FITTED_SAMPLE + BYTES_A_REGRESSOR * spec.operators)
+    return Part(
+        f"the identification of {label!r} from {samples:.3g} samples",
+        COPIES * run_bytes(samples, m, p) + fitted,
+        SECONDS_OF_A_FIT + samples * SECONDS_A_FITTED_SAMPLE * spec.operators / 15.0,
+        "its record_s or the number of frequencies_hz, or raise sample_time_s",
+    )
+
+
+def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
+    """The cases, and their repetition on drawn actuators."""
+    m, p = plant.model.hysteresis.n_inputs, plant.model.hysteresis.n_outputs
+    axes = len(driven_axes(scenario, len(scenario_axes(scenario, plant.model))))
+    others = math.prod(len(v) for k, v in scenario.sweep.values() if k != "frequency_hz")
+    cases = samples = work = longest = 0.0
+    for signal in scenario.signals(only="frequency_hz"):
+        total = float(Window.of(scenario, signal, plant.sample_time_s).total)
+        tested = [c for c in scenario.compensators if c.is_tested_at(signal.highest_frequency_hz)]
+        runs = others * axes * (1 if scenario.drive is not None else len(tested))
+        cases, samples, longest = cases + runs, samples + runs * total, max(longest, total)
+        work += others * axes * total * sum(_work(c, plant.sample_time_s) for c in tested)
+    models = len(scenario.models)
+    seconds = samples * SECONDS_A_SAMPLE * (1 + models) + cases * SECONDS_A_CASE + work
+    seconds *= 1 + len(scenario.claims_also_on)
+    every = scenario.measure.record_every or 1
+    whole = any(isinstance(c, HammersteinInverse | Feedback) for c in scenario.compensators)
+    at_once = longest if every == 1 or whole else min(longest, STRETCH)
+    kept = run_bytes(samples / every, m, p + 2 * models)
+    kept += COPIES * jobs * run_bytes(at_once, m, p + 2 * models)
+    keys = (
+        "the values in [sweep], measure.measured_cycles, measure.settle_cycles or measure.settle_s, or raise "
+        "instruments.drive.sample_time_s, the frequency or measure.record_every"
+    )
+    if any(isinstance(c, InverseMultiplicative) and c.iterations > 1 for c in scenario.compensators):
+        keys += ", or lower iterations"
+    words = f"{cases:.3g} runs of up to {longest:.3g} samples"
+    yield Part(words, kept + cases * p * BYTES_A_ROW, seconds, keys)
+    if scenario.uncertainty is not None:
+        draws = scenario.uncertainty.draws
+        rows = draws * cases * p * max(1, models) * BYTES_A_ROW
+        yield Part(
+            f"{draws:.3g} drawn actuators in {cases:.3g} runs each",
+            rows + draws * BYTES_OF_A_DRAWN_ACTUATOR,
+            draws * seconds,
+            "uncertainty.draws",
+        )
+
+
+def _work(compensator: Compensator, sample_time_s: float) -> float:
+    """Time [s] a sample of a law that works more on each than others."""
+    if isinstance(compensator, InverseMultiplicative):
+        return SECONDS_A_PASS * compensator.iterations
+    if isinstance(compensator, HammersteinInverse) and compensator.filter_hz:
+        return SECONDS_A_TAP * TAPS * 0.5 / (sample_time_s * compensator.filter_hz)
+    return 0.0
+
+
+def size(number: float) -> str:
+    """Bytes in words.
+
+    >>> size(2.4e9), size(3e13)
+    ('2.4 GB', '30,000 GB')
+    """
+    return f"{number / 1e9:,.3g} GB" if number < 1e12 else f"{number / 1e9:,.0f} GB"
+
+
+def duration(seconds: float) -> str:
+    """Time in words.
+
+    >>> duration(900.0), duration(9000.0), duration(1e6)
+    ('15 minutes', '2.5 hours', '12 days')
+    """
+    for unit, length in (("days", 86400.0), ("hours", 3600.0)):
+        if seconds >= 2.0 * length:
+            number = seconds / length
+            return f"{number:.2g} {unit}" if number < 99 else f"{number:,.0f} {unit}"
+    return f"{seconds / 60.0:.0f} minutes"

@@ -1,0 +1,160 @@
+"""Every number that a file or a person may give: finite, and within what its physics allows.
+
+One place for all of them: the scenario, the signals, the compensators, the instruments, the dynamics, the
+model file and the settings of an identification. The limits are wide; they keep out what no actuator is, and
+what would overflow further on. The unit of a number is in its name.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, JsonValue
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+OUT_OF_RANGE = "out_of_range"
+
+
+@dataclass(frozen=True)
+class Range:
+    """Numbers from ``low`` to ``high``, ends included; ``or_inf`` allows infinity, which switches off.
+
+    >>> Range(0.0, 10.0).words()
+    'must be 0 to 10'
+    """
+
+    low: float
+    high: float
+    or_inf: bool = False
+
+    def holds(self, value: float) -> bool:
+        """Whether a number lies within; NaN never does."""
+        switched_off = self.or_inf and (value == math.inf or (self.low < 0.0 and value == -math.inf))
+        return switched_off or self.low <= value <= self.high
+
+    def words(self) -> str:
+        """Say what is allowed."""
+        return f"must be {_plain(self.low)} to {_plain(self.high)}" + (" or inf" if self.or_inf else "")
+
+    def checked(self, value: Any) -> Any:
+        """Give the value back, or say what is allowed."""
+        if not self.holds(value):
+            raise PydanticCustomError(OUT_OF_RANGE, "{words}", {"words": self.words()})
+        return value
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self.checked, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        limits: dict[str, Any] = {}
+        if not (self.or_inf and self.low < 0.0):
+            limits["minimum"] = self.low
+        if not self.or_inf:
+            limits["maximum"] = self.high
+        return handler(schema) | limits
+
+
+def _plain(number: float) -> str:
+    """A limit as a person writes it.
+
+    >>> _plain(1e-06), _plain(200), _plain(2**53)
+    ('1e-6', '200', '9007199254740992')
+    """
+    if isinstance(number, int) and number % 10:
+        return str(number)
+    if number == 0.0 or 1e-3 <= abs(number) < 1e6:
+        return f"{number:g}"
+    return f"{number:.0e}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
+
+
+POSITION_UM = Range(-1e9, 1e9)  # a kilometre: no wire of a simulation goes there
+VOLTAGE_V = Range(-1e6, 1e6)
+END_V = Range(-1e6, 1e6, or_inf=True)  # of a drive's range
+BANDWIDTH_HZ = Range(1e-6, 1e9, or_inf=True)
+FREQUENCY_HZ = Range(1e-6, 1e8)
+SAMPLE_TIME_S = Range(1e-9, 1e4)
+SCALE = Range(-1e12, 1e12)
+THRESHOLD_V = Range(0.0, 1e6)
+DELAY_SAMPLES = Range(0, 10**6)
+RATE_HZ = Range(1e-4, 1e9)
+RIDGE = Range(0.0, 1e12)
+SEED = Range(0, 2**53)  # as large as JSON keeps whole numbers
+WEIGHT_UM_PER_V = Range(-1e9, 1e9)
+
+# Of signals, drive and sensor
+Size = Annotated[float, Range(1e-6, 1e6)]  # in V or um, as the name says
+Offset = Annotated[float, Range(-1e6, 1e6)]
+Phase = Annotated[float, Range(-1e6, 1e6)]
+Frequency = Annotated[float, FREQUENCY_HZ]
+Bandwidth = Annotated[float, BANDWIDTH_HZ]
+Limit = Annotated[float, Range(1e-6, 1e6, or_inf=True)]  # of a drive or a sensor; inf: none
+End = Annotated[float, END_V]
+Step = Annotated[float, Range(0.0, 1e6)]  # of a converter, or the rms of a noise; 0: none
+SampleTime = Annotated[float, SAMPLE_TIME_S]
+Scale = Annotated[float, SCALE]
+
+# Times
+Wait = Annotated[float, Range(0.0, 1e8)]
+Length = Annotated[float, Range(1e-6, 1e8)]
+Delay = Annotated[float, Range(0.0, 1e4)]
+TimeConstant = Annotated[float, Range(1e-9, 1e10)]
+
+# Of models
+Volts = Annotated[float, Range(0.0, 1e6)]
+Threshold = Annotated[float, THRESHOLD_V]
+Weight = Annotated[float, WEIGHT_UM_PER_V]
+WeightError = Annotated[float, Range(0.0, 1e9)]
+Resonance = Annotated[float, Range(1e-6, 1e9)]
+Damping = Annotated[float, Range(1e-6, 1e4)]
+CreepGain = Annotated[float, Range(-1e3, 1e3)]
+Entry = Annotated[float, Range(-1e20, 1e20)]  # of a matrix of a linear block
+Gain = Annotated[float, Range(-1e9, 1e9)]
+
+# Of comparisons
+Deviation = Annotated[float, Range(0.0, 1.0)]  # relative standard deviation of a parameter
+Tolerated = Annotated[float, Range(0.0, 1e12)]
+Figure = Annotated[float, Range(-1e12, 1e12)]
+Agreed = Annotated[float, Range(1e-12, 1e12)]
+
+# Counts
+Seed = Annotated[int, SEED]
+Cycles = Annotated[int, Range(1, 10**9)]
+NoCycles = Annotated[int, Range(0, 10**9)]
+Draws = Annotated[int, Range(1, 10**9)]
+Passes = Annotated[int, Range(1, 10**7)]
+Operators = Annotated[int, Range(1, 200)]
+Axes = Annotated[int, Range(1, 100)]
+Modes = Annotated[int, Range(0, 5)]
+
+
+def _without_control_characters(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("holds a character that cannot be printed; type it again")
+    return text
+
+
+def _finite_throughout(value: JsonValue) -> JsonValue:
+    try:
+        json.dumps(value, allow_nan=False)
+    except ValueError:
+        raise ValueError("holds a number that is not finite; JSON has none") from None
+    return value
+
+
+def of_equal_rows(matrix: Any) -> Any:
+    """Refuse a matrix whose rows differ in length; words in its place pass."""
+    if not isinstance(matrix, str) and len({len(row) for row in matrix}) != 1:
+        raise ValueError("has rows of different length, or none; give a matrix")
+    return matrix
+
+
+# Words
+FileName = Annotated[str, Field(max_length=4000), AfterValidator(_without_control_characters)]
+Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_without_control_characters)]
+Plain = Annotated[JsonValue, AfterValidator(_finite_throughout)]

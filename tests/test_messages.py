@@ -1,0 +1,140 @@
+"""What a person reads of a mistake in a file: where it stands, what is wrong, what to do."""
+
+import json
+
+import pytest
+
+from hammerstein.errors import InputError
+from hammerstein.model import HammersteinModel
+from hammerstein.scenario import load_scenario
+
+SINE = """
+question = "How far off is a sine?"
+[reference]
+kind = "sine"
+amplitude_um = 10
+frequency_hz = 50
+[measure]
+settle_cycles = 2
+[[compensators]]
+label = "paper"
+law = "inverse_multiplicative"
+identification = { frequency_hz = 50 }
+[[compensators]]
+label = "none"
+law = "none"
+model = "duo_bimorph"
+"""
+
+
+def _mistakes(tmp_path, old, new):
+    assert old in SINE
+    path = tmp_path / "sine.toml"
+    path.write_text(SINE.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        load_scenario(path)
+    return {mistake.where: mistake.what for mistake in caught.value.mistakes}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where", "what"),
+    [
+        (
+            "settle_cycles = 2",
+            "phase_deg = 2",
+            "measure.phase_deg",
+            "unknown key here; it belongs to reference or drive",
+        ),
+        (
+            "amplitude_um = 10",
+            "amplitude_um = 10\ntrigger_s = 1",
+            "reference.trigger_s",
+            "unknown key of sine; it belongs to spiral",
+        ),
+        ('model = "duo_bimorph"', "", "compensators[2]", "give either identification or model"),
+        (
+            'law = "none"',
+            'law = "none"\niterations = 3',
+            "compensators[2].iterations",
+            "unknown key of none; it belongs to inverse_multiplicative",
+        ),
+        (
+            'law = "none"',
+            'law = "inverse_multiplicative"\ngain = 5',
+            "compensators[2].gain",
+            "must be 'identity' or 'auto' or a list, not 5",
+        ),
+        (
+            'law = "none"',
+            'law = "inverse_multiplicative"\ngain = [[1.0, 2.0], [3.0]]',
+            "compensators[2].gain",
+            "has rows of different length",
+        ),
+        ("amplitude_um = 10", "amplitude_um = 10\naxis = 'x'", "reference.axis", "a whole number or 'each'"),
+        (
+            "[measure]",
+            "[tolerances]\nrelative = 1e-3\n[measure]",
+            "tolerances.relative",
+            "[tolerances.rms_um]",
+        ),
+        ("[measure]", "[tolerances.rms]\nrelative = 1\n[measure]", "tolerances.rms", "did you mean rms_um?"),
+        (
+            "frequency_hz = 50 }",
+            "frequency_hz = 50, frequencies_hz = [5] }",
+            "compensators[1].identification.frequencies_hz",
+            "did you mean frequency_hz?",
+        ),
+        (
+            "frequency_hz = 50\n",
+            "frequency_hz = inf\n",
+            "reference.frequency_hz",
+            "must be 1e-6 to 1e8, not inf",
+        ),
+        (
+            "settle_cycles = 2",
+            "settle_cycles = 2.5",
+            "measure.settle_cycles",
+            "must be a whole number, not 2.5",
+        ),
+    ],
+)
+def test_a_mistake_says_where_the_key_belongs(tmp_path, old, new, where, what):
+    mistakes = _mistakes(tmp_path, old, new)
+    assert list(mistakes) == [where]
+    assert what in mistakes[where]
+
+
+def test_a_misspelt_actuator_stands_with_the_other_mistakes(tmp_path):
+    path = tmp_path / "sine.toml"
+    path.write_text(
+        SINE.replace("[reference]", 'actuator = "duo_bimorf"\n[reference]').replace("question", "questoin")
+    )
+    with pytest.raises(InputError) as caught:
+        load_scenario(path)
+    mistakes = {mistake.where: mistake.what for mistake in caught.value.mistakes}
+    assert set(mistakes) == {"actuator", "questoin", "question"}
+    assert "did you mean duo_bimorph?" in mistakes["actuator"]
+
+
+@pytest.mark.parametrize("place", ["model", "claims_also_on"])
+def test_other_misspelt_models_stand_there_too(tmp_path, place):
+    new = {
+        "model": ('model = "duo_bimorph"', 'model = "duo_bimorf"'),
+        "claims_also_on": ("[reference]", 'claims_also_on = ["duo_bimorf"]\n[reference]'),
+    }[place]
+    mistakes = _mistakes(tmp_path, *new)
+    where = {"model": "compensators[2].model", "claims_also_on": "claims_also_on[1]"}[place]
+    assert "did you mean duo_bimorph?" in mistakes[where]
+
+
+def test_a_model_file_names_the_pair(tmp_path):
+    model = json.loads(HammersteinModel.load("duo_bimorph").to_json())
+    model["hysteresis"]["pairs"][0][1]["weights_um_per_v"][2] = 1e300
+    model["dynamics"]["axes"][1]["resonance"] = 5.0
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(model))
+    with pytest.raises(InputError) as caught:
+        HammersteinModel.load(path)
+    mistakes = {mistake.where: mistake.what for mistake in caught.value.mistakes}
+    assert "must be -1e9 to 1e9, not 1e+300" in mistakes["hysteresis.pairs[1][2].weights_um_per_v[3]"]
+    assert "did you mean resonance_hz?" in mistakes["dynamics.axes[2].resonance"]

@@ -1,0 +1,156 @@
+"""What is too large is refused before it starts, with the largest part and what makes it smaller."""
+
+import pytest
+
+from hammerstein.commands import cli
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.experiment.plan import jobs_that_fit, plan_of
+from hammerstein.experiment.run import run, simulate
+from hammerstein.runtime import memory
+from hammerstein.scenario import Scenario
+
+
+def _scenario(law="inverse_multiplicative", options=(), identification=None, **tables):
+    source = {"model": "duo_bimorph"} if identification is None else {"identification": identification}
+    content = {
+        "question": "?",
+        "reference": {"kind": "sine", "amplitude_um": 10.0, "frequency_hz": 50.0},
+        "compensators": [{"label": "a", "law": law, **source, **dict(options)}],
+        **tables,
+    }
+    return Scenario.model_validate(content)
+
+
+MANY = [1.0 + 0.001 * i for i in range(5000)]
+LARGE = {
+    "record_s": (
+        {"identification": {"method": "hammerstein", "record_s": 1e5}},
+        "identification of 'a'",
+        "record_s",
+    ),
+    "closed form": (
+        {"identification": {"measured_cycles": 10**8}},
+        "identification of 'a'",
+        "measured_cycles",
+    ),
+    "draws": ({"uncertainty": {"draws": 10**7}}, "drawn actuators", "uncertainty.draws"),
+    "sweep": ({"sweep": {"frequency_hz": MANY, "amplitude_um": MANY}}, "5e+07 runs", "the values in [sweep]"),
+    "settle": ({"measure": {"settle_cycles": 10**8}}, "runs of up to", "measure.settle_cycles"),
+    "sample time": ({"instruments": {"drive": {"sample_time_s": 1e-9}}}, "runs of up to", "sample_time_s"),
+}
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_what_does_not_fit_is_refused_before_it_starts(name, monkeypatch):
+    tables, part, key = LARGE[name]
+    monkeypatch.setattr("hammerstein.experiment.plan.free_bytes", lambda: 4e9)
+    monkeypatch.setattr("hammerstein.experiment.run.prepare", None)  # nothing begins
+    with pytest.raises(SimulationError) as caught:
+        run(_scenario(**tables))
+    for words in ("of memory, and 4 GB are free", part, key):
+        assert words in str(caught.value)
+
+
+def test_a_single_case_looks_at_its_identification_too(monkeypatch):
+    monkeypatch.setattr("hammerstein.experiment.plan.free_bytes", lambda: 4e9)
+    with pytest.raises(SimulationError, match="record_s"):
+        simulate(_scenario(identification={"method": "hammerstein", "record_s": 1e5}))
+
+
+def test_the_plan_follows_what_is_asked():
+    base = plan_of(_scenario())
+    assert plan_of(_scenario(sweep={"frequency_hz": [50.0, 50.5, 51.0]})).bytes > 1.5 * base.bytes
+    assert plan_of(_scenario(options={"iterations": 1000})).seconds > 20 * base.seconds
+    assert plan_of(_scenario(uncertainty={"draws": 100})).seconds > 50 * base.seconds
+    assert plan_of(_scenario(measure={"settle_cycles": 2000})).bytes > 50 * base.bytes
+    assert plan_of(_scenario("hammerstein_inverse", {"filter_hz": 2.0})).seconds > 5 * base.seconds
+
+
+def test_memory_that_a_run_takes_is_what_the_plan_says():
+    import tracemalloc
+
+    scenario = _scenario("none", measure={"measured_cycles": 500})
+    run(scenario)
+    tracemalloc.start()
+    report = run(scenario)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(report.traces) == 2
+    planned = plan_of(scenario).bytes
+    assert 0.4 * planned < peak < 1.2 * planned
+
+
+def test_a_filter_of_too_many_samples_is_refused_at_once():
+    with pytest.raises(InputError, match=r"filter_hz|100000 are the most; use 1\.\d+ Hz or more"):
+        run(_scenario("hammerstein_inverse", {"filter_hz": 1e-3}))
+
+
+def test_a_delay_of_too_many_samples_is_refused_at_once():
+    from hammerstein.dynamics import AxesDynamics, Axis, discretise
+
+    late = AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.1),) * 2, input_delay_s=1.0)
+    with pytest.raises(InputError, match="is 20000 samples of 5e-05 s; at most 1000 are carried"):
+        discretise(late, 50e-6)
+
+
+def test_free_memory_is_what_the_tightest_limit_leaves(tmp_path, monkeypatch):
+    own = tmp_path / "cgroup"
+    own.write_text("0::/outer/inner\n")
+    for folder, limit, used in (("outer", "1000000", "400000"), ("outer/inner", "max", "5")):
+        (tmp_path / "groups" / folder).mkdir(parents=True, exist_ok=True)
+        (tmp_path / "groups" / folder / "memory.max").write_text(limit + "\n")
+        (tmp_path / "groups" / folder / "memory.current").write_text(used + "\n")
+    monkeypatch.setattr(memory, "GROUPS", tmp_path / "groups")
+    monkeypatch.setattr(memory, "OWN_GROUP", own)
+    assert memory.free_bytes() == 600_000
+    monkeypatch.setattr(memory, "OWN_GROUP", tmp_path / "none")
+    free = memory.free_bytes()
+    assert free is None or free > 1e6
+
+
+def test_jobs_that_do_not_fit_together_run_one_after_the_other(monkeypatch):
+    plans = [plan_of(_scenario()) for _ in range(4)]
+    for free, jobs in ((10.0, 4), (2.5, 2), (0.5, 1)):
+        monkeypatch.setattr("hammerstein.experiment.plan.free_bytes", lambda free=free: free * plans[0].bytes)
+        assert jobs_that_fit(plans, 4) == jobs
+
+
+SLOW = """
+question = "?"
+[reference]
+kind = "sine"
+amplitude_um = 10
+frequency_hz = 50
+[[compensators]]
+label = "a"
+law = "inverse_multiplicative"
+iterations = 10000000
+model = "duo_bimorph"
+"""
+
+
+def test_what_takes_long_says_so_and_wants_yes_of_a_person(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "slow.toml"
+    path.write_text(SLOW)
+    begun = []
+    monkeypatch.setattr("hammerstein.experiment.batch.run", lambda *_: begun.append(1) or 1 / 0)
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+
+    def call(watched, *options):
+        monkeypatch.setattr(cli.sys.stderr, "isatty", lambda: watched, raising=False)
+        monkeypatch.setattr(cli.sys.stdin, "isatty", lambda: watched, raising=False)
+        monkeypatch.setattr(cli._Watch, "__enter__", lambda self: self)
+        with pytest.raises(SystemExit) as caught:
+            cli.main(["run", str(path), "--out", str(tmp_path / "r"), "--jobs", "1", *options])
+        return caught.value.code, capsys.readouterr().err
+
+    code, said = call(True)
+    assert code == 2
+    assert "this takes about" in said
+    assert "start it with --yes" in said
+    assert "iterations" in said
+    assert begun == []
+    for watched, options in ((True, ["--yes"]), (False, [])):
+        code, said = call(watched, *options)
+        assert "this takes about" in said
+    assert begun == [1, 1]
