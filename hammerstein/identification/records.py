@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
 from itertools import chain
@@ -18,6 +17,7 @@ from hammerstein.identification.record_checks import (
     gap_mistakes,
     length_mistakes,
     moves,
+    hidden_gaps,
     sample_time,
     still_mistake,
     still_mistakes,
@@ -25,12 +25,12 @@ from hammerstein.identification.record_checks import (
     unit_mistake,
     where,
 )
+from hammerstein.identification.units import BASE, Kind, in_base_unit, unique_names, unit_in
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 PathLike = str | Path
 
-OTHER_UNIT = re.compile(r"(^|[^a-z])(ms|us|µs|ns|min)\W*$", re.IGNORECASE)
 OTHER_RATE = 0.01
 """Part by which a rate may differ from the one of the file's time column."""
 AXES = ("sample", "channel", "experiment", "period")
@@ -172,8 +172,8 @@ def read_records(
     outputs: Sequence[str],
     rate_hz: float | None = None,
     time: str | None = None,
-    input_scale: float = 1.0,
-    output_scale: float = 1.0,
+    input_scale: float | None = None,
+    output_scale: float | None = None,
     all_driven: bool = True,
 ) -> tuple[Record, ...]:
     """Records of one actuator from files: CSV and other text, ``.npy``, ``.npz``, ``.mat``, Parquet.
@@ -187,7 +187,8 @@ def read_records(
     inputs, outputs : columns with the voltages and the displacements
     rate_hz : samples a second [Hz], or
     time : column with the time [s]; one of the two
-    input_scale, output_scale : factors that turn the file's numbers into V and um
+    input_scale, output_scale : factors that turn the file's numbers into V and um; if not given, by the unit
+        in the name of a column (``u [mV]``, ``x_nm``) or in a row of units, else 1
     all_driven : whether every input must be driven in some record, as identification needs it
 
     Raises
@@ -203,7 +204,7 @@ def read_records(
             columns = read_columns(path, wanted)
             records.append(_record(columns, len(inputs), len(outputs), rate_hz, input_scale, output_scale))
             if rate_hz is not None:
-                _refuse_other_rate(path, rate_hz, wanted)
+                _refuse_other_time(path, rate_hz, wanted)
         except InputError as error:
             failures.append(error)
     if failures:
@@ -219,8 +220,8 @@ def _refuse_arguments(
     outputs: Sequence[str],
     rate_hz: float | None,
     time: str | None,
-    input_scale: float,
-    output_scale: float,
+    input_scale: float | None,
+    output_scale: float | None,
 ) -> None:
     mistakes = []
     if isinstance(paths, str | Path):
@@ -240,56 +241,89 @@ def _refuse_arguments(
     if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
         mistakes.append(Mistake("rate", f"is {rate_hz:g} Hz; it must be above 0"))
     for name, scale in (("input scale", input_scale), ("output scale", output_scale)):
-        if not np.isfinite(scale) or scale == 0:
+        if scale is not None and (not np.isfinite(scale) or scale == 0):
             mistakes.append(Mistake(name, f"is {scale:g}; give a factor that is finite and not 0"))
     if mistakes:
         raise InputError("records", mistakes)
 
 
 def _record(
-    columns: Columns, m: int, p: int, rate_hz: float | None, input_scale: float, output_scale: float
+    columns: Columns,
+    m: int,
+    p: int,
+    rate_hz: float | None,
+    input_scale: float | None,
+    output_scale: float | None,
 ) -> Record:
-    mistakes = list(columns.mistakes)
+    found, factors = _factors(columns, m, p, (input_scale, output_scale))
+    mistakes = [*columns.mistakes, *found]
     step = 1.0 / rate_hz if rate_hz is not None else 1.0
     if rate_hz is None:
         found, step = _sample_time(columns)
         mistakes += found
     if mistakes:
         raise InputError(columns.source, mistakes)
-    return Record(
-        input_scale * columns.values[:m],
-        output_scale * columns.values[m : m + p],
-        step,
-        columns.names[:m],
-        columns.names[m : m + p],
-        columns.source,
-        columns.rows,
+    values = factors[:, None] * columns.values[: m + p]
+    scaled = [input_scale] * m + [output_scale] * p
+    names = unique_names(
+        [name if scale else in_base_unit(name) for name, scale in zip(columns.names, scaled, strict=False)]
     )
+    return Record(values[:m], values[m:], step, names[:m], names[m:], columns.source, columns.rows)
 
 
-def _refuse_other_rate(path: PathLike, rate_hz: float, wanted: Sequence[str]) -> None:
-    """Refuse a rate that the file's own time column contradicts."""
+def _factors(
+    columns: Columns, m: int, p: int, scales: tuple[float | None, float | None]
+) -> tuple[list[Mistake], Array]:
+    """Factors from the file's numbers to V and um: as given, or by the units that the file names."""
+    mistakes, factors = [], np.ones(m + p)
+    kinds: list[tuple[Kind, str]] = [("voltage", "input")] * m + [("displacement", "output")] * p
+    for k, (kind, option) in enumerate(kinds):
+        unit, scale = unit_in(columns.units[k]), scales[k >= m]
+        if scale is not None:
+            factors[k] = scale
+        elif unit is not None and unit.kind == kind:
+            factors[k] = unit.factor
+        elif unit is not None and unit.kind != "time":
+            mistakes.append(
+                Mistake(
+                    where(columns.names[k]),
+                    f"is in {unit.symbol}, which is no {kind}: are --inputs and --outputs swapped? If not, give "
+                    f"--{option}-scale, the factor from its numbers to {BASE[kind]}",
+                )
+            )
+    return mistakes, factors
+
+
+def _refuse_other_time(path: PathLike, rate_hz: float, wanted: Sequence[str]) -> None:
+    """Refuse a rate that the file's own time column contradicts, and gaps that only that column shows."""
     time = named_time(path)
     if time is None or time.names[0] in wanted:
         return
-    step = float(np.median(np.diff(time.values[0])))
+    name, time_s = time.names[0], time.values[0]
+    step = float(np.median(np.diff(time_s)))
     units = (1.0, 1e3, 1e6, rate_hz)  # s, ms, us, or samples that are counted
-    if step > 0.0 and all(abs(step * rate_hz / unit - 1.0) > OTHER_RATE for unit in units):
+    unit = next((unit for unit in units if abs(step * rate_hz / unit - 1.0) <= OTHER_RATE), None)
+    if step > 0.0 and unit is None:
+        unit = unit_in(time.units[0])
+        seconds = step * (unit.factor if unit and unit.kind == "time" else 1.0)
         raise InputError(
             str(path),
-            f"the rate given is {rate_hz:g} Hz, but its column {time.names[0]} goes on by {step:.6g}, which "
-            f"is {1.0 / step:.6g} Hz; give --time {time.names[0]} in place of --rate, or the right rate",
+            f"the rate given is {rate_hz:g} Hz, but its column {name} goes on by {step:.6g}, which "
+            f"is {1.0 / seconds:.6g} Hz; give --time {name} in place of --rate, or the right rate",
         )
+    mistakes = hidden_gaps(name, time_s, time.rows)
+    if mistakes:
+        raise InputError(str(path), mistakes)
 
 
 def _sample_time(columns: Columns) -> tuple[list[Mistake], float]:
     """Mistakes of the time column, which is the last one, and the sample time."""
     name, time_s = columns.names[-1], columns.values[-1]
-    if OTHER_UNIT.search(name):
-        what = "is a time in another unit than s; give --rate in Hz instead of --time"
-        return [Mistake(where(name), what)], 1.0
     if len(time_s) < 2 or not np.isfinite(time_s).all():
         return [], 1.0  # told already, as too short or as gaps
+    unit = unit_in(columns.units[-1])
+    if unit is not None and unit.kind == "time" and unit.factor != 1.0:
+        time_s = np.round(unit.factor * time_s, 15)  # 0.05 ms in s, without the last digit's noise
     mistakes = time_mistakes(name, time_s, columns.rows)
     return mistakes, 1.0 if mistakes else sample_time(time_s)
 
