@@ -1,5 +1,5 @@
 """Run the command line as ``python -m hammerstein``."""
 
-from hammerstein.cli import main
+from hammerstein.commands.cli import main
 
 main()
