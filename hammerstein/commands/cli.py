@@ -91,9 +91,10 @@ def run(
     from hammerstein.commands.tables import claims_table, result_table, show
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.errors import InputError
-    from hammerstein.experiment.batch import Writer, load_all, run_all
+    from hammerstein.experiment.batch import load_all, run_all
     from hammerstein.files import refuse_unwritable, write_atomic
     from hammerstein.reporting.claims_page import claims_csv, write_page
+    from hammerstein.reporting.folder import Writer
 
     refuse_unwritable("--out", out)
     if page is not None:

@@ -11,7 +11,6 @@ from hammerstein.errors import HammersteinError, InputError, Mistake
 from hammerstein.experiment.prepare import Progress
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
-from hammerstein.reporting.folder import TraceFormat, write_report
 from hammerstein.runtime.processes import side_by_side
 from hammerstein.scenario import Scenario, load_scenario
 
@@ -110,16 +109,3 @@ def _of(name: str, error: HammersteinError) -> HammersteinError:
     if isinstance(error, InputError):
         return InputError(f"{name}: {error.source}", error.mistakes)
     return type(error)(f"{name}: {error}")
-
-
-@dataclass(frozen=True)
-class Writer:
-    """Write each report into its folder below ``out``."""
-
-    out: Path
-    figures: bool = True
-    traces: TraceFormat | None = None
-
-    def __call__(self, report: Report) -> None:
-        """Write one report."""
-        write_report(report, self.out / report.name, figures=self.figures, traces=self.traces)

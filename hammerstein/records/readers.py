@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import InputError, Mistake
-from hammerstein.records.units import unique_names, without_unit
 from hammerstein.records.array_files import SUFFIXES, array_columns, whole_array
 from hammerstein.records.checks import gap_mistakes, where
 from hammerstein.records.text_files import find_layout, read_text
+from hammerstein.records.units import unique_names, without_unit
 
 TIME_NAMES = ("time", "t", "zeit", "x-axis")
 """Names of a time column, without their unit and in any case."""

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.errors import InputError, Mistake
-from hammerstein.records.units import BASE, Kind, in_base_unit, unique_names, unit_in
 from hammerstein.records.checks import (
     clipping_mistakes,
     gap_mistakes,
@@ -26,6 +25,7 @@ from hammerstein.records.checks import (
     where,
 )
 from hammerstein.records.readers import Columns, named_time, read_array, read_columns
+from hammerstein.records.units import BASE, Kind, in_base_unit, unique_names, unit_in
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

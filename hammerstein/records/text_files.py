@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import InputError, Mistake
-from hammerstein.records.units import is_unit
 from hammerstein.records.checks import SHOWN, where
+from hammerstein.records.units import is_unit
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -58,6 +59,19 @@ def write_report(
         write_atomic(folder / name, text)
         written.append(folder / name)
     return written
+
+
+@dataclass(frozen=True)
+class Writer:
+    """Write each report into its folder below ``out``."""
+
+    out: Path
+    figures: bool = True
+    traces: TraceFormat | None = None
+
+    def __call__(self, report: Report) -> None:
+        """Write one report."""
+        write_report(report, self.out / report.name, figures=self.figures, traces=self.traces)
 
 
 def _clear(folder: Path) -> None:
