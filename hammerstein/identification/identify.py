@@ -151,6 +151,10 @@ def _ready(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
     for record in records:
         if len(driven_inputs(record)) == 1:
             refuse_swapped(record)  # with several inputs at once, one is taken for the lead of another
+        notes += [
+            f"{record.source}: outliers of {found.column} are left out: {found.describe()}"
+            for found in record.outliers
+        ]
         prepared = prepare(record)
         if prepared.dead_start_samples and prepared.at_rest:
             ready.append(prepared.record)

@@ -25,6 +25,7 @@ from hammerstein.records.checks import (
     where,
 )
 from hammerstein.records.readers import Columns, named_time, read_array, read_columns
+from hammerstein.records.outliers import Outliers, listed, outlier_mistakes, without_outliers
 from hammerstein.records.units import BASE, Kind, in_base_unit, unique_names, unit_in
 
 Array = NDArray[np.float64]
@@ -42,18 +43,20 @@ class Record:
 
     Parameters
     ----------
-    u_v : (input, sample) voltages [V]
-    y_um : (output, sample) displacements [um]
+    u_v : (input, sample) voltages [V]; outliers, at most one percent, are replaced as ``outliers`` says
+    y_um : (output, sample) displacements [um]; the same
     sample_time_s : time between two samples [s]
     inputs, outputs : names of the axes; ``u1``, ``u2``, ... and ``y1``, ``y2``, ... if not given
     source : where the record comes from, named in every message
     rows : (sample,) row of each sample in its file, from 1
     period_samples : length of one period, where the experiment is known to be periodic
+    outliers : samples that were left out, found by `hammerstein.records.outliers`
     verified : True skips the search for mistakes, for a part of a record that has passed it
 
     Raises
     ------
-    InputError : gaps, too few samples, constant inputs or outputs, clipped sensor, impossible units
+    InputError : gaps, too few samples, too many outliers, constant inputs or outputs, clipped sensor,
+        impossible units
 
     Examples
     --------
@@ -71,6 +74,7 @@ class Record:
     source: str = "record"
     rows: Rows = field(default_factory=lambda: np.empty(0, dtype=np.int64), repr=False)
     period_samples: int | None = None
+    outliers: tuple[Outliers, ...] = field(default=(), repr=False)
     verified: InitVar[bool] = False
 
     def __post_init__(self, verified: bool) -> None:
@@ -89,7 +93,9 @@ class Record:
         ):
             object.__setattr__(self, name, value)
         self._refuse_names()
-        mistakes = [] if verified else list(self._mistakes())
+        if verified:
+            return
+        mistakes = self._gaps() or self._mend() or self._mistakes()
         if mistakes:
             raise InputError(self.source, mistakes)
 
@@ -112,12 +118,31 @@ class Record:
                 f"names, {counts[1]} output names and {counts[2]} row numbers",
             )
 
+    def _gaps(self) -> list[Mistake]:
+        gaps = [
+            *gap_mistakes(self.inputs, self.u_v, self.rows),
+            *gap_mistakes(self.outputs, self.y_um, self.rows),
+        ]
+        return [*gaps, *length_mistakes(self.samples)]
+
+    def _mend(self) -> list[Mistake]:
+        """Replace outliers; mistakes where there are too many."""
+        found = without_outliers(self.u_v, self.y_um)
+        columns = (
+            (self.inputs, self.u_v, found.lost_u, self.rows),
+            (self.outputs, self.y_um, found.lost_y, self.rows),
+        )
+        mistakes = [mistake for column in columns for mistake in outlier_mistakes(*column)]
+        outliers = tuple(one for column in columns for one in listed(*column))
+        if outliers and not mistakes:
+            object.__setattr__(self, "outliers", outliers)
+            object.__setattr__(self, "u_v", _read_only(found.u))
+            object.__setattr__(self, "y_um", _read_only(found.y))
+        return mistakes
+
     def _mistakes(self) -> list[Mistake]:
         u, y, rows = self.u_v, self.y_um, self.rows
-        gaps = [*gap_mistakes(self.inputs, u, rows), *gap_mistakes(self.outputs, y, rows)]
-        mistakes = [*gaps, *length_mistakes(self.samples)]
-        if mistakes:
-            return mistakes
+        mistakes: list[Mistake] = []
         mistakes += still_mistakes(self.inputs, u, rows, "input")
         mistakes += still_mistakes(self.outputs, y, rows, "output")
         if mistakes:
@@ -147,6 +172,7 @@ class Record:
             self.source,
             self.rows[start:stop],
             self.period_samples,
+            self.outliers,
             verified=True,
         )
 
