@@ -357,7 +357,9 @@ def test_noise_estimate_ignores_the_signal(samples):
 def test_dead_band_covers_noise_and_converter():
     rng = np.random.default_rng(4)
     noise = rng.standard_normal(100_000)
-    assert dead_band(noise) > np.ptp(noise)
+    small = np.linspace(0.0, 100.0, noise.size) + noise
+    assert dead_band(small) > np.ptp(noise)
+    assert dead_band(noise) == pytest.approx(0.25 * np.ptp(noise))  # a voltage that switches is no noise
     steps = 0.005 * np.round(np.linspace(0.0, 1000.0, 5000))
     assert quantum(steps) == pytest.approx(0.005)
     assert dead_band(steps) > 0.005
