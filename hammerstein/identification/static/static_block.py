@@ -40,7 +40,7 @@ LEAST_SLOPE = 0.05
 """Bound of the slopes of a direct pair, in parts of its mean slope."""
 WHITENED = 1e-6
 """Power of a combination of the plays of one input, in parts of the largest, from which it is told at all."""
-INSEPARABLE = 1e-9
+INSEPARABLE = 1e-10
 """One less a correlation of two inputs, below which they cannot be told apart."""
 SHARED = 0.1
 """Share of an input in such a combination from which it takes part."""
