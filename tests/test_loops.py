@@ -375,7 +375,7 @@ def test_measured_actuator_settles_and_lags():
     assert all(loop.settled for loop in loops)
     assert all(loop.samples == 200 for loop in loops)
     assert all(loop.width_percent == pytest.approx(22.6, abs=0.7) for loop in loops)
-    assert leads(whole) == ()
+    assert leads([whole]) == ()
 
 
 def test_measured_magnetic_loops_are_closed():

@@ -52,7 +52,7 @@ from hammerstein.identification.verdict import (
 )
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
-from hammerstein.records.preparation import driven_inputs, prepare, refuse_swapped
+from hammerstein.records.preparation import prepare, refuse_swapped
 from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
@@ -147,10 +147,10 @@ def _ready(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
     """Records without their dead start, and what was done to them."""
     if not records:
         raise InputError("records", "none was given")
+    _refuse_mixed(records)
+    refuse_swapped(records)
     ready, notes = [], []
     for record in records:
-        if len(driven_inputs(record)) == 1:
-            refuse_swapped(record)  # with several inputs at once, one is taken for the lead of another
         notes += [
             f"{record.source}: outliers of {found.column} are left out: {found.describe()}"
             for found in record.outliers

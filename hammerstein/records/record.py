@@ -24,8 +24,8 @@ from hammerstein.records.checks import (
     unit_mistake,
     where,
 )
-from hammerstein.records.readers import Columns, named_time, read_array, read_columns
 from hammerstein.records.outliers import Outliers, listed, outlier_mistakes, without_outliers
+from hammerstein.records.readers import Columns, named_time, read_array, read_columns
 from hammerstein.records.units import BASE, Kind, in_base_unit, unique_names, unit_in
 
 Array = NDArray[np.float64]
