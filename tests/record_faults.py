@@ -1,4 +1,4 @@
-"""Made-up records of one actuator, clean in many shapes or with one fault each; the theory is in NumPy alone."""
+"""Made-up records of one actuator, clean in many shapes or with one fault each, in plain NumPy."""
 
 import numpy as np
 
@@ -34,7 +34,7 @@ def sine(amplitude=50.0, hz=1.0, bias=0.0):
 def falling_triangles(top=100.0, low=0.0, cycles=5):
     """From ``low`` up to tops that fall to a fifth, and back each time."""
     tops = np.linspace(1.0, 0.2, cycles)
-    corners = np.ravel([[low, low + (top - low) * part] for part in tops]).tolist() + [low]
+    corners = [*np.ravel([[low, low + (top - low) * part] for part in tops]).tolist(), low]
     return np.interp(np.linspace(0, len(corners) - 1, SAMPLES), np.arange(len(corners)), corners)
 
 
@@ -61,6 +61,12 @@ def levels(seed=0, amplitude=50.0, hold=11):
     return amplitude * np.repeat(heights, hold)[:SAMPLES]
 
 
+def holds(amplitude=50.0):
+    """Ramps with a stop at both ends."""
+    corners = amplitude * np.array([-1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
+    return np.interp(TIME_S % 1.0, [0.0, 0.2, 0.4, 0.7, 0.9, 1.0], corners)
+
+
 def alone(u):
     """One record for each axis, in which it is driven alone."""
     return [np.array([u, 0 * u]), np.array([0 * u, u])]
@@ -77,8 +83,70 @@ SHAPES = {
     "one-sided": alone(sine(50.0, bias=50.0)),
     "biased": alone(sine(20.0, bias=60.0)),
     "starts in motion": [u[:, 700:] for u in alone(sine(hz=1.0))],
-    "holds": alone(
-        np.clip(75.0 * np.sin(2 * np.pi * TIME_S), -50.0, 50.0) * 0
-        + np.interp(TIME_S % 1.0, [0, 0.2, 0.4, 0.7, 0.9, 1.0], [-50, 50, 50, -50, -50, -50])
-    ),
+    "holds": alone(holds()),
 }
+
+
+def copied(records):
+    """Voltages and displacements that may be changed."""
+    return [u.copy() for u, _ in records], [y.copy() for _, y in records]
+
+
+def measured(shape, noise=1e-3, seed=0):
+    """Pairs of voltages and readings of a clean shape."""
+    return [(u, actuator(u, noise, seed + k)) for k, u in enumerate(SHAPES[shape])]
+
+
+def one_sample(us, ys):
+    ys[0][0, 1233] = 200.0
+
+
+def lost_cells(us, ys):
+    ys[0][0, [500, 501, 502, 503, 504, 505, 2000]] = -9999.0
+
+
+def lost_rows(us, ys):
+    us[1][:, 2100:2103] = -9999.0
+    ys[1][:, 2100:2103] = -9999.0
+
+
+def drive_spike(us, ys):
+    us[0][0, 2221] += 150.0
+
+
+def drift(us, ys):
+    for y in ys:
+        y[0] += np.linspace(0.0, 5.0, y.shape[1])
+
+
+def thermal_drift(us, ys):
+    for y in ys:
+        y[1] -= 4.0 * (1.0 - np.exp(-2.0 * np.arange(y.shape[1]) / y.shape[1]))
+
+
+def clipped_command(us, ys):
+    """The amplifier ends at 70 % of the range; the command does not know."""
+    for k, u in enumerate(us):
+        low, high = u.min(), u.max()
+        ys[k][:] = actuator(np.clip(u, low, low + 0.7 * (high - low)), seed=k)
+
+
+def clipped_reading(us, ys):
+    for u in us:
+        u[:] = np.clip(u, None, u.min() + 0.8 * np.ptp(u))
+
+
+def saturation(us, ys):
+    top = 0.7 * max(np.abs(y).max() for y in ys)
+    for y in ys:
+        y[:] = top * np.tanh(y / top)
+
+
+def swapped(us, ys):
+    us[:], ys[:] = [y.copy() for y in ys], [u.copy() for u in us]
+
+
+def half_swapped(us, ys):
+    """The second axis alone."""
+    for u, y in zip(us, ys, strict=True):
+        u[1], y[1] = y[1].copy(), u[1].copy()

@@ -52,6 +52,7 @@ from hammerstein.identification.verdict import (
 )
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
+from hammerstein.records.faults import Fault, faults
 from hammerstein.records.preparation import prepare, refuse_swapped
 from hammerstein.records.record import Record
 
@@ -272,10 +273,12 @@ def _account(
     """Everything that is said about the model."""
     fitted, judged, held, held_starts, answer = errors
     record, settings, best = task.records[0], task.settings, built.candidates[built.kind]
-    flags, bounds = _flags(task, built), []
+    named = [fault for one in task.records for fault in faults(one)]
+    flags, bounds = _flags(task, built, named), []
     if settings.method == "invertible":
+        spoiled = {fault.output for fault in named}
         bounds = bound_notes(
-            task.records, built.blocks.chosen, built.blocks.free, built.kind == "hammerstein"
+            task.records, built.blocks.chosen, built.blocks.free, built.kind == "hammerstein", spoiled
         )
     swing = half_swing(task.records)
     amplitude = float(swing.max())
@@ -313,11 +316,17 @@ def _account(
     )
 
 
-def _flags(task: Task, built: Built) -> list[str]:
-    """What a model of this kind cannot represent."""
-    blocks = built.blocks
-    direct = direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))
-    flags = record_flags(built.candidates[built.kind], task.records, task.starts)
+def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
+    """What spoils the records, and what a model of this kind cannot represent."""
+    blocks, outputs = built.blocks, task.records[0].outputs
+    spoiled = {(fault.source, fault.output) for fault in named}
+    direct = [
+        (o, k)
+        for o, k in direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))
+        if outputs[o] not in {name for _, name in spoiled}
+    ]
+    flags = [fault.text for fault in named]
+    flags += record_flags(built.candidates[built.kind], task.records, task.starts, spoiled)
     if task.settings.dynamics == "none":
         flags += butterfly_flags(task.records, direct)
     if blocks.one_sign is not None:

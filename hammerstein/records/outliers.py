@@ -9,6 +9,7 @@ outputs are explained no worse without it. Sharp edges, pulses and ringing that 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -172,7 +173,7 @@ def _suspects(x: Array) -> Flags:
     jumps = np.flatnonzero(size > max(JUMP * usual, SMALLEST * span))
     if 0 < jumps.size <= 4.0 * MOST * len(x) + 4:
         longest = max(LONGEST * len(x), 3.0)
-        for a, b in zip(jumps[:-1], jumps[1:], strict=True):
+        for a, b in pairwise(jumps):
             away_and_back = steps[a] * steps[b] < 0.0 and b - a <= longest
             if away_and_back and abs(x[b + 1] - x[a]) < 0.5 * min(size[a], size[b]):
                 suspects[a + 1 : b + 1] = True
@@ -210,8 +211,7 @@ def _widened(flags: Flags) -> Flags:
 
 def _fit(u: Array, y: Array, aside: Flags) -> Array:
     """Outputs (output, sample) by plays and delayed copies of the voltages, fitted without some samples."""
-    x = np.vstack([_copies(row) for row in u if np.ptp(row) > 0.0] or [np.zeros((1, y.shape[1]))])
-    x = np.vstack([x, np.ones((1, y.shape[1]))])
+    x = np.vstack([*(copies(row) for row in u if np.ptp(row) > 0.0), np.ones((1, y.shape[1]))])
     stride = max(y.shape[1] // FITTED, 1)
     fit = np.empty_like(y)
     for o, row in enumerate(y):
@@ -222,12 +222,21 @@ def _fit(u: Array, y: Array, aside: Flags) -> Array:
     return fit
 
 
-def _copies(u: Array) -> Array:
-    """Plays of a voltage whose thresholds divide half its range, and the voltage some samples ago."""
-    low, high = float(u.min()), float(u.max())
-    centred = u - 0.5 * (low + high)
-    rows = [play(centred, 0.5 * (high - low) * np.arange(PLAYS) / PLAYS)]
-    rows += [np.concatenate([np.full(d, centred[0]), centred[:-d]])[None] for d in LAGS if d < len(u)]
+def copies(u: Array, plays: int = PLAYS) -> Array:
+    """Plays of a voltage [V] whose thresholds divide half its range, from rest, and the voltage some samples ago.
+
+    Parameters
+    ----------
+    u : (sample,) voltage [V]
+    plays : how many
+
+    Returns
+    -------
+    (row, sample), counted from the first voltage
+    """
+    v = u - u[0]
+    rows = [play(v, 0.5 * float(np.ptp(u)) * np.arange(plays) / plays)]
+    rows += [np.concatenate([np.zeros(d), v[:-d]])[None] for d in LAGS if d < len(u)]
     return np.vstack(rows)
 
 

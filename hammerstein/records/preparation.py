@@ -25,6 +25,8 @@ DELAY_GAIN = 0.01
 """Part by which a longer delay must lower the error, or the shorter one is kept."""
 ALIKE = 0.5
 """Correlation of output and input from which a lead has a meaning."""
+VISITED = 0.05
+"""An extreme counts as visited from this part of the range on."""
 COHERENT = 1e3
 """Condition of the inputs' power from which they are one and the same."""
 LEAD_RAD = -0.03
@@ -115,6 +117,17 @@ def dead_start(record: Record) -> int:
     record : voltages and displacements
     """
     return min(_last_still(record.u_v[k]) for k in driven_inputs(record))
+
+
+def run_in(record: Record) -> int:
+    """Samples until every driven voltage has been near both its extremes: earlier history is forgotten."""
+    last = 0
+    for k in driven_inputs(record):
+        u = record.u_v[k]
+        margin = VISITED * float(np.ptp(u))
+        low, high = np.argmax(u <= u.min() + margin), np.argmax(u >= u.max() - margin)
+        last = max(last, int(low), int(high))
+    return last
 
 
 def _last_still(u: Array) -> int:
