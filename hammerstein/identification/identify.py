@@ -276,7 +276,7 @@ def _account(
     named = [fault for one in task.records for fault in faults(one)]
     flags, bounds = _flags(task, built, named), []
     if settings.method == "invertible":
-        spoiled = {fault.output for fault in named}
+        spoiled = {name for fault in named for name in fault.outputs}
         bounds = bound_notes(
             task.records, built.blocks.chosen, built.blocks.free, built.kind == "hammerstein", spoiled
         )
@@ -319,7 +319,7 @@ def _account(
 def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
     """What spoils the records, and what a model of this kind cannot represent."""
     blocks, outputs = built.blocks, task.records[0].outputs
-    spoiled = {(fault.source, fault.output) for fault in named}
+    spoiled = {(fault.source, name) for fault in named for name in fault.outputs}
     direct = [
         (o, k)
         for o, k in direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))

@@ -109,8 +109,9 @@ def record_flags(
     found = []
     for record, start in zip(records, starts, strict=True):
         rms = np.sqrt(np.mean(candidate.residual(record, start) ** 2, axis=1))
-        percent = 100.0 * rms / ranges([record], [start])
-        moved = np.ptp(record.y_um[:, start.first :], axis=1) >= 0.1 * np.ptp(record.y_um, axis=1).max()
+        span = np.ptp(record.y_um[:, start.first :], axis=1)
+        moved = span >= 0.1 * np.ptp(record.y_um, axis=1).max()
+        percent = 100.0 * rms / np.where(moved, span, np.inf)
         for o in np.flatnonzero((percent > UNREPRESENTED_PERCENT) & moved):
             if (record.source, record.outputs[o]) in explained:
                 continue

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.records.checks import CLIPPED_RUN, runs
+from hammerstein.records.checks import runs
+from hammerstein.records.noise import noise_rms
 from hammerstein.records.outliers import FITTED, copies
 from hammerstein.records.preparation import driven_inputs, run_in
 from hammerstein.records.record import Record
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 PLAYS = 16
+REMAINS = 0.25
+"""Part of a record that must remain behind its run-in for drift and saturation to be looked for."""
 DRIFT = 0.005
 """Smallest drift that is told, in parts of the largest range of the outputs."""
 DRIFT_EXPLAINS = 0.75
@@ -38,21 +41,25 @@ STEEP = 0.5
 """Slope below it, in parts of the mean one, that tells a limit from a curve."""
 FEWEST = 12
 """Samples from which a slope is believed."""
+LONG = 9
+"""Samples from which a stretch at the limit has a shape."""
+JUMP = 0.1
+SURE = 5.0
 HUMP = 0.01
 """Rise and fall of an output while the voltage stands at its limit, in parts of its range."""
 
 
 class Fault(NamedTuple):
-    """A fault and the output that it spoils.
+    """A fault and the outputs that it spoils.
 
     Parameters
     ----------
-    source, output : record and name of the output
+    source, outputs : record and names of the outputs
     text : what it is, with rows and what to do
     """
 
     source: str
-    output: str
+    outputs: tuple[str, ...]
     text: str
 
 
@@ -70,13 +77,12 @@ def faults(record: Record) -> list[Fault]:
     y = record.y_um[:, ::stride]
     blocks = {k: copies(record.u_v[k], PLAYS)[:, ::stride] for k in driven_inputs(record)}
     found = [*_clipped_commands(record, stride, blocks), *_clipped_readings(record)]
-    spoiled = {fault.output for fault in found}
-    every = np.vstack([*blocks.values(), np.ones((1, y.shape[1]))])
-    first = run_in(record) // stride
-    used = slice(first if first < 0.5 * y.shape[1] else 0, None)
-    for o, name in enumerate(record.outputs):
-        if name not in spoiled:
-            found += _bends_and_drifts(record, o, every[:, used], y[:, used], (used.start * stride, stride))
+    first = run_in(record) // stride  # what was before the record is forgotten there
+    if found or first > (1.0 - REMAINS) * y.shape[1]:
+        return found
+    every = np.vstack([*blocks.values(), np.ones((1, y.shape[1]))])[:, first:]
+    for o in range(len(y)):
+        found += _bends_and_drifts(record, o, every, y[:, first:], (first * stride, stride))
     return found
 
 
@@ -111,7 +117,7 @@ def _bends_and_drifts(record: Record, o: int, x: Array, y: Array, grid: tuple[in
             seconds = (stop - start) * record.sample_time_s
             yield Fault(
                 record.source,
-                name,
+                (name,),
                 f"{name} of {record.source} drifts by {np.ptp(line):.3g} um from row {record.rows[start]} to row "
                 f"{record.rows[stop]}, in {seconds:.3g} s, whatever the voltages do: let sensor and set-up settle, "
                 "or take the drift off",
@@ -126,7 +132,7 @@ def _bends_and_drifts(record: Record, o: int, x: Array, y: Array, grid: tuple[in
             at = record.rows[start + stride * int(np.argmax(z) if ends[-1] == "highest" else np.argmin(z))]
             yield Fault(
                 record.source,
-                name,
+                (name,),
                 f"{name} of {record.source} saturates: towards its {' and '.join(ends)} readings (row {at}) it "
                 f"moves by {100.0 * min(low, high) / slope.max():.0f} % of its steepest slope only; lower the "
                 "amplitude, or take the model for what is between",
@@ -158,7 +164,7 @@ def _clipped(record: Record, k: int, o: int, side: float, level: float) -> Fault
     name, moved = record.inputs[k], record.outputs[o]
     return Fault(
         record.source,
-        moved,
+        record.outputs,
         f"{name} of {record.source} is clipped on its way to the actuator: {moved} stands still while the command "
         f"goes on beyond {side * level:.4g} V (rows {record.rows[start]} to {record.rows[stop]}{more}); keep the "
         "command within the range of the amplifier, or record its output",
@@ -205,23 +211,31 @@ def _clipped_readings(record: Record) -> Iterator[Fault]:
         u = record.u_v[k]
         for side in (1.0, -1.0):
             places = runs(side * u == (side * u).max())
-            places = places[places[:, 1] - places[:, 0] + 1 >= max(CLIPPED_RUN, 9)]
-            if not len(places):
+            places = places[places[:, 1] - places[:, 0] + 1 >= LONG]
+            places = [(int(a), int(b)) for a, b in places if _reached(u, int(a), int(b))]
+            if not places:
                 continue
             humps = np.array([_hump(side * record.y_um[:, a : b + 1]) for a, b in places])
             spans = np.ptp(record.y_um, axis=1)
             o = int(np.argmax(spans))
-            tall = np.median(humps[:, o]) > HUMP * spans[o]
+            noise = noise_rms(record.y_um[o]) / np.sqrt(LONG / 4.0)
+            tall = np.median(humps[:, o]) > max(HUMP * spans[o], SURE * noise)
             if tall and (humps[:, o] > 0.0).all():
                 start, stop = places[int(np.argmax(humps[:, o]))]
                 name, moved = record.inputs[k], record.outputs[o]
                 yield Fault(
                     record.source,
-                    moved,
+                    record.outputs,
                     f"{name} of {record.source} is clipped by its recorder at {u[start]:.4g} V: {moved} rises and "
                     f"falls while it stands (rows {record.rows[start]} to {record.rows[stop]}, {len(places)} such "
                     "stretches); record it over a larger range",
                 )
+
+
+def _reached(u: Array, start: int, stop: int) -> bool:
+    """Whether a voltage went up to a limit and back from it, and did not jump."""
+    before, behind = max(start - 1, 0), min(stop + 1, len(u) - 1)
+    return max(abs(u[before] - u[start]), abs(u[behind] - u[stop])) < JUMP * float(np.ptp(u))
 
 
 def _hump(y: Array) -> Array:

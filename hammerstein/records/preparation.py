@@ -282,11 +282,12 @@ def leads(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
     (response, apart), lag = _slow_response(records), lag_rad(records)
     driven = [driven_inputs(record) for record in records]
     alike = [np.abs(_unit(record.y_um) @ _unit(record.u_v).T) for record in records]
+    moved = np.sqrt(sum(record.y_um.var(axis=1) * record.samples for record in records))
     strongest = []
     for k in sorted({k for inputs in driven for k in inputs}):
-        answers = np.max([a[:, k] for a, inputs in zip(alike, driven, strict=True) if k in inputs], axis=0)
-        o = int(np.argmax(answers))
-        strongest.append((o, k, float(answers[o])))
+        o = int(np.argmax(np.abs(response[:, k]) / np.maximum(moved, np.finfo(float).tiny)))
+        answer = max(float(a[o, k]) for a, inputs in zip(alike, driven, strict=True) if k in inputs)
+        strongest.append((o, k, answer))
     found = tuple(
         (o, k)
         for o, k, answer in strongest
