@@ -2,7 +2,6 @@
 
 import re
 
-import numpy as np
 import pytest
 import record_faults as made
 from record_faults import SHAPES, STEP_S, copied, measured

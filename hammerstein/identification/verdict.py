@@ -14,7 +14,7 @@ from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.fit import KIND_NAMES, Kind
 from hammerstein.identification.linear.second_order import AxisFit
-from hammerstein.identification.score import Candidate, Score, ranges
+from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import StaticFit
 from hammerstein.records.loops import pair_loops
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 EARNED = 0.1
 """Part by which a block must lower the error to earn its place."""
 UNREPRESENTED_PERCENT = 10.0
-SATURATING_PERCENT = 1.0
+SATURATING_PERCENT = 2.0
 SATURATING_RATIO = 3.0
 """Weights of one sign must miss the record by this much, absolutely and against free weights."""
 FLATTENED = 0.6
@@ -223,8 +223,9 @@ def bound_notes(
         lowest = min(slopes, key=lambda j: float(pair.slopes[j]))
         count = "1 slope" if len(slopes) == 1 else f"{len(slopes)} slopes"
         found.append(
-            f"{count} from {driven} to {name} held at a bound, or there were no inverse: free, the slope with "
-            f"thresholds up to {pair.thresholds_v[lowest]:.3g} V would be {pair.slopes[lowest]:.3g} um/V; {remedy}"
+            f"{count} from {driven} to {name} held at a bound, or there were no inverse: free, the slope "
+            f"with thresholds up to {pair.thresholds_v[lowest]:.3g} V would be {pair.slopes[lowest]:.3g} um/V; "
+            f"{remedy}"
         )
     return found
 

@@ -40,6 +40,8 @@ SURE = 4.0
 """A suspect is left out if the fit misses it by this many times the usual large error."""
 NO_WORSE = 1.05
 """Error of the fit without a spike of the voltage, in parts of that with it, up to which it is left out."""
+EXACT = 1e-12
+"""Error below which a fit is exact [um]."""
 PLAYS = 8
 LAGS = (1, 2, 3, 5, 8, 13)
 FITTED = 40_000
@@ -116,7 +118,8 @@ def without_outliers(u: Array, y: Array) -> Mended:
         trial = np.array([_bridged(row, flags) for row, flags in zip(u, suspect_u, strict=True)])
         aside = suspect_y | _widened(suspect_u.any(axis=0))
         with_them, without = (_usual_error(y - _fit(v, y, aside), aside) for v in (u, trial))
-        if bool((without <= NO_WORSE * with_them).all()):
+        worse = np.log(np.maximum(without, EXACT) / np.maximum(with_them, EXACT))
+        if float(worse.mean()) <= np.log(NO_WORSE):
             lost_u, bridged = suspect_u, trial
     if not suspect_y.any():
         return Mended(bridged, y, lost_u, nothing)

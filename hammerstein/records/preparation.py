@@ -51,6 +51,20 @@ def driven_inputs(record: Record) -> tuple[int, ...]:
     return tuple(int(k) for k in np.flatnonzero(spans > DRIVEN_SHARE * spans.max()))
 
 
+def driven_alone(record: Record, k: int, start: int, stop: int) -> bool:
+    """Whether the other inputs rest between two samples, both included.
+
+    Parameters
+    ----------
+    record : voltages and displacements
+    k : input, from 0
+    start, stop : samples
+    """
+    spans = np.ptp(record.u_v[:, start : stop + 1], axis=1)
+    others = np.delete(spans, k)
+    return bool((others <= DRIVEN_SHARE * np.ptp(record.u_v, axis=1).max()).all())
+
+
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """A record without offset, dead start and delay, and what was taken off.
