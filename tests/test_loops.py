@@ -9,7 +9,7 @@ import pytest
 import theory
 
 from hammerstein.errors import InputError
-from hammerstein.records.loops import branches, loop_table, pair_loops, settled_loop
+from hammerstein.records.loops import branches, loop_table, pair_loops, settled_loop, without_loops
 from hammerstein.records.noise import dead_band, noise_rms, quantum
 from hammerstein.records.preparation import leads
 from hammerstein.records.record import Record, read_paired_records, read_records
@@ -295,6 +295,30 @@ def test_every_driven_pair_is_listed_in_order():
     loops = loop_table(Record(u, [x, 0.1 * x], 5e-5, ("ux", "uy"), ("x", "y")))
     assert [(loop.input, loop.output) for loop in loops] == [("ux", "x")] * 2 + [("ux", "y")] * 2
     assert loops[2].height_um == pytest.approx(0.1 * loops[0].height_um)
+
+
+def test_two_inputs_in_motion_draw_no_loop_of_a_pair():
+    u = np.vstack([sine(3), np.roll(sine(3), 100)])
+    both = Record(u, [respond(u[0]) + respond(u[1]), respond(u[1])], 5e-5, ("ux", "uy"), ("x", "y"))
+    assert loop_table(both) == []
+    assert "ux and uy move at once" in without_loops(both)
+    in_turn = np.vstack([np.append(sine(3), 0 * sine(3)), np.append(0 * sine(3), sine(3))])
+    loops = loop_table(Record(in_turn, [respond(in_turn[0]), respond(in_turn[1])], 5e-5))
+    assert {(loop.input, loop.start < 1200) for loop in loops} == {("u1", True), ("u2", False)}
+
+
+def test_a_lag_is_positive_whichever_way_the_output_moves():
+    u = sine(3)
+    up, down = (settled_loop(record(u, sign * respond(u))) for sign in (1.0, -1.0))
+    assert down.width_percent == pytest.approx(up.width_percent)
+    assert down.area_v_um == pytest.approx(area(10.0), rel=1e-3)
+
+
+def test_a_voltage_that_jumps_draws_no_loop():
+    u = np.repeat(np.where(np.random.default_rng(1).random(100) > 0.5, 10.0, -10.0), 9)
+    jumping = record(u, respond(u))
+    assert loop_table(jumping) == []
+    assert "jumps between its levels" in without_loops(jumping)
 
 
 def test_a_voltage_measured_with_noise_has_the_same_loops():

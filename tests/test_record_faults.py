@@ -70,7 +70,7 @@ def diagnosis(us, ys):
             Record(u, y, STEP_S, ("u_x", "u_y"), ("x", "y"), f"r{k}.csv")
             for k, (u, y) in enumerate(zip(us, ys, strict=True))
         ]
-        _, fit = identify(records, Settings(error_curve=False))
+        _, fit = identify(records, Settings(operators=10, delay_samples=0, error_curve=False))
     except HammersteinError as error:
         return str(error)
     return "\n".join([fit.verdict, *fit.flags, *fit.not_identifiable, *fit.notes])

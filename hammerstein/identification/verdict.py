@@ -224,8 +224,8 @@ def bound_notes(
         count = "1 slope" if len(slopes) == 1 else f"{len(slopes)} slopes"
         found.append(
             f"{count} from {driven} to {name} held at a bound, or there were no inverse: free, the slope "
-            f"with thresholds up to {pair.thresholds_v[lowest]:.3g} V would be {pair.slopes[lowest]:.3g} um/V; "
-            f"{remedy}"
+            f"with thresholds up to {pair.thresholds_v[lowest]:.3g} V would be "
+            f"{pair.slopes[lowest]:.3g} um/V; {remedy}"
         )
     return found
 

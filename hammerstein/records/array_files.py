@@ -182,8 +182,8 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
             for field in value.dtype.names:
                 yield from _flat(f"{name}{number}.{field}", item[field])
     elif value.dtype == object:
-        for number, item in enumerate(value.flatten(order="F"), start=1):
-            yield from _flat(f"{name}.{number}", item)
+        for k, item in enumerate(value.flatten(order="F"), start=1):
+            yield from _flat(f"{name}.{k}", item)
     elif value.dtype.kind in "biufc" and value.size:
         yield name, value
 

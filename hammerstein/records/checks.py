@@ -194,8 +194,9 @@ def hidden_gaps(name: str, time_s: Array, rows: Rows) -> list[Mistake]:
     found = [
         Mistake(
             where(name, rows, k, k + 1),
-            f"goes on by {steps[k]:.6g} instead of {typical:.6g}: about {max(round(steps[k] / typical) - 1, 1)} "
-            "samples are missing, which --rate does not mend; cut the record there",
+            f"goes on by {steps[k]:.6g} instead of {typical:.6g}: about "
+            f"{max(round(steps[k] / typical) - 1, 1)} samples are missing, which --rate does not mend; cut "
+            "the record there",
         )
         for k in lasting[:SHOWN]
     ]

@@ -39,7 +39,9 @@ STANDS = 0.1
 """Slope above such a level, in parts of the one below, under which the output stands still."""
 STEEP = 0.5
 """Slope below it, in parts of the mean one, that tells a limit from a curve."""
-FEWEST = 12
+SHARP = 0.8
+"""Slope right below a limit, in parts of the one before, that tells a limit from saturation."""
+FEWEST = 8
 """Samples from which a slope is believed."""
 LONG = 9
 """Samples from which a stretch at the limit has a shape."""
@@ -89,7 +91,7 @@ def faults(record: Record) -> list[Fault]:
 def _left(x: Array, y: Array) -> tuple[Array, float]:
     """Weights of the regressors (column, sample), and the rms of what they leave."""
     weights = np.linalg.lstsq(x @ x.T, x @ y, rcond=1e-12)[0]
-    return weights, float(np.sqrt(np.mean((y - weights @ x) ** 2)))
+    return np.asarray(weights), float(np.sqrt(np.mean((y - weights @ x) ** 2)))
 
 
 def _bends_and_drifts(record: Record, o: int, x: Array, y: Array, grid: tuple[int, int]) -> Iterator[Fault]:
@@ -118,9 +120,9 @@ def _bends_and_drifts(record: Record, o: int, x: Array, y: Array, grid: tuple[in
             yield Fault(
                 record.source,
                 (name,),
-                f"{name} of {record.source} drifts by {np.ptp(line):.3g} um from row {record.rows[start]} to row "
-                f"{record.rows[stop]}, in {seconds:.3g} s, whatever the voltages do: let sensor and set-up settle, "
-                "or take the drift off",
+                f"{name} of {record.source} drifts by {np.ptp(line):.3g} um from row {record.rows[start]} to "
+                f"row {record.rows[stop]}, in {seconds:.3g} s, whatever the voltages do: let the set-up "
+                "settle, or take the drift off",
             )
     span = float(np.ptp(row))
     if plain > BENT * span and (bent < BENT_EXPLAINS * plain or both < BENT_EXPLAINS * slow):
@@ -133,9 +135,9 @@ def _bends_and_drifts(record: Record, o: int, x: Array, y: Array, grid: tuple[in
             yield Fault(
                 record.source,
                 (name,),
-                f"{name} of {record.source} saturates: towards its {' and '.join(ends)} readings (row {at}) it "
-                f"moves by {100.0 * min(low, high) / slope.max():.0f} % of its steepest slope only; lower the "
-                "amplitude, or take the model for what is between",
+                f"{name} of {record.source} saturates: towards its {' and '.join(ends)} readings (row {at}) "
+                f"it moves by {100.0 * min(low, high) / slope.max():.0f} % of its steepest slope only; lower "
+                "the amplitude, or take the model for what is between",
             )
 
 
@@ -165,14 +167,14 @@ def _clipped(record: Record, k: int, o: int, side: float, level: float) -> Fault
     return Fault(
         record.source,
         record.outputs,
-        f"{name} of {record.source} is clipped on its way to the actuator: {moved} stands still while the command "
-        f"goes on beyond {side * level:.4g} V (rows {record.rows[start]} to {record.rows[stop]}{more}); keep the "
-        "command within the range of the amplifier, or record its output",
+        f"{name} of {record.source} is clipped on its way to the actuator: {moved} stands still while the "
+        f"command goes on beyond {side * level:.4g} V (rows {record.rows[start]} to {record.rows[stop]}"
+        f"{more}); keep the command within the range of the amplifier, or record its output",
     )
 
 
 def _limit(u: Array, y: Array) -> float | None:
-    """Level above which a rising voltage moves the output no further, though it did right below; None if none."""
+    """Level above which a rising voltage moves the output no further, though it did right below it."""
     low, high = float(u.min()), float(u.max())
     span = high - low
     gain = float((u - u.mean()) @ (y - y.mean()) / max((u - u.mean()) @ (u - u.mean()), np.finfo(float).tiny))
@@ -184,12 +186,18 @@ def _limit(u: Array, y: Array) -> float | None:
         if top is None or under is None:
             continue
         slope, error = top
-        stands = abs(slope) + 2.0 * error < max(
-            STANDS * under[0], 2.0 * STANDS * STEEP * gain * (error > 0.0)
-        )
+        stands = abs(slope) + 2.0 * error < STANDS * under[0]
         if stands and under[0] - 2.0 * under[1] > STEEP * gain > 0.0:
-            return float(u[below].mean() + (y[above].mean() - y[below].mean()) / under[0])
+            limit = float(u[below].mean() + (y[above].mean() - y[below].mean()) / under[0])
+            return limit if _sharp(u[rising], y[rising], limit, 0.1 * span) else None
     return None
+
+
+def _sharp(u: Array, y: Array, limit: float, width: float) -> bool:
+    """Whether the output is as steep right below a limit as further down; towards saturation it is not."""
+    near, before = (u > limit - width) & (u <= limit), (u > limit - 2.0 * width) & (u <= limit - width)
+    slopes = _slope(u[near], y[near]), _slope(u[before], y[before])
+    return slopes[0] is not None and slopes[1] is not None and slopes[0][0] > SHARP * slopes[1][0]
 
 
 def _slope(u: Array, y: Array) -> tuple[float, float] | None:
@@ -210,9 +218,8 @@ def _clipped_readings(record: Record) -> Iterator[Fault]:
     for k in driven_inputs(record):
         u = record.u_v[k]
         for side in (1.0, -1.0):
-            places = runs(side * u == (side * u).max())
-            places = places[places[:, 1] - places[:, 0] + 1 >= LONG]
-            places = [(int(a), int(b)) for a, b in places if _reached(u, int(a), int(b))]
+            held = runs(side * u == (side * u).max()).tolist()
+            places = [(a, b) for a, b in held if b - a + 1 >= LONG and _reached(u, a, b)]
             if not places:
                 continue
             humps = np.array([_hump(side * record.y_um[:, a : b + 1]) for a, b in places])
@@ -226,16 +233,17 @@ def _clipped_readings(record: Record) -> Iterator[Fault]:
                 yield Fault(
                     record.source,
                     record.outputs,
-                    f"{name} of {record.source} is clipped by its recorder at {u[start]:.4g} V: {moved} rises and "
-                    f"falls while it stands (rows {record.rows[start]} to {record.rows[stop]}, {len(places)} such "
-                    "stretches); record it over a larger range",
+                    f"{name} of {record.source} is clipped by its recorder at {u[start]:.4g} V: {moved} "
+                    f"rises and falls while it stands (rows {record.rows[start]} to {record.rows[stop]}, "
+                    f"{len(places)} such stretches); record it over a larger range",
                 )
 
 
 def _reached(u: Array, start: int, stop: int) -> bool:
     """Whether a voltage went up to a limit and back from it, and did not jump."""
     before, behind = max(start - 1, 0), min(stop + 1, len(u) - 1)
-    return max(abs(u[before] - u[start]), abs(u[behind] - u[stop])) < JUMP * float(np.ptp(u))
+    jump = max(abs(u[before] - u[start]), abs(u[behind] - u[stop]))
+    return bool(jump < JUMP * np.ptp(u))
 
 
 def _hump(y: Array) -> Array:

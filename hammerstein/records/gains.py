@@ -84,8 +84,8 @@ def doubtful_gains(gains: Sequence[Gain]) -> list[str]:
             strongest[gain.input] = gain
     low, high = USUAL_GAIN
     return [
-        f"{gain.output} moves by {gain.um_per_v:.3g} um/V (over {gain.span_um:.3g} um for {gain.span_v:.3g} V of "
-        f"{gain.input}), outside {low:g} to {high:g} um/V"
+        f"{gain.output} moves by {gain.um_per_v:.3g} um/V (over {gain.span_um:.3g} um for "
+        f"{gain.span_v:.3g} V of {gain.input}), outside {low:g} to {high:g} um/V"
         for gain in strongest.values()
         if not low <= abs(gain.um_per_v) <= high
     ]

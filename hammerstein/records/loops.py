@@ -121,8 +121,8 @@ def loop_table(record: Record) -> list[Loop]:
     """All loops of a record, pair by pair (inputs that are driven, every output), in the order of time.
 
     Only cycles in which one input moves alone are loops of a pair: with two in motion, nobody knows which of
-    them the output follows. Sines, triangles, modulated amplitudes, nested loops; the period need not be known. The first stretch
-    from rest belongs to no loop. A record without a whole cycle gives an empty list.
+    them the output follows. Sines, triangles, modulated amplitudes, nested loops; the period need not be
+    known. The first stretch from rest belongs to no loop. A record without a whole cycle gives an empty list.
 
     Parameters
     ----------

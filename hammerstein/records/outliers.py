@@ -116,7 +116,7 @@ def without_outliers(u: Array, y: Array) -> Mended:
     lost_u, bridged = np.zeros_like(suspect_u), u
     if suspect_u.any():
         trial = np.array([_bridged(row, flags) for row, flags in zip(u, suspect_u, strict=True)])
-        aside = suspect_y | _widened(suspect_u.any(axis=0))
+        aside = suspect_y | _widened(np.any(suspect_u, axis=0))
         with_them, without = (_usual_error(y - _fit(v, y, aside), aside) for v in (u, trial))
         worse = np.log(np.maximum(without, EXACT) / np.maximum(with_them, EXACT))
         if float(worse.mean()) <= np.log(NO_WORSE):
@@ -226,7 +226,7 @@ def _fit(u: Array, y: Array, aside: Flags) -> Array:
 
 
 def copies(u: Array, plays: int = PLAYS) -> Array:
-    """Plays of a voltage [V] whose thresholds divide half its range, from rest, and the voltage some samples ago.
+    """Plays of a voltage whose thresholds divide half its range, from rest, and the voltage some samples ago.
 
     Parameters
     ----------

@@ -246,7 +246,7 @@ def lag_rad(records: Sequence[Record]) -> Array:
 
 
 def _slow_response(records: Sequence[Record]) -> tuple[NDArray[np.complex128], bool]:
-    """Response (output, input) over the slower half of the power, and whether the inputs can be told apart."""
+    """Response (output, input) over the slower half of the power; whether inputs can be told apart."""
     driven = sorted({k for record in records for k in driven_inputs(record)})
     size = np.sqrt(sum(record.u_v[driven].var(axis=1) * record.samples for record in records))
     p = len(records[0].y_um)

@@ -14,26 +14,22 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.records.checks import (
     clipping_mistakes,
     gap_mistakes,
-    hidden_gaps,
     length_mistakes,
     moves,
-    sample_time,
     still_mistake,
     still_mistakes,
-    time_mistakes,
     unit_mistake,
     where,
 )
 from hammerstein.records.outliers import Outliers, listed, outlier_mistakes, without_outliers
-from hammerstein.records.readers import Columns, named_time, read_array, read_columns
-from hammerstein.records.units import BASE, Kind, in_base_unit, unique_names, unit_in
+from hammerstein.records.readers import Columns, read_array, read_columns
+from hammerstein.records.scales import factors_of, refuse_other_time, sample_time_of
+from hammerstein.records.units import in_base_unit, unique_names
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 PathLike = str | Path
 
-OTHER_RATE = 0.01
-"""Part by which a rate may differ from the one of the file's time column."""
 AXES = ("sample", "channel", "experiment", "period")
 
 
@@ -230,7 +226,7 @@ def read_records(
             columns = read_columns(path, wanted)
             records.append(_record(columns, len(inputs), len(outputs), rate_hz, input_scale, output_scale))
             if rate_hz is not None:
-                _refuse_other_time(path, rate_hz, wanted)
+                refuse_other_time(path, rate_hz, wanted)
         except InputError as error:
             failures.append(error)
     if failures:
@@ -281,11 +277,11 @@ def _record(
     input_scale: float | None,
     output_scale: float | None,
 ) -> Record:
-    found, factors = _factors(columns, m, p, (input_scale, output_scale))
+    found, factors = factors_of(columns, m, p, (input_scale, output_scale))
     mistakes = [*columns.mistakes, *found]
     step = 1.0 / rate_hz if rate_hz is not None else 1.0
     if rate_hz is None:
-        found, step = _sample_time(columns)
+        found, step = sample_time_of(columns)
         mistakes += found
     if mistakes:
         raise InputError(columns.source, mistakes)
@@ -295,63 +291,6 @@ def _record(
         [name if scale else in_base_unit(name) for name, scale in zip(columns.names, scaled, strict=False)]
     )
     return Record(values[:m], values[m:], step, names[:m], names[m:], columns.source, columns.rows)
-
-
-def _factors(
-    columns: Columns, m: int, p: int, scales: tuple[float | None, float | None]
-) -> tuple[list[Mistake], Array]:
-    """Factors from the file's numbers to V and um: as given, or by the units that the file names."""
-    mistakes, factors = [], np.ones(m + p)
-    kinds: list[tuple[Kind, str]] = [("voltage", "input")] * m + [("displacement", "output")] * p
-    for k, (kind, option) in enumerate(kinds):
-        unit, scale = unit_in(columns.units[k]), scales[k >= m]
-        if scale is not None:
-            factors[k] = scale
-        elif unit is not None and unit.kind == kind:
-            factors[k] = unit.factor
-        elif unit is not None and unit.kind != "time":
-            mistakes.append(
-                Mistake(
-                    where(columns.names[k]),
-                    f"is in {unit.symbol}, which is no {kind}: are --inputs and --outputs swapped? If not, give "
-                    f"--{option}-scale, the factor from its numbers to {BASE[kind]}",
-                )
-            )
-    return mistakes, factors
-
-
-def _refuse_other_time(path: PathLike, rate_hz: float, wanted: Sequence[str]) -> None:
-    """Refuse a rate that the file's own time column contradicts, and gaps that only that column shows."""
-    time = named_time(path)
-    if time is None or time.names[0] in wanted:
-        return
-    name, time_s = time.names[0], time.values[0]
-    step = float(np.median(np.diff(time_s)))
-    units = (1.0, 1e3, 1e6, rate_hz)  # s, ms, us, or samples that are counted
-    unit = next((unit for unit in units if abs(step * rate_hz / unit - 1.0) <= OTHER_RATE), None)
-    if step > 0.0 and unit is None:
-        unit = unit_in(time.units[0])
-        seconds = step * (unit.factor if unit and unit.kind == "time" else 1.0)
-        raise InputError(
-            str(path),
-            f"the rate given is {rate_hz:g} Hz, but its column {name} goes on by {step:.6g}, which "
-            f"is {1.0 / seconds:.6g} Hz; give --time {name} in place of --rate, or the right rate",
-        )
-    mistakes = hidden_gaps(name, time_s, time.rows)
-    if mistakes:
-        raise InputError(str(path), mistakes)
-
-
-def _sample_time(columns: Columns) -> tuple[list[Mistake], float]:
-    """Mistakes of the time column, which is the last one, and the sample time."""
-    name, time_s = columns.names[-1], columns.values[-1]
-    if len(time_s) < 2 or not np.isfinite(time_s).all():
-        return [], 1.0  # told already, as too short or as gaps
-    unit = unit_in(columns.units[-1])
-    if unit is not None and unit.kind == "time" and unit.factor != 1.0:
-        time_s = np.round(unit.factor * time_s, 15)  # 0.05 ms in s, without the last digit's noise
-    mistakes = time_mistakes(name, time_s, columns.rows)
-    return mistakes, 1.0 if mistakes else sample_time(time_s)
 
 
 def _together(failures: Sequence[InputError]) -> InputError:

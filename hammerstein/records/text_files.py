@@ -195,7 +195,7 @@ def _dialect(lines: Sequence[str]) -> tuple[Dialect, int, int]:
 
 
 def _possible(dialect: Dialect, lines: Sequence[str]) -> bool:
-    """Whether some line holds the signs of a dialect; a comma that is both sign and separator needs quotes."""
+    """Whether some line holds the signs of a dialect; a comma as sign and separator needs quotes."""
     signs = {dialect.decimal, dialect.grouping} - {""}
     quoted = dialect.separator == ","
     return any(all(sign in line for sign in signs) and ('"' in line or not quoted) for line in lines)
@@ -290,7 +290,7 @@ def _frame(path: Path, layout: Layout, indices: list[int], skipped: list[int]) -
 
 
 def _numbers_of(dialect: Dialect) -> dict[str, Any]:
-    """How pandas reads the numbers: as text where it cannot tell the signs apart, or takes any for a group."""
+    """How pandas reads the numbers: as text where it cannot tell the signs apart."""
     if dialect.grouping or dialect.decimal == dialect.separator:
         return {"dtype": str, "keep_default_na": False, "na_values": ["", "nan", "NaN", "NA", "N/A"]}
     return {"decimal": dialect.decimal}

@@ -90,8 +90,8 @@ def unit_in(name: str) -> Unit | None:
 
     Examples
     --------
-    >>> [unit.symbol if (unit := unit_in(n)) else None for n in ("u_mV", "X (um)", "Weg / nm", "x_m", "t [ms]")]
-    ['mV', 'um', 'nm', None, 'ms']
+    >>> [unit.symbol if (unit := unit_in(n)) else None for n in ("u_mV", "X (um)", "Weg / nm", "x_m")]
+    ['mV', 'um', 'nm', None]
     """
     match = _match(name)
     return unit_of(match["unit"]) if match else None
