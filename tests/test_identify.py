@@ -14,10 +14,11 @@ from hammerstein.identification.identify import identify
 from hammerstein.identification.linear.coupled import ModalCopies, behind_gain, fit_linear, fit_static_coupled
 from hammerstein.identification.score import Score
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.history import cautious_start, closed, run_in
+from hammerstein.identification.static.history import cautious_start, closed
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.verdict import invertibility_of, verdict
 from hammerstein.model import HammersteinModel
+from hammerstein.records.preparation import run_in
 from hammerstein.records.record import Record, read_records
 from hammerstein.reporting.figures.identified import identified_figures, spectrum
 from hammerstein.reporting.figures.write import images

@@ -77,7 +77,7 @@ def faults(record: Record) -> list[Fault]:
     """
     stride = max(record.samples // FITTED, 1)
     y = record.y_um[:, ::stride]
-    blocks = {k: copies(record.u_v[k], PLAYS)[:, ::stride] for k in driven_inputs(record)}
+    blocks = {k: copies(record.u_v[k], PLAYS, stride) for k in driven_inputs(record)}
     found = [*_clipped_commands(record, stride, blocks), *_clipped_readings(record)]
     first = run_in(record) // stride  # what was before the record is forgotten there
     if found or first > (1.0 - REMAINS) * y.shape[1]:

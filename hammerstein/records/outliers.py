@@ -225,21 +225,23 @@ def _fit(u: Array, y: Array, aside: Flags) -> Array:
     return fit
 
 
-def copies(u: Array, plays: int = PLAYS) -> Array:
+def copies(u: Array, plays: int = PLAYS, stride: int = 1) -> Array:
     """Plays of a voltage whose thresholds divide half its range, from rest, and the voltage some samples ago.
 
     Parameters
     ----------
     u : (sample,) voltage [V]
     plays : how many
+    stride : samples from one that is kept to the next
 
     Returns
     -------
     (row, sample), counted from the first voltage
     """
     v = u - u[0]
-    rows = [play(v, 0.5 * float(np.ptp(u)) * np.arange(plays) / plays)]
-    rows += [np.concatenate([np.zeros(d), v[:-d]])[None] for d in LAGS if d < len(u)]
+    thresholds = 0.5 * float(np.ptp(u)) * np.arange(plays) / plays
+    rows = [play(v, [threshold])[0, ::stride] for threshold in thresholds]
+    rows += [np.concatenate([np.zeros(d), v[:-d]])[::stride] for d in LAGS if d < len(u)]
     return np.vstack(rows)
 
 
