@@ -57,13 +57,13 @@ def test_a_time_in_another_unit_is_read(tmp_path, name, factor):
 def test_columns_of_one_name_get_names_of_their_own(tmp_path):
     path = tmp_path / "scope.csv"
     path.write_text("second,Volt,Volt,x,x\n" + table_text(np.column_stack([TIME, U, 0.5 * U, X, -X])))
-    for inputs, outputs in ((["2", "3"], ["4", "5"]), (["Volt_1", "Volt_2"], ["x_1", "x_2"])):
+    for inputs, outputs in ((["2", "3"], ["4", "5"]), (["2", "Volt_2"], ["4", "x_2"])):
         (record,) = read_records([path], inputs=inputs, outputs=outputs, rate_hz=200.0)
-        assert record.inputs == ("Volt_1", "Volt_2")
-        assert record.outputs == ("x_1", "x_2")
+        assert record.inputs == ("Volt", "Volt_2")
+        assert record.outputs == ("x", "x_2")
         np.testing.assert_allclose(record.u_v[1], 0.5 * U, atol=1e-9)
     text = message(read, path, inputs=["Volt"], outputs=["4"])
-    assert "give its number, 2 and 3, or Volt_1 or Volt_2" in text
+    assert "stands 2 times in the header; give its number, 2 and 3" in text
 
 
 def test_names_stay_unique_when_their_units_become_one(tmp_path):

@@ -5,27 +5,33 @@ reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from hammerstein.errors import InputError
+from hammerstein.experiment.causes import changes_of, rows_needed
 from hammerstein.experiment.measure import rows_of, statements_of
 from hammerstein.experiment.prepare import Case, Progress, SetUp, prepare, scenario_axes
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.uncertainty_bands import bands_of
-from hammerstein.rows import Row
-from hammerstein.scenario import Scenario
+from hammerstein.metrics import Row
+from hammerstein.model import HammersteinModel
+from hammerstein.scenario import Scenario, scenario_of
 from hammerstein.scenario.claims import verdicts
+from hammerstein.scenario.scenario import ScenarioSource
 from hammerstein.simulation import Response
 
 
 def simulate(
-    scenario: Scenario, compensator: str | None = None, excited_axis: str | None = None, **values: float
+    scenario: ScenarioSource,
+    compensator: str | None = None,
+    excited_axis: str | None = None,
+    **values: float,
 ) -> Response:
     """Simulate one case of a scenario and keep every wire.
 
     Parameters
     ----------
-    scenario : what to run
+    scenario : what to run: a scenario, its file, or a mapping with what a file would hold
     compensator : label of the compensator; the first one if not given
     excited_axis : name of the axis, where each is driven in turn; the first one if not given
     values : values of the sweep, such as ``frequency_hz=50.0``; the first ones if not given
@@ -36,14 +42,13 @@ def simulate(
 
     Raises
     ------
-    InputError : no such case
+    InputError : no such case, or a mistake in the scenario
 
     Examples
     --------
-    >>> scenario = Scenario.model_validate({
+    >>> response = simulate({
     ...     "question": "How large is a loop?", "actuator": "duo_bimorph_static",
     ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}})
-    >>> response = simulate(scenario)
     >>> response.position_um.shape
     (2, 2000)
     """
@@ -52,7 +57,7 @@ def simulate(
 
 
 def simulate_in_stretches(
-    scenario: Scenario,
+    scenario: ScenarioSource,
     samples: int = 1_000_000,
     compensator: str | None = None,
     excited_axis: str | None = None,
@@ -74,9 +79,9 @@ def simulate_in_stretches(
 
     Examples
     --------
-    >>> scenario = Scenario.model_validate({
+    >>> scenario = {
     ...     "question": "How far does it get?", "actuator": "duo_bimorph_static",
-    ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}})
+    ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}}
     >>> stretches = simulate_in_stretches(scenario, 600)
     >>> round(max(float(abs(part.position_um).max()) for part in stretches), 2)
     58.4
@@ -86,8 +91,9 @@ def simulate_in_stretches(
 
 
 def _chosen(
-    scenario: Scenario, compensator: str | None, excited_axis: str | None, values: Mapping[str, float]
+    source: ScenarioSource, compensator: str | None, excited_axis: str | None, values: Mapping[str, float]
 ) -> tuple[SetUp, Case]:
+    _, scenario = scenario_of(source)
     swept = {key: (value,) for key, value in values.items()}
     chosen = scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update=swept)})
     setup = prepare(chosen)
@@ -100,14 +106,14 @@ def _chosen(
 
 
 def run(
-    scenario: Scenario, name: str = "scenario", jobs: int = 1, progress: Progress | None = None
+    scenario: ScenarioSource, name: str | None = None, jobs: int = 1, progress: Progress | None = None
 ) -> Report:
     """Run every case of a scenario and measure it.
 
     Parameters
     ----------
-    scenario : what to run
-    name : what the report is called
+    scenario : what to run: a scenario, its file, or a mapping with what a file would hold
+    name : what the report is called; the name of the file, or "scenario", if not given
     jobs : threads; the numbers do not depend on it
     progress : called with what is done, how much of it, and of how much
 
@@ -121,6 +127,8 @@ def run(
     """
     from joblib import Parallel, delayed
 
+    own_name, scenario = scenario_of(scenario)
+    name = name or own_name
     setup = prepare(scenario, name, progress)
     cases = list(setup.cases())
     results = []
@@ -130,7 +138,8 @@ def run(
         if progress:
             progress("simulating", i + 1, len(cases))
     rows = tuple(row for result in results for row in result.rows)
-    answers = {setup.plant.model.name: rows} | _other_answers(scenario, name, jobs, progress)
+    answers: dict[str, Sequence[Row]] = {setup.plant.model.name: rows}
+    answers |= _other_answers(scenario, name)
     traces = tuple(result.trace for result in results)
     return Report(
         name=name,
@@ -143,26 +152,18 @@ def run(
         axes=setup.plant.model.outputs,
         rows=rows,
         statements=statements_of(setup, results),
-        verdicts=verdicts(scenario.claims, answers),
+        verdicts=verdicts(
+            scenario.claims, answers, lambda claim: tuple(changes_of(scenario, setup.plant.model, claim))
+        ),
         bands=bands_of(setup, cases, jobs, progress),
         traces=traces,
     )
 
 
-def _other_answers(
-    scenario: Scenario, name: str, jobs: int, progress: Progress | None
-) -> dict[str, tuple[Row, ...]]:
-    """Rows of the same experiment on the other actuators that the claims are put to; traces are not kept."""
-    from joblib import Parallel, delayed
-
-    answers = {}
+def _other_answers(scenario: Scenario, name: str) -> dict[str, Sequence[Row]]:
+    """What the claims need of the same experiment on the other actuators that they are put to."""
+    answers: dict[str, Sequence[Row]] = {}
     for actuator in scenario.claims_also_on if scenario.claims else ():
-        setup = prepare(scenario.model_copy(update={"actuator": actuator}), name, progress)
-        parallel = Parallel(n_jobs=jobs, prefer="threads")
-        rows = parallel(delayed(_rows_alone)(setup, case) for case in setup.cases())
-        answers[setup.plant.model.name] = tuple(row for some in rows for row in some)
+        model = HammersteinModel.load(actuator)
+        answers[model.name] = rows_needed(scenario, scenario.claims, name, model)
     return answers
-
-
-def _rows_alone(setup: SetUp, case: Case) -> tuple[Row, ...]:
-    return rows_of(setup, case).rows

@@ -168,7 +168,7 @@ def _clipped(record: Record, k: int, o: int, side: float, level: float) -> Fault
         record.source,
         record.outputs,
         f"{name} of {record.source} is clipped on its way to the actuator: {moved} stands still while the "
-        f"command goes on beyond {side * level:.4g} V (rows {record.rows[start]} to {record.rows[stop]}"
+        f"command goes on beyond {record.rest_v[k] + side * level:.4g} V (rows {record.rows[start]} to {record.rows[stop]}"
         f"{more}); keep the command within the range of the amplifier, or record its output",
     )
 
@@ -229,11 +229,11 @@ def _clipped_readings(record: Record) -> Iterator[Fault]:
             tall = np.median(humps[:, o]) > max(HUMP * spans[o], SURE * noise)
             if tall and (humps[:, o] > 0.0).all():
                 start, stop = places[int(np.argmax(humps[:, o]))]
-                name, moved = record.inputs[k], record.outputs[o]
+                name, moved, limit = record.inputs[k], record.outputs[o], record.rest_v[k] + u[start]
                 yield Fault(
                     record.source,
                     record.outputs,
-                    f"{name} of {record.source} is clipped by its recorder at {u[start]:.4g} V: {moved} "
+                    f"{name} of {record.source} is clipped by its recorder at {limit:.4g} V: {moved} "
                     f"rises and falls while it stands (rows {record.rows[start]} to {record.rows[stop]}, "
                     f"{len(places)} such stretches); record it over a larger range",
                 )

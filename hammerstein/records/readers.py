@@ -18,11 +18,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.array_files import SUFFIXES, array_columns, whole_array
 from hammerstein.records.checks import gap_mistakes, where
 from hammerstein.records.text_files import find_layout, read_text
-from hammerstein.records.units import unique_names, without_unit
+from hammerstein.records.units import without_unit
 
 TIME_NAMES = ("time", "t", "zeit", "x-axis")
 """Names of a time column, without their unit and in any case."""
@@ -79,8 +80,8 @@ def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
         return _parquet_columns(path, wanted)
     layout = find_layout(path)
     indices = _choose(path, wanted, layout.names, layout.width)
-    unique = unique_names(layout.names)
-    names = tuple(_label(index, unique) for index in indices)
+    own = unique(layout.names)
+    names = tuple(_label(index, own) for index in indices)
     units = [_unit_text(index, layout.names, layout.units) for index in indices]
     values, rows, text = read_text(path, layout, indices, names)
     return _columns(path, names, values, rows, units, text)
@@ -169,24 +170,21 @@ def _choose(path: Path, wanted: Sequence[str], names: Sequence[str], width: int)
     """Index of each wanted column: by name as written, then by number, then by name in any case."""
     indices: list[int] = []
     mistakes: list[Mistake] = []
-    unique = unique_names(names)
+    own = unique(names)
     for column in wanted:
         found = [k for k, name in enumerate(names) if name == column]
         if not found and column.isdecimal() and 1 <= int(column) <= width:
             found = [int(column) - 1]
-        for candidates in (unique, names):
+        for candidates in (own, names):
             found = found or [k for k, name in enumerate(candidates) if name.lower() == column.lower()]
         if len(found) == 1:
             indices.append(found[0])
         elif found:
             numbers = " and ".join(str(k + 1) for k in found)
-            either = " or ".join(unique[k] for k in found)
-            what = f"stands {len(found)} times in the header; give its number, {numbers}, or {either}"
+            what = f"stands {len(found)} times in the header; give its number, {numbers}"
             mistakes.append(Mistake(f"column {column}", what))
         else:
-            mistakes.append(
-                Mistake(f"column {column}", "is not in the file; " + _known(column, unique, width))
-            )
+            mistakes.append(Mistake(f"column {column}", "is not in the file; " + _known(column, own, width)))
     if len(set(indices)) < len(indices):
         mistakes.append(Mistake("columns", "one column is named twice, by name and by number"))
     if mistakes:

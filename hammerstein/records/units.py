@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 Kind = Literal["voltage", "displacement", "time"]
@@ -122,25 +120,3 @@ def without_unit(name: str) -> str:
     """
     match = _match(name)
     return match["name"].strip(" _") if match else name
-
-
-def unique_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of which none is used twice: those that are get numbers.
-
-    Examples
-    --------
-    >>> unique_names(["s", "Volt", "Volt", "Volt_1"])
-    ('s', 'Volt_2', 'Volt_3', 'Volt_1')
-    """
-    counts, taken = Counter(names), set(names)
-    numbers: Counter[str] = Counter()
-    found = []
-    for name in names:
-        while counts[name] > 1 and name:
-            numbers[name] += 1
-            if f"{name}_{numbers[name]}" not in taken:
-                name = f"{name}_{numbers[name]}"
-                break
-        found.append(name)
-        taken.add(name)
-    return tuple(found)
