@@ -358,3 +358,14 @@ assert "matplotlib.pyplot" not in sys.modules
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_labels_have_one_unit():
+    from hammerstein.reporting.figures.style import axis_label
+
+    named = ("u_x", "X (um)", "u [V]", "Volt_1", "Weg / um", "2", "V", "[V]")
+    for name in named:
+        label = axis_label(name, "V")
+        assert label.count("V]") <= 1
+        assert "um]" not in label
+        assert "um)" not in label

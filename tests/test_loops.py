@@ -9,7 +9,7 @@ import pytest
 import theory
 
 from hammerstein.errors import InputError
-from hammerstein.records.loops import branches, loop_table, pair_loops, settled_loop
+from hammerstein.records.loops import branches, loop_table, pair_loops, settled_loop, without_loops
 from hammerstein.records.noise import dead_band, noise_rms, quantum
 from hammerstein.records.preparation import leads
 from hammerstein.records.record import Record, read_paired_records, read_records
@@ -297,6 +297,30 @@ def test_every_driven_pair_is_listed_in_order():
     assert loops[2].height_um == pytest.approx(0.1 * loops[0].height_um)
 
 
+def test_two_inputs_in_motion_draw_no_loop_of_a_pair():
+    u = np.vstack([sine(3), np.roll(sine(3), 100)])
+    both = Record(u, [respond(u[0]) + respond(u[1]), respond(u[1])], 5e-5, ("ux", "uy"), ("x", "y"))
+    assert loop_table(both) == []
+    assert "ux and uy move at once" in without_loops(both)
+    in_turn = np.vstack([np.append(sine(3), 0 * sine(3)), np.append(0 * sine(3), sine(3))])
+    loops = loop_table(Record(in_turn, [respond(in_turn[0]), respond(in_turn[1])], 5e-5))
+    assert {(loop.input, loop.start < 1200) for loop in loops} == {("u1", True), ("u2", False)}
+
+
+def test_a_lag_is_positive_whichever_way_the_output_moves():
+    u = sine(3)
+    up, down = (settled_loop(record(u, sign * respond(u))) for sign in (1.0, -1.0))
+    assert down.width_percent == pytest.approx(up.width_percent)
+    assert down.area_v_um == pytest.approx(area(10.0), rel=1e-3)
+
+
+def test_a_voltage_that_jumps_draws_no_loop():
+    u = np.repeat(np.where(np.random.default_rng(1).random(100) > 0.5, 10.0, -10.0), 9)
+    jumping = record(u, respond(u))
+    assert loop_table(jumping) == []
+    assert "jumps between its levels" in without_loops(jumping)
+
+
 def test_a_voltage_measured_with_noise_has_the_same_loops():
     rng = np.random.default_rng(3)
     u = sine(5)
@@ -357,7 +381,9 @@ def test_noise_estimate_ignores_the_signal(samples):
 def test_dead_band_covers_noise_and_converter():
     rng = np.random.default_rng(4)
     noise = rng.standard_normal(100_000)
-    assert dead_band(noise) > np.ptp(noise)
+    small = np.linspace(0.0, 100.0, noise.size) + noise
+    assert dead_band(small) > np.ptp(noise)
+    assert dead_band(noise) == pytest.approx(0.25 * np.ptp(noise))  # a voltage that switches is no noise
     steps = 0.005 * np.round(np.linspace(0.0, 1000.0, 5000))
     assert quantum(steps) == pytest.approx(0.005)
     assert dead_band(steps) > 0.005
@@ -373,7 +399,7 @@ def test_measured_actuator_settles_and_lags():
     assert all(loop.settled for loop in loops)
     assert all(loop.samples == 200 for loop in loops)
     assert all(loop.width_percent == pytest.approx(22.6, abs=0.7) for loop in loops)
-    assert leads(whole) == ()
+    assert leads([whole]) == ()
 
 
 def test_measured_magnetic_loops_are_closed():

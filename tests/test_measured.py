@@ -149,8 +149,8 @@ class TestRecords:
         for name, samples in (("Model_Vi_Do.dat", 8027), ("Test_Vi_Do_Di.dat", 14155)):
             (record,) = read_records([folder / name], inputs=["1"], outputs=["5"], rate_hz=200.0)
             assert record.samples == samples
-            assert leads(record) == ()
-            assert leads(Record(record.y_um, record.u_v, 5e-3)) == ((0, 0),)
+            assert leads([record]) == ()
+            assert leads([Record(record.y_um, record.u_v, 5e-3)]) == ((0, 0),)
             assert estimate_delay(record, 8) == 3
 
     def test_micromanipulators_unused_columns(self, data):
@@ -175,7 +175,7 @@ class TestRecords:
             assert record.period_samples == 8192
             np.testing.assert_allclose(record.u_v.std(axis=1), 0.099, rtol=0.02)
         assert driven_inputs(records[0]) == (0, 1, 2)
-        assert leads(records[0]) == ()
+        assert leads([records[0]]) == ()
 
     def test_magnetic_loops_stand_side_by_side(self, data):
         folder = data / "ja_magnetic_loops"
@@ -186,6 +186,6 @@ class TestRecords:
             rate_hz=1.0,
         )
         assert [record.u_v.shape for record in records] == [(1, 256)] * 3
-        assert [leads(record) for record in records] == [()] * 3
+        assert [leads([record]) for record in records] == [()] * 3
         columns = read_columns(folder / "10_APPA_H_M130_27s.mat", ["HmeasT:2"])
         np.testing.assert_array_equal(columns.values[0], records[1].u_v[0])

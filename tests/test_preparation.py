@@ -46,7 +46,7 @@ class TestPreparation:
         x = np.array([4.0, 0.5, 0.8, 1.2]) @ plays(u, THRESHOLDS)
         late = np.concatenate([np.zeros(delay), x[: len(x) - delay]])
         record = Record([u], [late + noise * rng.standard_normal(x.size)], 5e-3)
-        assert np.degrees(lag_rad(record)[0, 0]) > 4.0 + 1.8 * delay
+        assert np.degrees(lag_rad([record])[0, 0]) > 4.0 + 1.8 * delay
         assert estimate_delay(record, 6) == delay
         prepared = prepare(record, max_delay_samples=6)
         assert prepared.delay_samples == delay
@@ -60,12 +60,12 @@ class TestPreparation:
     @pytest.mark.parametrize("gain", [1.0, -1.0])
     def test_swapped_columns_are_told_by_the_direction_of_the_loop(self, gain):
         right = Record([U], [gain * X], 5e-3, ("ux",), ("x",))
-        assert leads(right) == ()
-        refuse_swapped(right)
+        assert leads([right]) == ()
+        refuse_swapped([right])
         if gain > 0:
             swapped = Record([X], [U], 5e-3, ("x",), ("ux",), "loop.csv")
-            assert leads(swapped) == ((0, 0),)
-            text = message(refuse_swapped, swapped)
+            assert leads([swapped]) == ((0, 0),)
+            text = message(refuse_swapped, [swapped])
             assert text.startswith("loop.csv: 1 mistake\n  column ux, rows 1 to 400  leads x by ")
             assert "swapped?" in text
 
@@ -73,11 +73,11 @@ class TestPreparation:
         n = np.arange(4000)
         for degrees in (-20.0, 0.0, 35.0):
             y = np.sin(2.0 * np.pi * n / 200 - np.radians(degrees))
-            lag = lag_rad(Record([np.sin(2.0 * np.pi * n / 200)], [y], 5e-3))
+            lag = lag_rad([Record([np.sin(2.0 * np.pi * n / 200)], [y], 5e-3)])
             assert np.degrees(lag[0, 0]) == pytest.approx(degrees, abs=1e-6)
 
     def test_a_lag_above_resonance_is_not_taken_for_a_lead(self):
         n = np.arange(4000)
         for degrees in (100.0, 150.0, 178.0, 290.0):
             y = np.sin(2.0 * np.pi * n / 200 - np.radians(degrees))
-            assert leads(Record([np.sin(2.0 * np.pi * n / 200)], [y], 5e-3)) == ()
+            assert leads([Record([np.sin(2.0 * np.pi * n / 200)], [y], 5e-3)]) == ()

@@ -171,3 +171,43 @@ def test_a_record_without_a_loop_says_so(records, tmp_path, capsys):
     pd.read_csv(records[0]).head(150).to_csv(tmp_path / "short.csv", index=False)
     assert _call("loops", tmp_path / "short.csv", *COLUMNS, "--rate", 20000, "--no-figures") == 2
     assert "no loop found" in capsys.readouterr().err
+
+
+def test_a_gain_that_no_actuator_has_is_refused_until_it_is_accepted(records, tmp_path, capsys):
+    call = ("loops", records[0], *COLUMNS, "--rate", 20000, "--no-figures", "--output-scale", 200)
+    assert _call(*call) == 2
+    error = capsys.readouterr().err
+    assert "outside 0.001 to 1000 um/V" in error
+    assert "--accept-gain" in error
+    assert _call(*call, "--accept-gain") == 0
+    text = capsys.readouterr().out
+    assert "gain_um_per_v" in text
+    assert "span_v" in text
+
+
+def test_a_person_is_asked_about_a_gain(records, capsys, monkeypatch):
+    asked = []
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("typer.confirm", lambda text, err: asked.append(text) or True)
+    call = ("loops", records[0], *COLUMNS, "--rate", 20000, "--no-figures", "--output-scale", 200)
+    assert _call(*call) == 0
+    assert asked == [asked[0]]
+    assert asked[0].endswith("outside 0.001 to 1000 um/V. Is that right?")
+
+
+def test_records_have_folders_of_their_own(records, tmp_path):
+    call = ("loops", *records, *COLUMNS, "--rate", 20000, "--out", tmp_path)
+    assert _call(*call) == 0
+    assert [p.name for p in tmp_path.iterdir()] == ["x_y"]
+    assert _call("loops", records[1], *COLUMNS, "--rate", 20000, "--out", tmp_path) == 0
+    assert {p.name for p in tmp_path.iterdir()} == {"x_y", "y"}
+
+
+def test_a_record_without_a_loop_does_not_stop_the_others(records, tmp_path, capsys):
+    pd.read_csv(records[0]).head(150).to_csv(tmp_path / "short.csv", index=False)
+    call = ("loops", records[0], tmp_path / "short.csv", *COLUMNS, "--rate", 20000, "--no-figures")
+    assert _call(*call) == 0
+    said = capsys.readouterr()
+    assert "short.csv: no loop found" in said.err
+    assert "u_x" in said.out

@@ -163,6 +163,69 @@ class TestTextFiles:
         assert "named twice, by name and by number" in message(read, csv(), outputs=["2"])
 
 
+def european(value):
+    """1.234,5678 with points between groups of digits."""
+    return f"{value:,.4f}".translate(str.maketrans(",.", ".,"))
+
+
+class TestNumbersAsPeopleWriteThem:
+    wide = np.column_stack([TIME, 150.0 * U, 40.0 * X])
+
+    @pytest.mark.parametrize(
+        ("separator", "quote", "written"),
+        [
+            (";", "", european),
+            ("\t", "", european),
+            (" ", "", european),
+            (",", '"', european),
+            (",", '"', lambda value: f"{value:.4f}".replace(".", ",")),
+            (";", '"', lambda value: f"{value:.4f}".replace(".", ",")),
+            (";", "", lambda value: f"{value:,.4f}"),
+            (",", '"', lambda value: f"{value:,.4f}"),
+        ],
+    )
+    def test_decimal_commas_and_groups_of_digits(self, tmp_path, separator, quote, written):
+        path = tmp_path / "loop.csv"
+        rows = [separator.join(f"{quote}{written(v)}{quote}" for v in row) for row in self.wide]
+        path.write_text("\n".join([separator.join(["t", "u_x", "x"]), *rows]) + "\n")
+        (record,) = read(path)
+        np.testing.assert_allclose(record.u_v[0], 150.0 * U, atol=1e-4)
+        np.testing.assert_allclose(record.y_um[0], 40.0 * X, atol=1e-4)
+
+    def test_a_point_in_the_wrong_place_is_no_group(self, tmp_path):
+        path = tmp_path / "loop.csv"
+        rows = [";".join(european(v) for v in row) for row in self.wide]
+        rows[5] = rows[5].rpartition(";")[0] + ";12.34,5"
+        path.write_text("\n".join(["t;u_x;x", *rows]) + "\n")
+        assert "row 7  '12.34,5' is text in a column of numbers" in message(read, path)
+
+    def test_three_decimals_are_no_group(self, tmp_path, table):
+        path = tmp_path / "loop.csv"
+        rows = [";".join(f"{v:.3f}".replace(".", ",") for v in row) for row in 1.0 + table]
+        path.write_text("\n".join(["t;u_x;x", *rows]) + "\n")
+        np.testing.assert_allclose(read(path)[0].u_v[0], 1.0 + U, atol=1e-3)
+
+    @pytest.mark.parametrize(
+        "head",
+        [
+            "Stage 5, measured on 12.3.2024\nt,u_x,x\n",
+            "t,u_x,x\nStage 5 as measured\n",
+            "Stage 5\n\nt,u_x,x\nsec,Volt,micron\n",
+            '"Stage 5"\nRate,200\nt,u_x,x\n',
+        ],
+    )
+    def test_title_rows(self, tmp_path, table, head):
+        path = tmp_path / "loop.csv"
+        path.write_text(head + table_text(table))
+        np.testing.assert_allclose(read(path)[0].u_v[0], U, atol=1e-9)
+
+    def test_units_behind_names_that_blanks_part(self, tmp_path, table):
+        path = tmp_path / "loop.txt"
+        path.write_text("t [s] u [mV] x [um]\n" + table_text(table, " "))
+        (record,) = read(path, inputs=["u [mV]"], outputs=["x [um]"])
+        np.testing.assert_allclose(record.u_v[0], 1e-3 * U, atol=1e-9)
+
+
 class TestFiles:
     def test_missing_empty_folder_binary_and_prose(self, tmp_path):
         (tmp_path / "empty.csv").touch()
@@ -268,6 +331,42 @@ class TestFiles:
         assert read_array(path, "y").shape == (N, 3)
         assert "it has data.u, y" in message(read, path, inputs=["note"])
 
+    def test_arrays_of_structures_are_read_by_path(self, tmp_path):
+        path = tmp_path / "desk.mat"
+        signal = np.dtype([("Name", object), ("Data", object)])
+        y = np.array([[("u", U), ("v", 2 * U), ("x", X)]], dtype=signal)
+        scipy.io.savemat(path, {"run7": {"X": {"Data": TIME}, "Y": y}})
+        for u, x in (
+            ("Y.1.Data", "Y.3.Data"),
+            ("Y(1).Data", "Y(3).Data"),
+            ("run7.Y.1.Data", "run7.Y(3).Data"),
+        ):
+            (record,) = read(path, inputs=[u], outputs=[x])
+            np.testing.assert_array_equal(record.u_v[0], U)
+            np.testing.assert_array_equal(record.y_um[0], X)
+        assert read(path, inputs=["Y.1.Data"], outputs=["Y.3.Data"], time="X.Data", rate_hz=None)
+        text = message(read, path, inputs=["Z.Data"], outputs=["Y.3.Data"])
+        assert "it has run7.X.Data, run7.Y.1.Data, run7.Y.2.Data, run7.Y.3.Data" in text
+
+    def test_every_path_is_listed(self, tmp_path):
+        path = tmp_path / "many.mat"
+        scipy.io.savemat(path, {f"signal_{k}": U for k in range(60)})
+        text = message(read, path, inputs=["u"], outputs=["signal_1"])
+        assert all(f"signal_{k}" in text for k in range(60))
+
+    def test_arrays_of_structures_of_matlab_7_3(self, tmp_path):
+        path = tmp_path / "desk73.mat"
+        with h5py.File(path, "w") as file:
+            group = file.create_group("Y")
+            places = []
+            for k, value in enumerate((U, X)):
+                place = file.create_dataset(f"#refs#/{k}", data=value[:, None])
+                place.attrs["MATLAB_class"] = np.bytes_("double")
+                places.append(place.ref)
+            group.create_dataset("Data", data=np.array(places, dtype=h5py.ref_dtype)[:, None])
+        (record,) = read(path, inputs=["Y(1).Data"], outputs=["Y.2.Data"])
+        np.testing.assert_array_equal(record.y_um[0], X)
+
     def test_matlab_that_is_none(self, tmp_path):
         (tmp_path / "a.mat").write_text("something else entirely " * 20)
         assert "is no .mat file that can be read" in message(read, tmp_path / "a.mat")
@@ -357,13 +456,3 @@ def test_jitter_is_no_gap(tmp_path):
     with pytest.raises(InputError, match="non-uniform time") as caught:
         read_records([path], inputs=["u"], outputs=["y"], time="t")
     assert "missing" not in str(caught.value)
-
-
-@pytest.mark.parametrize("name", ["time_ms", "t [us]", "Time (ms)"])
-def test_a_time_that_names_another_unit_is_refused(tmp_path, name):
-    path = tmp_path / "ms.csv"
-    u = np.sin(0.1 * np.arange(200))
-    table = np.column_stack([np.arange(200), u, u])
-    np.savetxt(path, table, delimiter=",", header=f"{name},u,y", comments="")
-    with pytest.raises(InputError, match="another unit than s; give --rate"):
-        read_records([path], inputs=["u"], outputs=["y"], time=name)

@@ -299,3 +299,47 @@ def test_moments_do_not_lose_digits_to_large_offsets():
     assert found.coefficients == pytest.approx([2.0, -1.0], abs=1e-8)
     with pytest.raises(IdentificationError, match="no sample"):
         moments_of([], 2, 1)
+
+
+def decays(k):
+    """A decaying sine on one of two inputs, the other at rest."""
+    t = np.arange(4000) * 1e-3
+    u = np.zeros((2, 4000))
+    u[k] = 10.0 * np.exp(-t / 1.5) * np.sin(2.0 * np.pi * 2.0 * t)
+    return u
+
+
+@pytest.mark.parametrize("method", ["least_squares", "nonnegative", "invertible"])
+def test_decaying_sines_one_axis_at_a_time_are_no_inseparable_inputs(method):
+    """Thresholds that the late swings do not engage depend on each other; their sums are told."""
+    grid = np.linspace(0.0, 8.0, 20)
+    rows, weights = [[grid, grid]] * 2, [[np.ones(20), 0.1 * np.ones(20)], [0.2 * np.ones(20), np.ones(20)]]
+    records = [Record(decays(k), theory.prandtl_ishlinskii(decays(k), rows, weights), 1e-3) for k in (0, 1)]
+    starts = [Start("repeated", 1200)] * 2
+    fit = fit_static(records, rows, method=method, starts=starts)
+    assert (fit.rms_um < 0.15).all()
+    assert fit.open
+
+
+def test_bounds_hold_beside_plays_that_never_move():
+    """A voltage of two levels tells one number of each input; bounded or not, the fit is the same."""
+    rng = np.random.default_rng(3)
+    u = 10.0 * np.repeat(2.0 * rng.integers(0, 2, (2, 300)) - 1.0, 7, axis=1)
+    grid = np.linspace(0.0, 9.0, 10)
+    rows, weights = [[grid, grid]] * 2, [[np.ones(10), 0.1 * np.ones(10)], [0.2 * np.ones(10), np.ones(10)]]
+    y = theory.prandtl_ishlinskii(u, rows, weights) + 0.05 * rng.standard_normal((2, u.shape[1]))
+    start = [Start("repeated", 300)]
+    free, bound = (
+        fit_static([Record(u, y, 1e-3)], rows, method=method, starts=start)
+        for method in ("least_squares", "invertible")
+    )
+    np.testing.assert_allclose(free.rms_um, 0.05, rtol=0.05)
+    np.testing.assert_allclose(bound.rms_um, free.rms_um, rtol=1e-6)
+
+
+def test_inputs_that_move_together_are_told_by_name():
+    u = decays(0)
+    u[1] = 0.5 * u[0]
+    grids = [[np.array([0.0, 1.0, 3.0]), np.array([0.0, 0.5, 1.5])]] * 2
+    with pytest.raises(IdentificationError, match="inputs u1 and u2 apart: they never move independently"):
+        fit_static([Record(u, u, 1e-3)], grids)

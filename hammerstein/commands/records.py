@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -12,7 +13,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from hammerstein.records.gains import Gain
     from hammerstein.records.record import Record
+
+MOST_NAMED = 3
+"""Records whose names make up that of a folder."""
 
 Files = Annotated[
     list[Path], typer.Argument(metavar="FILE...", help="Records: CSV, .dat, .npy, .mat, Parquet.")
@@ -23,8 +28,17 @@ Outputs = Annotated[
 ]
 Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Samples a second.")]
 Time = Annotated[str | None, typer.Option(metavar="COL", help="Time column in s, instead of --rate.")]
-InputScale = Annotated[float, typer.Option(metavar="S", help="Factor from the file's number to V.")]
-OutputScale = Annotated[float, typer.Option(metavar="S", help="Factor from the file's number to um.")]
+InputScale = Annotated[
+    float | None,
+    typer.Option(metavar="S", help="Factor from the file's number to V; from its unit if not given."),
+]
+OutputScale = Annotated[
+    float | None,
+    typer.Option(metavar="S", help="Factor from the file's number to um; from its unit if not given."),
+]
+AcceptGain = Annotated[
+    bool, typer.Option("--accept-gain", help="Take a gain outside 0.001 to 1000 um/V as it is.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 
@@ -62,7 +76,12 @@ def _volts(option: str, words: str | None) -> tuple[float, ...] | None:
 
 
 def _reader(
-    inputs: str, outputs: str, rate: float | None, time: str | None, input_scale: float, output_scale: float
+    inputs: str,
+    outputs: str,
+    rate: float | None,
+    time: str | None,
+    input_scale: float | None,
+    output_scale: float | None,
 ) -> partial[tuple[Record, ...]]:
     """How the files of a command are read."""
     from hammerstein.records.record import read_records
@@ -78,32 +97,68 @@ def _reader(
     )
 
 
+def _checked_gains(records: Sequence[Record], accepted: bool) -> list[Gain]:
+    """Gains of the records; a person is asked about those that no actuator has, a script is refused."""
+    from hammerstein.errors import InputError
+    from hammerstein.records.gains import doubtful_gains, pair_gains
+
+    gains = pair_gains(records)
+    doubts = [] if accepted else doubtful_gains(gains)
+    if doubts:
+        doubt = "; ".join(doubts)
+        asked = sys.stdin.isatty() and sys.stderr.isatty()
+        if not (asked and typer.confirm(f"{doubt}. Is that right?", err=True)):
+            source = records[0].source if len(records) == 1 else f"{len(records)} records"
+            remedy = "see --input-scale and --output-scale, or give --accept-gain if it is right"
+            raise InputError(source, f"{doubt}; {remedy}")
+    return gains
+
+
+def _folder_name(files: Sequence[Path]) -> str:
+    """Name of the folder of several records: no other set of records has it."""
+    from hashlib import sha256
+
+    from hammerstein.reporting.figures.measured import file_labels
+
+    labels = file_labels([str(file) for file in files])
+    if len(labels) <= MOST_NAMED:
+        return "_".join(labels)
+    return f"{labels[0]}_and_{len(labels) - 1}_more_{sha256(repr(labels).encode()).hexdigest()[:6]}"
+
+
 def loops(
     files: Files,
     inputs: Inputs,
     outputs: Outputs,
     rate: Rate = None,
     time: Time = None,
-    input_scale: InputScale = 1.0,
-    output_scale: OutputScale = 1.0,
+    input_scale: InputScale = None,
+    output_scale: OutputScale = None,
+    accept_gain: AcceptGain = False,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the figure goes.")] = Path("reports"),
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
     as_json: AsJson = False,
 ) -> None:
     """Find the loops in measured records: height, width, area, closure, drift."""
-    from hammerstein.commands.tables import loops_table, show
+    from hammerstein.commands.tables import gains_table, loops_table, show
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
-    from hammerstein.records.loops import loop_table
+    from hammerstein.records.loops import loop_table, without_loops
 
     if figures:
         refuse_unwritable("--out", out)
     read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
     records = read(files, all_driven=False)
+    gains = _checked_gains(records, accept_gain)
     found = {record.source: loop_table(record) for record in records}
-    for source, table in found.items():
-        if not table:
-            raise InputError(source, "no loop found: a voltage must turn twice; record two periods or more")
+    empty = {record.source: without_loops(record) for record in records if not found[record.source]}
+    if len(empty) == len(records):
+        raise InputError(*next(iter(empty.items())))
+    for source, why in empty.items():
+        _say(f"{source}: {why}")
+    for record in records:
+        for lost in record.outliers:
+            _say(f"{record.source}: outliers of {lost.column} are left out: {lost.describe()}")
     if as_json:
         plain = [
             {"file": source, **asdict(loop), "width_percent": loop.width_percent}
@@ -112,13 +167,14 @@ def loops(
         ]
         typer.echo(json.dumps({"loops": plain}))
     else:
+        show(gains_table(gains))
         show(loops_table(found))
     if figures:
         from hammerstein.reporting.figures import save_figures
         from hammerstein.reporting.figures.measured import loops_of_records
 
         figure = loops_of_records(records, [found[record.source] for record in records])
-        for path in save_figures({"loops": figure} if figure else {}, out / Path(files[0]).stem):
+        for path in save_figures({"loops": figure} if figure else {}, out / _folder_name(files)):
             typer.echo(str(path), err=as_json)
 
 
@@ -128,8 +184,9 @@ def identify(
     outputs: Outputs,
     rate: Rate = None,
     time: Time = None,
-    input_scale: InputScale = 1.0,
-    output_scale: OutputScale = 1.0,
+    input_scale: InputScale = None,
+    output_scale: OutputScale = None,
+    accept_gain: AcceptGain = False,
     validate: Annotated[
         list[Path] | None, typer.Option(metavar="FILE", help="Records held back; may be repeated.")
     ] = None,
@@ -162,7 +219,7 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify a model from measured records, and say how far it can be trusted."""
-    from hammerstein.commands.tables import fit_table, show
+    from hammerstein.commands.tables import fit_table, gains_table, show
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
@@ -193,16 +250,18 @@ def identify(
     folder = report or out.parent / f"{out.stem}_fit"
     refuse_unwritable("--report", folder)
     compile_once(_say)
+    read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
+    records, validation = read(files), read(held, all_driven=False) if held else ()
+    gains = _checked_gains(records, accept_gain)
     with _Spinner() as spinner:
-        read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
-        validation = read(held, all_driven=False) if held else ()
         model, fit = identified(
-            read(files), settings, validation=validation, name=out.stem, progress=spinner.tell
+            records, settings, validation=validation, name=out.stem, progress=spinner.tell
         )
     write_fit(model, fit, out, folder, figures)
     if as_json:
         typer.echo(fit_json(model, fit), nl=False)
         return
+    show(gains_table(gains))
     show(fit_table(fit))
     typer.echo(fit.verdict)
     for text in (fit.invertibility, *fit.flags, *fit.not_identifiable, *fit.notes):

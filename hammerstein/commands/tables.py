@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from hammerstein.compensators.drive_file import Compensation
     from hammerstein.identification.fit import Fit
+    from hammerstein.records.gains import Gain
     from hammerstein.records.loops import Loop
 
 _LEFT = 3  # the first columns hold words
@@ -110,6 +111,15 @@ def fit_table(fit: Fit) -> Table:
             cells = [f"{score.nrmse_percent[o]:.3f}", f"{score.rms_um[o]:.4g}"]
             cells += ["", ""] if held is None else [f"{held.nrmse_percent[o]:.3f}", f"{held.rms_um[o]:.4g}"]
             table.add_row(KIND_NAMES[kind], output, "chosen" if kind == fit.kind else "", *cells)
+    return table
+
+
+def gains_table(gains: Sequence[Gain]) -> Table:
+    """One line a pair: how far the voltage went, how far the output, and their ratio."""
+    table = _table("What the records hold", ("input", "output", "", "span_v", "span_um", "gain_um_per_v"))
+    for gain in gains:
+        numbers = (gain.span_v, gain.span_um, gain.um_per_v)
+        table.add_row(gain.input, gain.output, "", *(f"{number:.4g}" for number in numbers))
     return table
 
 

@@ -187,7 +187,8 @@ def _closed_form(task: Task, free: StaticFit) -> StaticFit:
         )
         for record in task.records
     ]
-    given = task.thresholds_v if settings.thresholds_v is not None else None
+    placed = settings.thresholds_v is not None or settings.partition == "voltage"
+    given = task.thresholds_v if placed else None
     counts = {len(r) for row in task.thresholds_v for r in row}
     if given is None and len(counts) > 1:
         raise IdentificationError("the closed form places one number of thresholds; give one, or thresholds")

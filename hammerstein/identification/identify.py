@@ -54,7 +54,8 @@ from hammerstein.identification.verdict import (
 )
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
-from hammerstein.records.preparation import driven_inputs, prepare, refuse_swapped
+from hammerstein.records.faults import Fault, faults
+from hammerstein.records.preparation import prepare, refuse_swapped
 from hammerstein.records.record import Record
 from hammerstein.voltages import Verdict, Voltages
 
@@ -170,10 +171,14 @@ def _ready(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
     """Records without their dead start, counted from where they began, and what was done to them."""
     if not records:
         raise InputError("records", "none was given")
+    _refuse_mixed(records)
+    refuse_swapped(records)
     ready, notes = [], []
     for record in records:
-        if len(driven_inputs(record)) == 1:
-            refuse_swapped(record)  # with several inputs at once, one is taken for the lead of another
+        notes += [
+            f"{record.source}: outliers of {found.column} are left out: {found.describe()}"
+            for found in record.outliers
+        ]
         prepared = prepare(record)
         if prepared.dead_start_samples and prepared.at_rest:
             ready.append(prepared.record)
@@ -292,10 +297,12 @@ def _account(
     """Everything that is said about the model."""
     fitted, judged, held, held_starts, answer = errors
     record, settings, best = task.records[0], task.settings, built.candidates[built.kind]
-    flags, bounds = _flags(task, built), []
+    named = [fault for one in task.records for fault in faults(one)]
+    flags, bounds = _flags(task, built, named), []
     if settings.method == "invertible":
+        spoiled = {name for fault in named for name in fault.outputs}
         bounds = bound_notes(
-            task.records, built.blocks.chosen, built.blocks.free, built.kind == "hammerstein"
+            task.records, built.blocks.chosen, built.blocks.free, built.kind == "hammerstein", spoiled
         )
     swing = half_swing(task.records)
     amplitude = float(swing.max())
@@ -334,11 +341,17 @@ def _account(
     )
 
 
-def _flags(task: Task, built: Built) -> list[str]:
-    """What a model of this kind cannot represent."""
-    blocks = built.blocks
-    direct = direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))
-    flags = record_flags(built.candidates[built.kind], task.records, task.starts)
+def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
+    """What spoils the records, and what a model of this kind cannot represent."""
+    blocks, outputs = built.blocks, task.records[0].outputs
+    spoiled = {(fault.source, name) for fault in named for name in fault.outputs}
+    direct = [
+        (o, k)
+        for o, k in direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))
+        if outputs[o] not in {name for _, name in spoiled}
+    ]
+    flags = [fault.text for fault in named]
+    flags += record_flags(built.candidates[built.kind], task.records, task.starts, spoiled)
     if task.settings.dynamics == "none":
         flags += butterfly_flags(task.records, direct)
     if blocks.one_sign is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +14,11 @@ from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.fit import KIND_NAMES, Kind
 from hammerstein.identification.linear.second_order import AxisFit
-from hammerstein.identification.score import Candidate, Score, ranges
+from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import StaticFit
+from hammerstein.records.loops import pair_loops
+from hammerstein.records.preparation import driven_inputs
 from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
@@ -24,7 +26,7 @@ Array = NDArray[np.float64]
 EARNED = 0.1
 """Part by which a block must lower the error to earn its place."""
 UNREPRESENTED_PERCENT = 10.0
-SATURATING_PERCENT = 5.0
+SATURATING_PERCENT = 2.0
 SATURATING_RATIO = 3.0
 """Weights of one sign must miss the record by this much, absolutely and against free weights."""
 FLATTENED = 0.6
@@ -32,6 +34,10 @@ FLATTENED = 0.6
 BUTTERFLY = 0.5
 """Distance of the outputs at the tips, in parts of the range, below which a loop is no rising one."""
 TIP = 0.05
+ALIKE = 0.05
+"""Part by which the amplitudes of two loops may differ for their widths to be compared."""
+FASTER, WIDER, WIDER_PERCENT = 1.5, 1.15, 1.0
+"""Rates that are two, and what makes a loop the wider one: parts of the other, and percent of the height."""
 UNSURE_PERCENT = 5.0
 UNSURE_DAMPING_PERCENT = 30.0
 FELT = 0.02
@@ -90,14 +96,25 @@ def _earns(block: str, without: float, with_it: float) -> str:
     )
 
 
-def record_flags(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> list[str]:
-    """Records that the model misses by more than ten percent of their range."""
+def record_flags(
+    candidate: Candidate,
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    explained: Collection[tuple[str, str]] = (),
+) -> list[str]:
+    """Records that the model misses by more than ten percent of their range.
+
+    ``explained`` are records and outputs of which the cause is known.
+    """
     found = []
     for record, start in zip(records, starts, strict=True):
         rms = np.sqrt(np.mean(candidate.residual(record, start) ** 2, axis=1))
-        percent = 100.0 * rms / ranges([record], [start])
-        moved = np.ptp(record.y_um[:, start.first :], axis=1) >= 0.1 * np.ptp(record.y_um, axis=1).max()
+        span = np.ptp(record.y_um[:, start.first :], axis=1)
+        moved = span >= 0.1 * np.ptp(record.y_um, axis=1).max()
+        percent = 100.0 * rms / np.where(moved, span, np.inf)
         for o in np.flatnonzero((percent > UNREPRESENTED_PERCENT) & moved):
+            if (record.source, record.outputs[o]) in explained:
+                continue
             found.append(
                 f"{record.outputs[o]} of {record.source} is missed by {percent[o]:.1f} % of its range"
             )
@@ -179,24 +196,66 @@ def axis_identified(axis: AxisFit) -> bool:
     return felt and axis.resonance_error_percent <= UNSURE_PERCENT
 
 
-def bound_notes(records: Sequence[Record], fit: StaticFit, free: StaticFit, dynamic: bool) -> list[str]:
-    """Slopes of direct pairs that the records would have below their bound."""
-    remedy = (
-        "use fewer thresholds, or a ridge"
-        if dynamic
-        else "phase lag looks like hysteresis: fit the dynamics too, or record more slowly"
-    )
+def bound_notes(
+    records: Sequence[Record],
+    fit: StaticFit,
+    free: StaticFit,
+    dynamic: bool,
+    explained: Collection[str] = (),
+) -> list[str]:
+    """Slopes of direct pairs that the records would have below their bound.
+
+    Slopes that the records leave open are no matter, nor those of outputs whose fault is known already. That
+    phase lag looks like hysteresis is said where the loops were seen to widen with the rate, and only there.
+    """
     found = []
-    for o, k in sorted({(o, k) for o, k, _ in fit.bounded}):
+    for o, k in sorted({(o, k) for o, k, _ in fit.bounded} - set(free.open)):
+        name, driven = records[0].outputs[o], records[0].inputs[k]
+        if name in explained:
+            continue
+        wider = "" if dynamic else widening(records, k, o)
+        remedy = (
+            f"{wider}: phase lag looks like hysteresis; fit the dynamics too, or record more slowly"
+            if wider
+            else "use fewer thresholds, or a ridge"
+        )
         slopes, pair = [j for oo, kk, j in fit.bounded if (oo, kk) == (o, k)], free.hysteresis.pairs[o][k]
         lowest = min(slopes, key=lambda j: float(pair.slopes[j]))
         count = "1 slope" if len(slopes) == 1 else f"{len(slopes)} slopes"
         found.append(
-            f"{count} from {records[0].inputs[k]} to {records[0].outputs[o]} held at a bound, or there were "
-            f"no inverse: free, the slope with thresholds up to {pair.thresholds_v[lowest]:.3g} V would be "
+            f"{count} from {driven} to {name} held at a bound, or there were no inverse: free, the slope "
+            f"with thresholds up to {pair.thresholds_v[lowest]:.3g} V would be "
             f"{pair.slopes[lowest]:.3g} um/V; {remedy}"
         )
     return found
+
+
+def widening(records: Sequence[Record], k: int, o: int) -> str:
+    """How much wider a loop is at the fastest rate than at the slowest one of its amplitude; empty if not.
+
+    Examples
+    --------
+    >>> n = np.arange(4000)
+    >>> records = []
+    >>> for period, lag in ((1000, 0.02), (200, 0.1)):
+    ...     phase = 2.0 * np.pi * n / period
+    ...     records.append(Record([np.sin(phase)], [50.0 * np.sin(phase - lag)], 1e-3))
+    >>> widening(records, 0, 0)
+    'its loop is 2 % wide at 1 Hz and 10 % at 5 Hz'
+    """
+    seen = [
+        (loop.amplitude_v, 1.0 / (loop.samples * record.sample_time_s), loop.width_percent)
+        for record in records
+        if driven_inputs(record) == (k,)
+        for loop in pair_loops(record, k, o)
+        if not loop.minor
+    ]
+    for largest, _, _ in sorted(seen, reverse=True):
+        alike = sorted((rate, width) for size, rate, width in seen if abs(size - largest) < ALIKE * largest)
+        (slow, narrow), (fast, wide) = alike[0], alike[-1]
+        if fast > FASTER * slow and wide > WIDER * narrow and wide > narrow + WIDER_PERCENT:
+            return f"its loop is {narrow:.2g} % wide at {slow:.3g} Hz and {wide:.2g} % at {fast:.3g} Hz"
+    return ""
 
 
 def invertibility_of(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -83,12 +84,11 @@ def _parsed(column: str) -> tuple[str, list[int]]:
 def _loaded(variables: Variables, name: str) -> Array:
     if not variables:
         raise InputError("file", "it holds no array of numbers; save the signals as plain numeric arrays")
-    if not name and len(variables) == 1:
-        name = next(iter(variables))
+    name = _resolved(variables, name)
     if name not in variables:
         near = difflib.get_close_matches(name, variables, n=1)
         start = f"there is no variable {name}" if name else "there are several variables, name one"
-        known = f"it has {', '.join(list(variables)[:30])}" if any(variables) else "its one array has no name"
+        known = f"it has {', '.join(variables)}" if any(variables) else "its one array has no name"
         raise InputError("file", f"{start}{f'; did you mean {near[0]}?' if near else ';'} {known}")
     try:
         array = np.asarray(variables[name]())
@@ -118,6 +118,18 @@ def _reason(error: Exception) -> str:
     """What a library says of a damaged file, as far as a person can read it."""
     text = str(error).partition("\n")[0]
     return "its header is damaged" if " object at 0x" in text or not text else text[:200]
+
+
+def _resolved(variables: Variables, name: str) -> str:
+    """Path of a variable: as in MATLAB (``Y(3).Data``), or the end of one path alone."""
+    if not name and len(variables) == 1:
+        return next(iter(variables))
+    dotted = re.sub(r"[({](\d+)[)}]", r".\1", name)
+    for path in (dotted, dotted.replace(".1", "")):
+        ends = [known for known in variables if known == path or known.endswith(f".{path}")]
+        if path in variables or len(ends) == 1:
+            return path if path in variables else ends[0]
+    return name
 
 
 def _column(array: Array, column: str, numbers: Sequence[int]) -> Array:
@@ -203,32 +215,60 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
     if not isinstance(value, np.ndarray) or isinstance(value, MatlabOpaque | MatlabFunction):
         return
-    if value.dtype.names and value.size == 1:
-        for field in value.dtype.names:
-            yield from _flat(f"{name}.{field}", value.flat[0][field])
+    if value.dtype.names:
+        for number, item in _numbered(value):
+            for field in value.dtype.names:
+                yield from _flat(f"{name}{number}.{field}", item[field])
+    elif value.dtype == object:
+        for k, item in enumerate(value.flatten(order="F"), start=1):
+            yield from _flat(f"{name}.{k}", item)
     elif value.dtype.kind in "biufc" and value.size:
         yield name, value
+
+
+def _numbered(items: Any) -> list[tuple[str, Any]]:
+    """Members of a MATLAB array in its order, each with its number as part of a path; a lone one has none."""
+    flat = items.flatten(order="F")
+    return [(f".{k}" if flat.size > 1 else "", item) for k, item in enumerate(flat, start=1)]
 
 
 def _matlab_hdf5(path: Path) -> Variables:
     """Version 7.3: HDF5, with the axes of every array in reverse order."""
     import h5py
 
-    names: list[str] = []
+    places: dict[str, str] = {}
 
     def note(name: str, item: Any) -> None:
         kind = item.attrs.get("MATLAB_class", b"double")
-        numeric = (
-            isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and kind not in (b"char", b"cell")
-        )
-        if numeric and "MATLAB_empty" not in item.attrs and not name.startswith("#"):
-            names.append(name)
+        if isinstance(item, h5py.Group):
+            for member, inside in _members(item):
+                note(f"{name}.{member}", inside)
+        elif item.dtype == h5py.ref_dtype and kind == b"cell":
+            for number, reference in enumerate(item[()].flat, start=1):
+                note(f"{name}.{number}", item.file[reference])
+        elif item.dtype.kind in "biuf" and kind != b"char" and "MATLAB_empty" not in item.attrs:
+            places[name] = item.name
 
-    def load(name: str) -> Any:
+    def load(place: str) -> Any:
         with h5py.File(path, "r") as file:
-            refuse_large(file[name].shape)
-            return file[name][()].T
+            refuse_large(file[place].shape)
+            return file[place][()].T
 
     with h5py.File(path, "r") as file:
-        file.visititems(note)
-    return {name.replace("/", "."): partial(load, name) for name in names}
+        for name, item in file.items():
+            if not name.startswith("#"):
+                note(name, item)
+    return {name: partial(load, place) for name, place in places.items()}
+
+
+def _members(group: Any) -> Iterator[tuple[str, Any]]:
+    """Fields of a structure; those of an array of structures stand under the number of each."""
+    import h5py
+
+    for field, item in group.items():
+        several = isinstance(item, h5py.Dataset) and item.dtype == h5py.ref_dtype
+        if several and item.attrs.get("MATLAB_class") is None:
+            for number, reference in enumerate(item[()].flat, start=1):
+                yield f"{number}.{field}", group.file[reference]
+        else:
+            yield field, item

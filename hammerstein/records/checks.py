@@ -19,6 +19,8 @@ Rows = NDArray[np.int64]
 FEWEST_SAMPLES = 20
 CLIPPED_RUN = 4
 """Equal extreme samples in a row that make a suspicion of clipping."""
+AROUND_GAP = 3
+"""Samples on each side of a gap over which it must remain."""
 SHOWN = 5
 """Places of one kind of mistake that are listed; the rest is counted."""
 VOLTAGE_RANGE = 1e-4, 1e4
@@ -173,6 +175,38 @@ def _time_gap(name: str, time_s: Array, rows: Rows, k: int, typical: float) -> M
         where(name, rows, k, k + 1),
         f"gap of {step:.6g} s, about {missing} missing samples; cut the record there",
     )
+
+
+def hidden_gaps(name: str, time_s: Array, rows: Rows) -> list[Mistake]:
+    """Missing samples that a time column shows, in any unit and with as few digits as it likes.
+
+    Jitter and equal instants are no matter where the rate is known; a jump away from the grid that lasts is.
+    """
+    steps = np.diff(time_s)
+    digit = _last_digit(time_s)
+    typical = float(np.median(steps))
+    if typical <= 2.0 * digit:  # too few digits: the mean says more
+        typical = float(time_s[-1] - time_s[0]) / len(steps)
+    if not typical > 0.0:
+        return []
+    gaps = np.flatnonzero(steps > 1.5 * typical + 2.0 * digit)
+    lasting = [int(k) for k in gaps if _lasts(time_s, int(k), typical)]
+    found = [
+        Mistake(
+            where(name, rows, k, k + 1),
+            f"goes on by {steps[k]:.6g} instead of {typical:.6g}: about "
+            f"{max(round(steps[k] / typical) - 1, 1)} samples are missing, which --rate does not mend; cut "
+            "the record there",
+        )
+        for k in lasting[:SHOWN]
+    ]
+    return found + _more(name, len(lasting))
+
+
+def _lasts(time_s: Array, k: int, typical: float) -> bool:
+    """Whether the samples behind a long step stay late: those behind jitter do not."""
+    before, after = max(k - AROUND_GAP, 0), min(k + 1 + AROUND_GAP, len(time_s) - 1)
+    return float(time_s[after] - time_s[before]) > (after - before + 0.5) * typical
 
 
 def _more(name: str, count: int) -> list[Mistake]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.noise import noise_rms, quantum
-from hammerstein.records.preparation import driven_inputs
+from hammerstein.records.preparation import driven_alone, driven_inputs
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import Excursion, find_cycles
 
@@ -29,10 +29,14 @@ AROUND_TIP = 5
 """Most samples on each side of a tip that its closure is averaged over."""
 CLEAN = 1e-4
 """Noise, in parts of the range, up to which nothing is smoothed."""
+JUMP = 0.1
+"""Part of the swing at both ends in which a sample is part of no branch."""
 GRID = 64
 """Voltages on each branch at which two cycles are compared."""
 SETTLED_SHARE = 0.005
 """Part of the height by which a settled cycle may differ from its neighbour, beside the noise."""
+CLEAR = 3.0
+"""Noise, times this, by which an output must fall for its gain to be negative."""
 SETTLED_NOISE = 3.0
 """And the noise, times this: the rms difference of two equal cycles is 1.4 times the noise."""
 
@@ -49,7 +53,8 @@ class Loop:
     amplitude_v : half the swing of the voltage [V]
     mid_v : voltage in the middle of the swing [V]
     height_um : peak to peak of the output [um]
-    width_um : falling minus rising branch at mid_v [um]; positive when the output lags
+    width_um : opening at mid_v [um]: falling minus rising branch where the output rises with the voltage,
+        the other way round where it falls; positive when the output lags
     area_v_um : area inside, in shoelace form [V um]; positive when the output lags
     closure_um : output at the end minus at the start [um], at the voltage of the start
     drift_um : mean rise of the output to the next cycle of this amplitude [um], or from the one before;
@@ -115,8 +120,9 @@ class _Path(NamedTuple):
 def loop_table(record: Record) -> list[Loop]:
     """All loops of a record, pair by pair (inputs that are driven, every output), in the order of time.
 
-    Sines, triangles, modulated amplitudes, nested loops; the period need not be known. The first stretch
-    from rest belongs to no loop. A record without a whole cycle gives an empty list.
+    Only cycles in which one input moves alone are loops of a pair: with two in motion, nobody knows which of
+    them the output follows. Sines, triangles, modulated amplitudes, nested loops; the period need not be
+    known. The first stretch from rest belongs to no loop. A record without a whole cycle gives an empty list.
 
     Parameters
     ----------
@@ -135,7 +141,18 @@ def loop_table(record: Record) -> list[Loop]:
         for k in driven_inputs(record)
         for o in range(len(record.y_um))
         for loop in pair_loops(record, k, o)
+        if driven_alone(record, k, loop.start, loop.stop)
     ]
+
+
+def without_loops(record: Record) -> str:
+    """Why a record has no loop, as a sentence with a remedy."""
+    driven = [record.inputs[k] for k in driven_inputs(record)]
+    if len(driven) > 1:
+        return f"no loop of a pair: {' and '.join(driven)} move at once; drive one input at a time"
+    if find_cycles(record.u_v[driven_inputs(record)[0]]).excursions:
+        return f"no loop found: {driven[0]} jumps between its levels; drive it by sines or triangles"
+    return "no loop found: a voltage must turn twice; record two periods or more"
 
 
 def pair_loops(record: Record, input_index: int, output_index: int) -> list[Loop]:
@@ -145,10 +162,19 @@ def pair_loops(record: Record, input_index: int, output_index: int) -> list[Loop
     noise = max(noise_rms(y), 0.3 * quantum(y))  # rms error of rounding: 0.29 steps
     noise = noise if noise > CLEAN * float(np.ptp(y)) else 0.0
     minor = [excursion for excursion in cycles.excursions if excursion.minor]
-    paths = [_path(u, y, excursion, minor, noise) for excursion in cycles.excursions]
+    drawn = [excursion for excursion in cycles.excursions if _drawn(u, excursion)]
+    paths = [_path(u, y, excursion, minor, noise) for excursion in drawn]
     names = record.inputs[input_index], record.outputs[output_index]
     loops = [_measured(path, *names) for path in paths]
     return [_compared(k, loops, paths, cycles.band_v) for k in range(len(loops))]
+
+
+def _drawn(u: Array, excursion: Excursion) -> bool:
+    """Whether both branches have a sample between their ends: a voltage that jumps draws no loop."""
+    start, turn, stop, _ = excursion
+    low, high = sorted((float(u[start]), float(u[turn])))
+    inner = (u > low + JUMP * (high - low)) & (u < high - JUMP * (high - low))
+    return bool(inner[start:turn].any() and inner[turn : stop + 1].any())
 
 
 def settled_loop(record: Record, input_index: int = 0, output_index: int = 0) -> Loop:
@@ -222,6 +248,7 @@ def _measured(path: _Path, input_name: str, output_name: str) -> Loop:
     first, second = slice(0, path.turn + 1), slice(path.turn, None)
     rising, falling = (second, first) if falling_first else (first, second)
     width = _at(u[falling], y[falling], mid, path.noise) - _at(u[rising], y[rising], mid, path.noise)
+    sign = _sign(u, y, path)
     u_start, y_start, u_stop, y_stop = path.tips
     closure = y_stop - y_start + _end_slope(u, smooth, path.turn) * (u_start - u_stop)
     excursion = path.excursion
@@ -235,12 +262,18 @@ def _measured(path: _Path, input_name: str, output_name: str) -> Loop:
         amplitude_v=0.5 * (high - low),
         mid_v=mid,
         height_um=float(np.ptp(smooth)),
-        width_um=width,
-        area_v_um=_area(u, y),
+        width_um=sign * width,
+        area_v_um=sign * _area(u, y),
         closure_um=closure,
         drift_um=closure,
         settled=False,
     )
+
+
+def _sign(u: Array, y: Array, path: _Path) -> float:
+    """Direction in which the output answers: -1 where it falls with the voltage."""
+    rise = (y[path.turn] - 0.5 * (y[0] + y[-1])) * np.sign(u[path.turn] - u[0])
+    return -1.0 if rise < -CLEAR * path.noise else 1.0
 
 
 def _area(u: Array, y: Array) -> float:

@@ -16,6 +16,10 @@ SMALLEST_SWING = 1e-3
 """Part of the range under which a reversal is no turn of the experiment, however clean the signal."""
 
 
+LARGEST_BAND = 0.25
+"""Part of the range above which a swing is one, however rough the signal: a switching voltage is no noise."""
+
+
 def noise_rms(x: ArrayLike) -> float:
     """Rms value of the white noise on a sampled smooth signal.
 
@@ -82,7 +86,7 @@ def quantum(x: ArrayLike) -> float:
 
 
 def dead_band(x: ArrayLike) -> float:
-    """Smallest swing that cannot be noise, quantisation or a rounding error.
+    """Smallest swing that cannot be noise, quantisation or a rounding error; a quarter of the range at most.
 
     Two samples of white noise out of N differ by hardly more than 2 sqrt(2 ln N) of its rms value, and a
     converter flickers by one step.
@@ -97,5 +101,5 @@ def dead_band(x: ArrayLike) -> float:
     """
     x = np.asarray(x, dtype=np.float64)
     extremes = 2.0 * (math.sqrt(2.0 * math.log(max(x.size, 2))) + 1.0)
-    floor = SMALLEST_SWING * float(np.ptp(x)) if x.size else 0.0
-    return max(extremes * noise_rms(x), 1.5 * quantum(x), floor)
+    span = float(np.ptp(x)) if x.size else 0.0
+    return min(max(extremes * noise_rms(x), 1.5 * quantum(x), SMALLEST_SWING * span), LARGEST_BAND * span)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,10 @@ DELAY_GAIN = 0.01
 """Part by which a longer delay must lower the error, or the shorter one is kept."""
 ALIKE = 0.5
 """Correlation of output and input from which a lead has a meaning."""
+VISITED = 0.05
+"""An extreme counts as visited from this part of the range on."""
+COHERENT = 1e3
+"""Condition of the inputs' power from which they are one and the same."""
 LEAD_RAD = -0.03
 FARTHEST_LEAD_RAD = -0.8
 """A lead beyond this is no swapped loop but a lag of more than half a turn."""
@@ -44,6 +49,20 @@ def driven_inputs(record: Record) -> tuple[int, ...]:
     """
     spans = np.ptp(record.u_v, axis=1)
     return tuple(int(k) for k in np.flatnonzero(spans > DRIVEN_SHARE * spans.max()))
+
+
+def driven_alone(record: Record, k: int, start: int, stop: int) -> bool:
+    """Whether the other inputs rest between two samples, both included.
+
+    Parameters
+    ----------
+    record : voltages and displacements
+    k : input, from 0
+    start, stop : samples
+    """
+    spans = np.ptp(record.u_v[:, start : stop + 1], axis=1)
+    others = np.delete(spans, k)
+    return bool((others <= DRIVEN_SHARE * np.ptp(record.u_v, axis=1).max()).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +119,7 @@ def prepare(record: Record, max_delay_samples: int = 0) -> Prepared:
         record.rows[dead : samples - delay],
         record.period_samples,
         record.rest_v + offset_v,
+        record.outliers,
         verified=True,
     )
     return Prepared(left, offset_v, offset_um, at_rest, dead, delay)
@@ -113,6 +133,17 @@ def dead_start(record: Record) -> int:
     record : voltages and displacements
     """
     return min(_last_still(record.u_v[k]) for k in driven_inputs(record))
+
+
+def run_in(record: Record) -> int:
+    """Samples until every driven voltage has been near both its extremes: earlier history is forgotten."""
+    last = 0
+    for k in driven_inputs(record):
+        u = record.u_v[k]
+        margin = VISITED * float(np.ptp(u))
+        low, high = np.argmax(u <= u.min() + margin), np.argmax(u >= u.max() - margin)
+        last = max(last, int(low), int(high))
+    return last
 
 
 def _last_still(u: Array) -> int:
@@ -195,37 +226,48 @@ def _held_out_error(regressors: Array, y: Array) -> float:
     return float(np.sqrt(np.mean((error / span[:, None]) ** 2)))
 
 
-def lag_rad(record: Record) -> Array:
+def lag_rad(records: Sequence[Record]) -> Array:
     """Phase by which each output lags each input [rad], over the slower half of the excitation.
 
-    The angle of the cross-spectrum, summed over the lines that hold the slower half of the input's power,
-    for a gain of either sign: between -pi/2 and pi/2. A hysteresis loop of 15 percent width lags by about
-    0.15 rad; an output that *leads* by as much is a voltage in truth.
+    The angle of the response S_yu S_uu^-1 with both spectra summed over all records and over the lines that
+    hold the slower half of the inputs' power, for a gain of either sign: between -pi/2 and pi/2. A
+    hysteresis loop of 15 percent width lags by about 0.15 rad; an output that *leads* by as much is a
+    voltage in truth. Solving for all inputs at once takes each one for what it does itself.
 
     Parameters
     ----------
-    record : voltages and displacements
+    records : voltages and displacements of one actuator
 
     Returns
     -------
-    (output, input) phases [rad]; 0 for inputs that are not driven
+    (output, input) phases [rad]; 0 for inputs that are driven in no record
     """
-    spectra = _cross_spectra(record)
-    sign = np.where(spectra.real < 0, -1.0, 1.0)
-    return np.asarray(np.arctan2(-sign * spectra.imag, np.abs(spectra.real)))
+    response, _ = _slow_response(records)
+    sign = np.where(response.real < 0, -1.0, 1.0)
+    return np.asarray(np.arctan2(-sign * response.imag, np.abs(response.real)))
 
 
-def _cross_spectra(record: Record) -> NDArray[np.complex128]:
-    """Cross-spectrum (output, input), summed over the slower half of each input's power."""
-    window = np.hanning(record.samples)
-    u = np.fft.rfft(window * (record.u_v - record.u_v.mean(axis=1, keepdims=True)))
-    y = np.fft.rfft(window * (record.y_um - record.y_um.mean(axis=1, keepdims=True)))
-    spectra = np.zeros((len(y), len(u)), dtype=np.complex128)
-    for k in driven_inputs(record):
-        power = np.cumsum(np.abs(u[k]) ** 2)
-        lines = slice(0, int(np.searchsorted(power, 0.5 * power[-1])) + 2)
-        spectra[:, k] = y[:, lines] @ u[k, lines].conj()
-    return spectra
+def _slow_response(records: Sequence[Record]) -> tuple[NDArray[np.complex128], bool]:
+    """Response (output, input) over the slower half of the power; whether inputs can be told apart."""
+    driven = sorted({k for record in records for k in driven_inputs(record)})
+    size = np.sqrt(sum(record.u_v[driven].var(axis=1) * record.samples for record in records))
+    p = len(records[0].y_um)
+    power = np.zeros((len(driven), len(driven)), dtype=np.complex128)
+    cross = np.zeros((p, len(driven)), dtype=np.complex128)
+    for record in records:
+        u = _spectra(record.u_v[driven]) / size[:, None]
+        energy = np.cumsum((np.abs(u) ** 2).sum(axis=0))
+        lines = slice(0, int(np.searchsorted(energy, 0.5 * energy[-1])) + 2)
+        power += u[:, lines] @ u[:, lines].conj().T
+        cross += _spectra(record.y_um)[:, lines] @ u[:, lines].conj().T
+    response = np.zeros((p, len(records[0].u_v)), dtype=np.complex128)
+    response[:, driven] = cross @ np.linalg.pinv(power, rcond=1.0 / COHERENT, hermitian=True) / size
+    return response, bool(np.linalg.cond(power) < COHERENT)
+
+
+def _spectra(signals: Array) -> NDArray[np.complex128]:
+    window = np.hanning(signals.shape[1])
+    return np.asarray(np.fft.rfft(window * (signals - signals.mean(axis=1, keepdims=True))))
 
 
 def _unit(signals: Array) -> Array:
@@ -234,49 +276,57 @@ def _unit(signals: Array) -> Array:
     return np.asarray(centred / np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), 1e-300))
 
 
-def leads(record: Record) -> tuple[tuple[int, int], ...]:
+def leads(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
     """Pairs (output, input) in which the output runs ahead of the input, as in swapped columns.
 
     Only the output that answers an input most is judged, and only a lead of 0.03 to 0.8 rad at a positive
     gain: beyond that, a lead cannot be told from the lag of a resonance. Nor is an output judged that hardly
-    looks like the input, such as a butterfly.
+    looks like the input, such as a butterfly. Where the inputs cannot be told apart (one circle), a
+    cross-coupling looks like a lead on one axis, so that all must lead.
 
     Parameters
     ----------
-    record : voltages and displacements
+    records : voltages and displacements of one actuator
 
     Examples
     --------
     >>> u = 10.0 * np.sin(2.0 * np.pi * np.arange(1200) / 400)
     >>> x = 5.0 * play(u, [2.0])
-    >>> leads(Record([u], x, 5e-5)), leads(Record(x, [u], 5e-5))
+    >>> leads([Record([u], x, 5e-5)]), leads([Record(x, [u], 5e-5)])
     ((), ((0, 0),))
     """
-    spectra, lag = _cross_spectra(record), lag_rad(record)
-    answers = np.abs(_unit(record.y_um) @ _unit(record.u_v).T)
-    strongest = [(int(np.argmax(np.abs(spectra[:, k]))), k) for k in driven_inputs(record)]
-    return tuple(
+    (response, apart), lag = _slow_response(records), lag_rad(records)
+    driven = [driven_inputs(record) for record in records]
+    alike = [np.abs(_unit(record.y_um) @ _unit(record.u_v).T) for record in records]
+    moved = np.sqrt(sum(record.y_um.var(axis=1) * record.samples for record in records))
+    strongest = []
+    for k in sorted({k for inputs in driven for k in inputs}):
+        o = int(np.argmax(np.abs(response[:, k]) / np.maximum(moved, np.finfo(float).tiny)))
+        answer = max(float(a[o, k]) for a, inputs in zip(alike, driven, strict=True) if k in inputs)
+        strongest.append((o, k, answer))
+    found = tuple(
         (o, k)
-        for o, k in strongest
-        if FARTHEST_LEAD_RAD < lag[o, k] < LEAD_RAD and spectra[o, k].real > 0 and answers[o, k] > ALIKE
+        for o, k, answer in strongest
+        if FARTHEST_LEAD_RAD < lag[o, k] < LEAD_RAD and response[o, k].real > 0 and answer > ALIKE
     )
+    return found if apart or len(found) == len(strongest) else ()
 
 
-def refuse_swapped(record: Record) -> None:
-    """Refuse a record whose outputs run ahead of its inputs.
+def refuse_swapped(records: Sequence[Record]) -> None:
+    """Refuse records whose outputs run ahead of their inputs.
 
     Raises
     ------
     InputError : naming the columns that seem to be swapped
     """
-    lag = lag_rad(record)
+    lag, first = lag_rad(records), records[0]
     mistakes = [
         Mistake(
-            where(record.outputs[o], record.rows, 0, record.samples - 1),
-            f"leads {record.inputs[k]} by {-np.degrees(lag[o, k]):.1f} degrees, which no actuator can; "
+            where(first.outputs[o], first.rows, 0, first.samples - 1),
+            f"leads {first.inputs[k]} by {-np.degrees(lag[o, k]):.1f} degrees, which no actuator can; "
             "are input and output columns swapped?",
         )
-        for o, k in leads(record)
+        for o, k in leads(records)
     ]
     if mistakes:
-        raise InputError(record.source, mistakes)
+        raise InputError(first.source if len(records) == 1 else f"{len(records)} records", mistakes)

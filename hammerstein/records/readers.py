@@ -18,12 +18,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.array_files import SUFFIXES, array_columns, refuse_large, whole_array
 from hammerstein.records.checks import gap_mistakes, where
 from hammerstein.records.text_files import find_layout, read_text
+from hammerstein.records.units import without_unit
 
-TIME_NAMES = ("time_s", "time", "t_s", "t", "time [s]", "t [s]", "time (s)")
+TIME_NAMES = ("time", "t", "zeit", "x-axis")
+"""Names of a time column, without their unit and in any case."""
+ARRAY_TIME_NAMES = ("time", "t", "Time", "time_s", "t_s")
+
+PARQUET = (".parquet", ".pq")
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -36,10 +42,11 @@ class Columns:
     Parameters
     ----------
     source : the file
-    names : name of each column
+    names : name of each column, none of them twice
     values : (column, sample), not finite where a number is missing
     rows : (sample,) row of each sample in the file, from 1
     mistakes : fields without a number
+    units : what the file writes as the unit of each column: its name, or a row of units
     """
 
     source: str
@@ -47,6 +54,7 @@ class Columns:
     values: Array
     rows: Rows
     mistakes: tuple[Mistake, ...]
+    units: tuple[str, ...]
 
 
 def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
@@ -66,33 +74,49 @@ def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
         values = array_columns(path, wanted)
-        return _columns(path, tuple(wanted), values, np.arange(1, values.shape[1] + 1))
-    if suffix in (".parquet", ".pq"):
+        units = [column.split(":")[0] for column in wanted]
+        return _columns(path, tuple(wanted), values, np.arange(1, values.shape[1] + 1), units)
+    if suffix in PARQUET:
         return _parquet_columns(path, wanted)
     layout = find_layout(path)
     indices = _choose(path, wanted, layout.names, layout.width)
-    names = tuple(_label(index, layout.names) for index in indices)
+    own = unique(layout.names)
+    names = tuple(_label(index, own) for index in indices)
+    units = [_unit_text(index, layout.names, layout.units) for index in indices]
     values, rows, text = read_text(path, layout, indices, names)
-    return _columns(path, names, values, rows, text)
+    return _columns(path, names, values, rows, units, text)
+
+
+def _unit_text(index: int, names: Sequence[str], units: Sequence[str]) -> str:
+    """Where the unit of a column is to be looked for: in the row of units, or in its name."""
+    beneath = units[index] if units else ""
+    return beneath or (names[index] if names else "")
 
 
 def named_time(path: str | Path) -> Columns | None:
-    """The column of a text or Parquet file that is called a time in seconds, if it has one that can be read.
+    """The column of a file that is called a time, if it has one that can be read.
 
     Raises
     ------
     InputError : a missing, empty or unreadable file
     """
     path = Path(path)
-    if path.suffix.lower() in SUFFIXES:
-        return None
-    for name in TIME_NAMES:
+    for name in _time_names(path):
         try:
             columns = read_columns(path, [name])
         except InputError:
             continue
         return columns if np.isfinite(columns.values).all() and columns.rows.size > 1 else None
     return None
+
+
+def _time_names(path: Path) -> Sequence[str]:
+    """Names in a file that may be those of a time."""
+    suffix = path.suffix.lower()
+    if suffix in SUFFIXES:
+        return ARRAY_TIME_NAMES
+    names = _parquet_names(path) if suffix in PARQUET else find_layout(path).names
+    return [name for name in names if (without_unit(name) or name).lower() in TIME_NAMES]
 
 
 def read_array(path: str | Path, variable: str | None = None) -> Array:
@@ -129,23 +153,30 @@ def _refuse_missing(path: Path) -> None:
 
 
 def _columns(
-    path: Path, names: tuple[str, ...], values: Array, rows: Rows, text: Sequence[Mistake] = ()
+    path: Path,
+    names: tuple[str, ...],
+    values: Array,
+    rows: Rows,
+    units: Sequence[str],
+    text: Sequence[Mistake] = (),
 ) -> Columns:
     """Columns with a mistake for every gap, save the gaps that text has left."""
     spoiled = {mistake.where for mistake in text}
     gaps = [mistake for mistake in gap_mistakes(names, values, rows) if mistake.where not in spoiled]
-    return Columns(str(path), names, values, rows, (*text, *gaps))
+    return Columns(str(path), names, values, rows, (*text, *gaps), tuple(units))
 
 
 def _choose(path: Path, wanted: Sequence[str], names: Sequence[str], width: int) -> list[int]:
     """Index of each wanted column: by name as written, then by number, then by name in any case."""
     indices: list[int] = []
     mistakes: list[Mistake] = []
+    own = unique(names)
     for column in wanted:
         found = [k for k, name in enumerate(names) if name == column]
         if not found and column.isdecimal() and 1 <= int(column) <= width:
             found = [int(column) - 1]
-        found = found or [k for k, name in enumerate(names) if name.lower() == column.lower()]
+        for candidates in (own, names):
+            found = found or [k for k, name in enumerate(candidates) if name.lower() == column.lower()]
         if len(found) == 1:
             indices.append(found[0])
         elif found:
@@ -153,9 +184,7 @@ def _choose(path: Path, wanted: Sequence[str], names: Sequence[str], width: int)
             what = f"stands {len(found)} times in the header; give its number, {numbers}"
             mistakes.append(Mistake(f"column {column}", what))
         else:
-            mistakes.append(
-                Mistake(f"column {column}", "is not in the file; " + _known(column, names, width))
-            )
+            mistakes.append(Mistake(f"column {column}", "is not in the file; " + _known(column, own, width)))
     if len(set(indices)) < len(indices):
         mistakes.append(Mistake("columns", "one column is named twice, by name and by number"))
     if mistakes:
@@ -176,7 +205,8 @@ def _label(index: int, names: Sequence[str]) -> str:
     return names[index] if names and names[index] else str(index + 1)
 
 
-def _parquet_columns(path: Path, wanted: Sequence[str]) -> Columns:
+def _parquet_names(path: Path) -> list[str]:
+    """Names of the columns of a Parquet file."""
     try:
         import pyarrow as arrow
         from pyarrow import parquet
@@ -184,13 +214,24 @@ def _parquet_columns(path: Path, wanted: Sequence[str]) -> Columns:
         what = "reading Parquet needs pyarrow: pip install pyarrow, or convert the file to CSV"
         raise InputError(str(path), what) from None
     try:
-        with parquet.ParquetFile(path) as file:
-            names = list(file.schema_arrow.names)
-            chosen = tuple(names[k] for k in _choose(path, wanted, names, len(names)))
-            refuse_large((len(chosen), file.metadata.num_rows))
-            table = file.read(columns=list(chosen))
+        return list(parquet.read_schema(path).names)
     except (OSError, arrow.ArrowException) as error:
         raise InputError(str(path), f"is no Parquet file that can be read ({error})") from None
+
+
+def _parquet_columns(path: Path, wanted: Sequence[str]) -> Columns:
+    names = _parquet_names(path)
+    indices = _choose(path, wanted, names, len(names))
+    import pyarrow as arrow
+    from pyarrow import parquet
+
+    try:
+        with parquet.ParquetFile(path) as file:
+            refuse_large((len(indices), file.metadata.num_rows))
+            table = file.read(columns=[names[k] for k in indices])
+    except (OSError, arrow.ArrowException) as error:
+        raise InputError(str(path), f"is no Parquet file that can be read ({error})") from None
+    chosen = tuple(names[k] for k in indices)
     values = np.full((len(chosen), table.num_rows), np.nan)
     rows = np.arange(1, table.num_rows + 1)
     text = []
@@ -200,4 +241,4 @@ def _parquet_columns(path: Path, wanted: Sequence[str]) -> Columns:
         except (arrow.ArrowException, TypeError):
             what = f"holds {table[name].type}, not numbers; choose another column"
             text.append(Mistake(where(name, rows, 0, table.num_rows - 1), what))
-    return _columns(path, chosen, values, rows, text)
+    return _columns(path, chosen, values, rows, chosen, text)

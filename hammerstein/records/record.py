@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
 from itertools import chain
@@ -20,22 +19,20 @@ from hammerstein.records.checks import (
     gap_mistakes,
     length_mistakes,
     moves,
-    sample_time,
     still_mistake,
     still_mistakes,
-    time_mistakes,
     unit_mistake,
     where,
 )
-from hammerstein.records.readers import Columns, named_time, read_array, read_columns
+from hammerstein.records.outliers import Outliers, listed, outlier_mistakes, without_outliers
+from hammerstein.records.readers import Columns, read_array, read_columns
+from hammerstein.records.scales import factors_of, refuse_other_time, sample_time_of
+from hammerstein.records.units import in_base_unit
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 PathLike = str | Path
 
-OTHER_UNIT = re.compile(r"(^|[^a-z])(ms|us|µs|ns|min)\W*$", re.IGNORECASE)
-OTHER_RATE = 0.01
-"""Part by which a rate may differ from the one of the file's time column."""
 AXES = ("sample", "channel", "experiment", "period")
 
 
@@ -45,8 +42,8 @@ class Record(Pictured):
 
     Parameters
     ----------
-    u_v : (input, sample) voltages [V]
-    y_um : (output, sample) displacements [um]
+    u_v : (input, sample) voltages [V]; outliers, at most one percent, are replaced as ``outliers`` says
+    y_um : (output, sample) displacements [um]; the same
     sample_time_s : time between two samples [s]
     inputs, outputs : names of the axes; ``u1``, ``u2``, ... and ``y1``, ``y2``, ... if not given; a name that
         stands twice is numbered
@@ -54,11 +51,13 @@ class Record(Pictured):
     rows : (sample,) row of each sample in its file, from 1
     period_samples : length of one period, where the experiment is known to be periodic
     rest_v : (input,) voltage from which ``u_v`` counts [V]; zero, for absolute voltages, if not given
+    outliers : samples that were left out, found by `hammerstein.records.outliers`
     verified : True skips the search for mistakes, for a part of a record that has passed it
 
     Raises
     ------
-    InputError : gaps, too few samples, constant inputs or outputs, clipped sensor, impossible units
+    InputError : gaps, too few samples, too many outliers, constant inputs or outputs, clipped sensor,
+        impossible units
 
     Examples
     --------
@@ -77,6 +76,7 @@ class Record(Pictured):
     rows: Rows = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     period_samples: int | None = None
     rest_v: Array = field(default_factory=lambda: np.empty(0), repr=False)
+    outliers: tuple[Outliers, ...] = field(default=(), repr=False)
     verified: InitVar[bool] = False
 
     def __post_init__(self, verified: bool) -> None:
@@ -96,7 +96,9 @@ class Record(Pictured):
         ):
             object.__setattr__(self, name, value)
         self._refuse_names()
-        mistakes = [] if verified else list(self._mistakes())
+        if verified:
+            return
+        mistakes = self._gaps() or self._mend() or self._mistakes()
         if mistakes:
             raise InputError(self.source, mistakes)
 
@@ -126,12 +128,31 @@ class Record(Pictured):
                 f"names, {counts[1]} output names and {counts[2]} row numbers",
             )
 
+    def _gaps(self) -> list[Mistake]:
+        gaps = [
+            *gap_mistakes(self.inputs, self.u_v, self.rows),
+            *gap_mistakes(self.outputs, self.y_um, self.rows),
+        ]
+        return [*gaps, *length_mistakes(self.samples)]
+
+    def _mend(self) -> list[Mistake]:
+        """Replace outliers; mistakes where there are too many."""
+        found = without_outliers(self.u_v, self.y_um)
+        columns = (
+            (self.inputs, self.u_v, found.lost_u, self.rows),
+            (self.outputs, self.y_um, found.lost_y, self.rows),
+        )
+        mistakes = [mistake for column in columns for mistake in outlier_mistakes(*column)]
+        outliers = tuple(one for column in columns for one in listed(*column))
+        if outliers and not mistakes:
+            object.__setattr__(self, "outliers", outliers)
+            object.__setattr__(self, "u_v", _read_only(found.u))
+            object.__setattr__(self, "y_um", _read_only(found.y))
+        return mistakes
+
     def _mistakes(self) -> list[Mistake]:
         u, y, rows = self.u_v, self.y_um, self.rows
-        gaps = [*gap_mistakes(self.inputs, u, rows), *gap_mistakes(self.outputs, y, rows)]
-        mistakes = [*gaps, *length_mistakes(self.samples)]
-        if mistakes:
-            return mistakes
+        mistakes: list[Mistake] = []
         mistakes += still_mistakes(self.inputs, u, rows, "input")
         mistakes += still_mistakes(self.outputs, y, rows, "output")
         if mistakes:
@@ -162,6 +183,7 @@ class Record(Pictured):
             self.rows[start:stop],
             self.period_samples,
             self.rest_v,
+            self.outliers,
             verified=True,
         )
 
@@ -187,8 +209,8 @@ def read_records(
     outputs: Sequence[str],
     rate_hz: float | None = None,
     time: str | None = None,
-    input_scale: float = 1.0,
-    output_scale: float = 1.0,
+    input_scale: float | None = None,
+    output_scale: float | None = None,
     all_driven: bool = True,
 ) -> tuple[Record, ...]:
     """Records of one actuator from files: CSV and other text, ``.npy``, ``.npz``, ``.mat``, Parquet.
@@ -202,7 +224,8 @@ def read_records(
     inputs, outputs : columns with the voltages and the displacements
     rate_hz : samples a second [Hz], or
     time : column with the time [s]; one of the two
-    input_scale, output_scale : factors that turn the file's numbers into V and um
+    input_scale, output_scale : factors that turn the file's numbers into V and um; if not given, by the unit
+        in the name of a column (``u [mV]``, ``x_nm``) or in a row of units, else 1
     all_driven : whether every input must be driven in some record, as identification needs it
 
     Raises
@@ -218,7 +241,7 @@ def read_records(
             columns = read_columns(path, wanted)
             records.append(_record(columns, len(inputs), len(outputs), rate_hz, input_scale, output_scale))
             if rate_hz is not None:
-                _refuse_other_rate(path, rate_hz, wanted)
+                refuse_other_time(path, rate_hz, wanted)
         except InputError as error:
             failures.append(error)
     if failures:
@@ -234,8 +257,8 @@ def _refuse_arguments(
     outputs: Sequence[str],
     rate_hz: float | None,
     time: str | None,
-    input_scale: float,
-    output_scale: float,
+    input_scale: float | None,
+    output_scale: float | None,
 ) -> None:
     mistakes = []
     if isinstance(paths, str | Path):
@@ -255,58 +278,34 @@ def _refuse_arguments(
     if rate_hz is not None and not RATE_HZ.holds(rate_hz):
         mistakes.append(Mistake("rate", f"is {rate_hz:g} Hz; it {RATE_HZ.words()}"))
     for name, scale in (("input scale", input_scale), ("output scale", output_scale)):
-        if not SCALE.holds(scale) or scale == 0:
+        if scale is not None and (not SCALE.holds(scale) or scale == 0):
             mistakes.append(Mistake(name, f"is {scale:g}; it {SCALE.words()}, and not 0"))
     if mistakes:
         raise InputError("records", mistakes)
 
 
 def _record(
-    columns: Columns, m: int, p: int, rate_hz: float | None, input_scale: float, output_scale: float
+    columns: Columns,
+    m: int,
+    p: int,
+    rate_hz: float | None,
+    input_scale: float | None,
+    output_scale: float | None,
 ) -> Record:
-    mistakes = list(columns.mistakes)
+    found, factors = factors_of(columns, m, p, (input_scale, output_scale))
+    mistakes = [*columns.mistakes, *found]
     step = 1.0 / rate_hz if rate_hz is not None else 1.0
     if rate_hz is None:
-        found, step = _sample_time(columns)
+        found, step = sample_time_of(columns)
         mistakes += found
     if mistakes:
         raise InputError(columns.source, mistakes)
-    return Record(
-        input_scale * columns.values[:m],
-        output_scale * columns.values[m : m + p],
-        step,
-        columns.names[:m],
-        columns.names[m : m + p],
-        columns.source,
-        columns.rows,
+    values = factors[:, None] * columns.values[: m + p]
+    scaled = [input_scale] * m + [output_scale] * p
+    names = unique(
+        [name if scale else in_base_unit(name) for name, scale in zip(columns.names, scaled, strict=False)]
     )
-
-
-def _refuse_other_rate(path: PathLike, rate_hz: float, wanted: Sequence[str]) -> None:
-    """Refuse a rate that the file's own time column contradicts."""
-    time = named_time(path)
-    if time is None or time.names[0] in wanted:
-        return
-    step = float(np.median(np.diff(time.values[0])))
-    units = (1.0, 1e3, 1e6, rate_hz)  # s, ms, us, or samples that are counted
-    if step > 0.0 and all(abs(step * rate_hz / unit - 1.0) > OTHER_RATE for unit in units):
-        raise InputError(
-            str(path),
-            f"the rate given is {rate_hz:g} Hz, but its column {time.names[0]} goes on by {step:.6g}, which "
-            f"is {1.0 / step:.6g} Hz; give --time {time.names[0]} in place of --rate, or the right rate",
-        )
-
-
-def _sample_time(columns: Columns) -> tuple[list[Mistake], float]:
-    """Mistakes of the time column, which is the last one, and the sample time."""
-    name, time_s = columns.names[-1], columns.values[-1]
-    if OTHER_UNIT.search(name):
-        what = "is a time in another unit than s; give --rate in Hz instead of --time"
-        return [Mistake(where(name), what)], 1.0
-    if len(time_s) < 2 or not np.isfinite(time_s).all():
-        return [], 1.0  # told already, as too short or as gaps
-    mistakes = time_mistakes(name, time_s, columns.rows)
-    return mistakes, 1.0 if mistakes else sample_time(time_s)
+    return Record(values[:m], values[m:], step, names[:m], names[m:], columns.source, columns.rows)
 
 
 def _together(failures: Sequence[InputError]) -> InputError:

@@ -12,28 +12,48 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.checks import SHOWN, where
+from hammerstein.records.units import is_unit
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 HEAD_BYTES = 1 << 18
 HEAD_LINES = 3000
-DIALECTS = ((",", "."), ("\t", "."), ("\t", ","), (";", "."), (";", ","), (" ", "."), (" ", ","))
-"""Separator and decimal sign; a blank stands for any white space."""
+
+
+class Dialect(NamedTuple):
+    """Signs between columns (a blank for any white space), inside numbers and between groups of digits."""
+
+    separator: str
+    decimal: str
+    grouping: str = ""
+
+
+DIALECTS = (
+    *(Dialect(*signs) for signs in (",.", "\t.", "\t,", ";.", ";,", " .", " ,")),
+    Dialect(",", ","),  # quoted fields
+    *(Dialect(*signs) for signs in (";,.", "\t,.", " ,.", ",,.", ";.,", "\t.,", " .,", ",.,")),
+)
+"""In the order of preference: digits are grouped only where nothing else explains as many lines."""
+PLAIN_DIALECTS = 7
 COMMENTS = ("#", "%")
 BYTE_ORDER_MARKS = (
     (b"\xef\xbb\xbf", "utf-8-sig"),
     (b"\xff\xfe", "utf-16"),
     (b"\xfe\xff", "utf-16"),
 )
-UNIT = re.compile(r"[\[(].*[\])]|s|ms|us|µs|V|mV|kV|m|mm|um|µm|nm|Hz|kHz|-|1|", re.IGNORECASE)
+GROUPED = {
+    sign: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(sign)}\d{{3}})+(?:{re.escape(point)}\d*)?$")
+    for sign, point in ((",", "."), (".", ","))
+}
+WORD_WITH_UNIT = re.compile(r"\S+(?:\s+[\[(][^\])]*[\])])?")
 
 
 @dataclass(frozen=True)
@@ -42,21 +62,22 @@ class Layout:
 
     Parameters
     ----------
-    separator, decimal : signs between columns (a blank for any white space) and inside numbers
+    dialect : signs between columns and inside numbers
     encoding : of the text
     comment : sign that opens a comment line
     first : line of the first numbers, from 0
     width : number of columns
     names : header, empty if there is none
+    units : row of units, empty if there is none
     """
 
-    separator: str
-    decimal: str
+    dialect: Dialect
     encoding: str
     comment: str
     first: int
     width: int
     names: tuple[str, ...]
+    units: tuple[str, ...] = ()
 
 
 def find_layout(path: Path) -> Layout:
@@ -77,13 +98,13 @@ def find_layout(path: Path) -> Layout:
     lines = lines[:HEAD_LINES]
     comment = "%" if any(line.lstrip().startswith("%") for line in lines) else "#"
     body = [line for line in lines if line.strip() and not _is_comment(line, COMMENTS)]
-    separator, decimal, width, grade = _dialect(body)
+    dialect, width, grade = _dialect(body)
     if width == 0:
         raise InputError(str(path), f"holds no line of numbers among its first {len(lines)} lines")
-    table = [[] if _is_comment(line, COMMENTS) else _fields(line, separator) for line in lines]
-    first = _first_row(table, width, decimal, grade)
-    names = _header(lines[:first], separator, decimal, width)
-    return Layout(separator, decimal, encoding, comment, first, width, names)
+    table = [[] if _is_comment(line, COMMENTS) else _fields(line, dialect.separator) for line in lines]
+    first = _first_row(table, width, dialect, grade)
+    names, units = _header(lines[:first], dialect, width)
+    return Layout(dialect, encoding, comment, first, width, names, units)
 
 
 def _encoding(head: bytes) -> str:
@@ -110,27 +131,33 @@ def _fields(line: str, separator: str) -> list[str]:
     return [field.strip() for field in next(csv.reader([line], delimiter=separator), [])]
 
 
-def _is_number(field: str, decimal: str) -> bool:
-    if decimal == ",":
+def _is_number(field: str, dialect: Dialect) -> bool:
+    return _number(field, dialect) is not None
+
+
+def _number(field: str, dialect: Dialect) -> float | None:
+    """Value of a field; None if it is no number."""
+    if dialect.grouping and GROUPED[dialect.grouping].match(field):
+        field = field.replace(dialect.grouping, "")
+    if dialect.decimal == ",":
         if "." in field or field.endswith(",") or field.startswith(","):
-            return False
+            return None
         field = field.replace(",", ".", 1)
     if "_" in field:  # Python reads 1_000, a file does not mean it
-        return False
+        return None
     try:
-        float(field)
+        return float(field)
     except ValueError:
-        return False
-    return True
+        return None
 
 
-def _grade(fields: Sequence[str], decimal: str) -> int:
+def _grade(fields: Sequence[str], dialect: Dialect) -> int:
     """Likeness of a line to a row of numbers: 0 all numbers, 1 some are missing, 2 half are, 3 is none.
 
     A separator at the end of the line opens no column.
     """
     body = fields[:-1] if len(fields) > 1 and fields[-1] == "" else fields
-    numbers = sum(_is_number(field, decimal) for field in body)
+    numbers = sum(_is_number(field, dialect) for field in body)
     if numbers == 0:
         return 3
     if numbers == len(body):
@@ -140,16 +167,18 @@ def _grade(fields: Sequence[str], decimal: str) -> int:
     return 2 if 2 * numbers >= len(body) else 3
 
 
-def _dialect(lines: Sequence[str]) -> tuple[str, str, int, int]:
-    """Separator, decimal sign, width and worst grade of the rows that explain most of the lines.
+def _dialect(lines: Sequence[str]) -> tuple[Dialect, int, int]:
+    """Signs, width and worst grade of the rows that explain most of the lines.
 
     Full rows are preferred; rows with gaps or with a column of text count where full rows are the exception.
     """
     widths: dict[tuple[int, int], Counter[int]] = {}
-    for k, (separator, decimal) in enumerate(DIALECTS):
+    for k, dialect in enumerate(DIALECTS):
+        if k >= PLAIN_DIALECTS and not _possible(dialect, lines):
+            continue
         for line in lines:
-            fields = _fields(line, separator)
-            for grade in range(_grade(fields, decimal), 3):
+            fields = _fields(line, dialect.separator)
+            for grade in range(_grade(fields, dialect), 3):
                 widths.setdefault((grade, k), Counter())[len(fields)] += 1
     for share in (0.5, 0.0):
         for grade in range(3):
@@ -161,34 +190,54 @@ def _dialect(lines: Sequence[str]) -> tuple[str, str, int, int]:
             ]
             if found:
                 _, width, k = max(found)
-                return *DIALECTS[-k], width, grade
-    return ",", ".", 0, 0
+                return DIALECTS[-k], width, grade
+    return DIALECTS[0], 0, 0
 
 
-def _first_row(table: Sequence[Sequence[str]], width: int, decimal: str, grade: int) -> int:
+def _possible(dialect: Dialect, lines: Sequence[str]) -> bool:
+    """Whether some line holds the signs of a dialect; a comma as sign and separator needs quotes."""
+    signs = {dialect.decimal, dialect.grouping} - {""}
+    quoted = dialect.separator == ","
+    return any(all(sign in line for sign in signs) and ('"' in line or not quoted) for line in lines)
+
+
+def _first_row(table: Sequence[Sequence[str]], width: int, dialect: Dialect, grade: int) -> int:
     """First line of the numbers: the first row, or spoiled rows right above it."""
-    first = next(k for k, row in enumerate(table) if len(row) == width and _grade(row, decimal) <= grade)
+    first = next(k for k, row in enumerate(table) if len(row) == width and _grade(row, dialect) <= grade)
     while first > 0 and len(table[first - 1]) == width:
-        above = [_is_number(field, decimal) for field in table[first - 1]]
+        above = [_is_number(field, dialect) for field in table[first - 1]]
         if not above[0] and 2 * sum(above) <= width:
             break
         first -= 1
     return first
 
 
-def _header(lines: Sequence[str], separator: str, decimal: str, width: int) -> tuple[str, ...]:
-    """Names in the nearest line above the numbers with one word a column; a row of units comes second."""
+def _header(lines: Sequence[str], dialect: Dialect, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units in the nearest lines above the numbers with one word a column; titles are passed over.
+
+    Where there are only units, they are the names as well.
+    """
     units: tuple[str, ...] = ()
     for line in reversed([line for line in lines if line.strip()]):
-        names = [name.strip("\"' ") for name in _fields(line.lstrip("\ufeff \t#%"), separator)]
-        names = names[:-1] if len(names) > width and names[-1] == "" else names
-        names += [""] * (width - len(names) if len(names) == width - 1 and separator != " " else 0)
-        if len(names) != width or any(_is_number(name, decimal) for name in names):
+        names = _words(line.lstrip("\ufeff \t#%"), dialect.separator, width)
+        if len(names) != width or not any(names):
+            continue
+        if any(_is_number(name, dialect) for name in names):
             break
-        if not all(UNIT.fullmatch(name) for name in names):
-            return tuple(names)
+        if not all(is_unit(name) for name in names):
+            return tuple(names), units
         units = units or tuple(names)
-    return units
+    return units, units
+
+
+def _words(line: str, separator: str, width: int) -> list[str]:
+    """Fields of a line of names; a blank between a name and its unit in brackets parts no columns."""
+    words = WORD_WITH_UNIT.findall(line) if separator == " " else _fields(line, separator)
+    if separator == " " and len(words) != width:
+        words = line.split()
+    names = [word.strip("\"' ") for word in words]
+    names = names[:-1] if len(names) > width and names[-1] == "" else names
+    return names + [""] * (width - len(names) if len(names) == width - 1 and separator != " " else 0)
 
 
 def read_text(
@@ -209,7 +258,7 @@ def read_text(
         raise InputError(
             str(path), f"{len(lines)} lines of numbers hold {len(frame)} rows: is a quotation mark left open?"
         )
-    columns, spoiled = zip(*(_numbers(frame[index]) for index in indices), strict=True)
+    columns, spoiled = zip(*(_numbers(frame[index], layout.dialect) for index in indices), strict=True)
     values = np.vstack(columns)
     filled = np.flatnonzero(np.isfinite(values).any(axis=0) | _text_flags(spoiled, values.shape[1]))
     samples = int(filled[-1]) + 1 if filled.size else 0
@@ -224,8 +273,8 @@ def _frame(path: Path, layout: Layout, indices: list[int], skipped: list[int]) -
     try:
         return pd.read_csv(
             path,
-            sep=r"\s+" if layout.separator == " " else layout.separator,
-            decimal=layout.decimal,
+            sep=r"\s+" if layout.dialect.separator == " " else layout.dialect.separator,
+            **_numbers_of(layout.dialect),
             encoding=layout.encoding,
             encoding_errors="replace",
             comment=layout.comment,
@@ -240,13 +289,24 @@ def _frame(path: Path, layout: Layout, indices: list[int], skipped: list[int]) -
         raise InputError(str(path), f"cannot be read as a table ({error})") from None
 
 
-def _numbers(series: Any) -> tuple[Array, dict[int, str]]:
+def _numbers_of(dialect: Dialect) -> dict[str, Any]:
+    """How pandas reads the numbers: as text where it cannot tell the signs apart."""
+    if dialect.grouping or dialect.decimal == dialect.separator:
+        return {"dtype": str, "keep_default_na": False, "na_values": ["", "nan", "NaN", "NA", "N/A"]}
+    return {"decimal": dialect.decimal}
+
+
+def _numbers(series: Any, dialect: Dialect) -> tuple[Array, dict[int, str]]:
     """A column as numbers, and what stands where it has text instead."""
     import pandas as pd
 
     if series.dtype.kind in "iuf":
         return series.to_numpy(dtype=np.float64), {}
-    numbers = pd.to_numeric(series.astype(object), errors="coerce").to_numpy(dtype=np.float64)
+    if "decimal" in _numbers_of(dialect):
+        numbers = pd.to_numeric(series.astype(object), errors="coerce").to_numpy(dtype=np.float64)
+    else:
+        found = [_number(str(text).strip(), dialect) for text in series]
+        numbers = np.array([np.nan if value is None else value for value in found])
     spoiled = np.flatnonzero(np.isnan(numbers) & series.notna().to_numpy())
     return numbers, {int(k): str(series.iloc[k]).strip() for k in spoiled}
 
@@ -295,9 +355,9 @@ def _scan(path: Path, layout: Layout) -> tuple[Rows, list[int], list[Mistake]]:
 
 def _count(line: str, layout: Layout) -> int:
     """Columns of a line; separators alone at its end open none."""
-    if layout.separator == " ":
+    if layout.dialect.separator == " ":
         return len(line.split(layout.comment)[0].split())
-    if line.count(layout.separator) < layout.width:
+    if line.count(layout.dialect.separator) < layout.width:
         return layout.width
-    fields = _fields(line.split(layout.comment)[0], layout.separator)
+    fields = _fields(line.split(layout.comment)[0], layout.dialect.separator)
     return max((k + 1 for k, field in enumerate(fields) if field), default=0)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.identification.static.regressors import Start
-from hammerstein.records.preparation import driven_inputs
+from hammerstein.records.preparation import driven_inputs, run_in
 from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
@@ -19,8 +19,6 @@ StartMode = Literal["auto", "rest", "repeated"]
 CLOSED_V = 0.01
 CLOSED_UM = 0.02
 """Parts of the range by which the ends of a closed record may differ."""
-VISITED = 0.05
-"""An extreme counts as visited from this part of the range on."""
 KEPT_SHARE = 0.5
 """Part of a record that must remain for the rest to be spent on forgetting."""
 CAUTION = 0.25
@@ -56,17 +54,6 @@ def closed(record: Record) -> bool:
     gap_v, gap_um = np.abs(u[:, -1] - u[:, 0]) / span_v, np.abs(y[:, -1] - y[:, 0]) / span_um
     to_tip = np.minimum(u.max(axis=1) - u[:, 0], u[:, 0] - u.min(axis=1)) / span_v
     return bool((gap_v < CLOSED_V).all() and (gap_um < CLOSED_UM).all() and (to_tip < CLOSED_V).all())
-
-
-def run_in(record: Record) -> int:
-    """Samples until every driven voltage has been near both its extremes: earlier history is forgotten."""
-    last = 0
-    for k in driven_inputs(record):
-        u = record.u_v[k]
-        margin = VISITED * float(np.ptp(u))
-        low, high = np.argmax(u <= u.min() + margin), np.argmax(u >= u.max() - margin)
-        last = max(last, int(low), int(high))
-    return last
 
 
 def judged_starts(

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_solve, cholesky
+from scipy.linalg import LinAlgError, cho_solve, cholesky, orth
 from scipy.optimize import nnls
 
 from hammerstein.errors import IdentificationError
@@ -23,6 +23,10 @@ DEPENDENT = 1e-10
 """Eigenvalue of the scaled Gram matrix, relative to the largest, under which columns depend on each other."""
 WELL_DETERMINED = 1e-4
 """Pivot of the scaled Gram matrix from which no column depends on those before it."""
+NOTHING = 1e-7
+"""Size of a column, in parts of the largest, below which it holds rounding errors alone."""
+NO_DIRECTION = 1e-9
+"""Singular value of columns of length one, in parts of the largest, that is a rounding error."""
 TILE, CHUNK = 32, 256
 """Columns and samples of one product: small enough that BLAS does it on one core. Waiting for a second core
 that is busy costs far more than it brings."""
@@ -153,8 +157,7 @@ class _Scaled(NamedTuple):
 
     @classmethod
     def of(cls, matrix: Array) -> _Scaled:
-        norm = np.sqrt(np.diag(matrix))
-        scale = 1.0 / np.where(norm > 0.0, norm, 1.0)
+        scale = 1.0 / not_nothing(np.sqrt(np.diag(matrix)))
         values, vectors = np.linalg.eigh(scale[:, None] * matrix * scale)
         kept = values > DEPENDENT * max(values.max(initial=0.0), np.finfo(float).tiny)
         return cls(scale, np.sqrt(values[kept]), vectors[:, kept], vectors[:, ~kept])
@@ -241,14 +244,27 @@ def _bounded(root: Array, target: Array, bounds: Bounds) -> tuple[Array, NDArray
     """
     held = bounds.side != 0.0
     x = np.where(held, bounds.bound, 0.0)
-    others = np.linalg.qr(root[:, ~held])[0]
+    others = orth(root[:, ~held] / _lengths(root[:, ~held]), rcond=NO_DIRECTION)
     left = root[:, held] * bounds.side[held]
     left = left - others @ (others.T @ left)
-    size = 1.0 / np.maximum(np.linalg.norm(left, axis=0), np.finfo(float).tiny)
+    size = 1.0 / _lengths(left)
     rest = target - root @ x
     above, _ = nnls(left * size, rest - others @ (others.T @ rest), maxiter=50 * max(len(size), 1))
     x[held] += bounds.side[held] * size * above
     free = ~held
     free[held] = above > 0.0
-    x[~held] = np.linalg.lstsq(root[:, ~held], target - root[:, held] @ x[held], rcond=None)[0]
+    open_ = root[:, ~held]
+    rest = target - root[:, held] @ x[held]
+    x[~held] = np.linalg.lstsq(open_ / _lengths(open_), rest, rcond=NO_DIRECTION)[0] / _lengths(open_)
     return x, free
+
+
+def _lengths(matrix: Array) -> Array:
+    """Lengths of the columns."""
+    return not_nothing(np.linalg.norm(matrix, axis=0))
+
+
+def not_nothing(sizes: Array) -> Array:
+    """Sizes by which columns can be divided: those of rounding errors become the largest, or one."""
+    largest = float(sizes.max(initial=0.0))
+    return np.where(sizes > NOTHING * largest, sizes, largest if largest > 0.0 else 1.0)

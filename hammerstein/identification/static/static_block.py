@@ -18,6 +18,7 @@ from hammerstein.identification.static.normal_equations import (
     Moments,
     Solution,
     moments_of,
+    not_nothing,
     pooled,
     solve,
 )
@@ -37,6 +38,12 @@ Weighting = Literal["least_squares", "nonnegative", "invertible"]
 
 LEAST_SLOPE = 0.05
 """Bound of the slopes of a direct pair, in parts of its mean slope."""
+WHITENED = 1e-6
+"""Power of a combination of the plays of one input, in parts of the largest, from which it is told at all."""
+INSEPARABLE = 1e-10
+"""One less a correlation of two inputs, below which they cannot be told apart."""
+SHARED = 0.1
+"""Share of an input in such a combination from which it takes part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,8 +218,8 @@ def solve_static(
     ridge: float = 0.0,
 ) -> StaticFit:
     """Weights from the moments of each output; see ``fit_static``."""
+    refuse_inseparable(records[0], layout, moments)
     free = [_solve_output(layout, o, moment, ridge) for o, moment in enumerate(moments)]
-    refuse_inseparable(records[0], layout, free)
     solutions = free
     if method != "least_squares":
         gains = gains_of(records, thresholds_v, layout, [solution.coefficients for solution in free])
@@ -368,12 +375,33 @@ def refuse_unreached(records: Sequence[Record], grids: Sequence[Array]) -> None:
             )
 
 
-def refuse_inseparable(record: Record, layout: Layout, free: Sequence[Solution]) -> None:
-    """Refuse records in which several inputs never move independently."""
-    for parts, solution in zip(layout.parts, free, strict=True):
-        names = [record.inputs[k] for k, part in enumerate(parts) if solution.dependent[part].any()]
+def refuse_inseparable(record: Record, layout: Layout, moments: Sequence[Moments]) -> None:
+    """Refuse records in which several inputs never move independently.
+
+    Plays of one input may depend on each other, which leaves single weights open and no more. Two inputs
+    cannot be told apart where what the plays of one span meets what those of another span: the least
+    eigenvalue of their correlations, each input whitened by itself, is then zero (canonical correlation 1).
+    """
+    for o, moment in enumerate(moments):
+        gram = layout.merge[o].T @ moment.gram @ layout.merge[o]
+        bases = [_whitened(gram[part, part]) for part in layout.parts[o]]
+        columns = np.zeros((len(gram), sum(base.shape[1] for base in bases)))
+        owner = np.repeat(np.arange(len(bases)), [base.shape[1] for base in bases])
+        for k, (part, base) in enumerate(zip(layout.parts[o], bases, strict=True)):
+            columns[part, owner == k] = base
+        values, vectors = np.linalg.eigh(columns.T @ gram @ columns)
+        shared = np.abs(vectors[:, values < INSEPARABLE]).max(axis=1, initial=0.0) > SHARED
+        names = [record.inputs[k] for k in np.unique(owner[shared])]
         if len(names) > 1:
             raise IdentificationError(
                 f"the records do not tell inputs {' and '.join(names)} apart: they never move independently; "
                 "add records in which one input is driven at a time"
             )
+
+
+def _whitened(gram: Array) -> Array:
+    """Combinations (column, direction) of the plays of one input that are independent and of power one."""
+    scale = 1.0 / not_nothing(np.sqrt(np.diag(gram)))
+    values, vectors = np.linalg.eigh(scale[:, None] * gram * scale)
+    kept = values > WHITENED * max(values.max(initial=0.0), np.finfo(float).tiny)
+    return np.asarray(scale[:, None] * vectors[:, kept] / np.sqrt(values[kept]))

@@ -17,7 +17,7 @@ from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.regressors import Start
-from hammerstein.records.preparation import driven_inputs
+from hammerstein.records.preparation import driven_alone, driven_inputs
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import find_cycles
 from hammerstein.reporting.figures.loops import LoopRun, loops_figure
@@ -25,11 +25,12 @@ from hammerstein.reporting.figures.style import (
     MOST_POINTS,
     PALE,
     WIDTH_IN,
+    axis_label,
+    column_words,
     legend_above,
     letter,
     line_style,
     new_figure,
-    plain,
     plain_numbers,
     sparse_markers,
     styled,
@@ -78,14 +79,10 @@ def _longest(records: Sequence[Record]) -> list[Record]:
     return [record for record in long if record.sample_time_s == long[0].sample_time_s]
 
 
-def _words(name: str) -> str:
-    """Name of an axis for a label: a bare column number says little."""
-    return f"column {name}" if name.isdigit() else plain(name)
-
-
 def _cycle(record: Record, k: int) -> slice | None:
-    """Last closed cycle of an input, if there is one."""
-    cycles = [e for e in find_cycles(record.u_v[k]).excursions if not e.minor]
+    """Last closed cycle in which an input is driven alone, if there is one."""
+    alone = [e for e in find_cycles(record.u_v[k]).excursions if driven_alone(record, k, e.start, e.stop)]
+    cycles = [e for e in alone if not e.minor] or alone
     return slice(cycles[-1].start, cycles[-1].stop + 1) if cycles else None
 
 
@@ -105,7 +102,7 @@ def measured_loops(fit: Fit) -> Figure | None:
         found = [
             (float(np.ptp(record.u_v[k, part])), i, part)
             for i, record in enumerate(fit.records)
-            if driven_inputs(record) == (k,) and (part := _cycle(record, k))
+            if k in driven_inputs(record) and (part := _cycle(record, k))
         ]
         if not found:
             continue
@@ -120,8 +117,8 @@ def measured_loops(fit: Fit) -> Figure | None:
         runs.append(LoopRun("measured", k, sent, record.y_um[:, part], drawn))
     if not runs:
         return None
-    inputs = [f"{_words(name)} [V]" for name in fit.inputs]
-    return loops_figure(runs, inputs, [f"{_words(name)} [µm]" for name in fit.outputs])
+    inputs = [axis_label(name, "V") for name in fit.inputs]
+    return loops_figure(runs, inputs, [axis_label(name, "µm") for name in fit.outputs])
 
 
 def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
@@ -145,7 +142,7 @@ def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
                     row, left[kind][o], record.sample_time_s, number, most
                 )
             _, unit = time_axis(record.sample_time_s * record.samples)
-            row[0].set(ylabel=f"error of {_words(fit.outputs[o])} [µm]", xlabel=unit)
+            row[0].set(ylabel=f"error of {axis_label(fit.outputs[o], 'µm')}", xlabel=unit)
             row[1].set(ylabel="amplitude [µm]", xlabel="frequency [Hz]", xscale="log", yscale="log")
             row[1].grid(visible=True, which="major")
         for number, axes in enumerate(panels.flat):
@@ -207,7 +204,7 @@ def operators_figure(fit: Fit) -> Figure:
         for o, name in enumerate(fit.outputs):
             errors = [max(point.nrmse_percent[o], LEAST) for point in fit.error_curve]
             style = line_style(o) | {"marker": "os^xvD+"[o % 7]}
-            (entries[_words(name)],) = axes.plot(counts, errors, **style)
+            (entries[column_words(name)],) = axes.plot(counts, errors, **style)
         for n in chosen:
             mark = axes.axvline(n, color=PALE, linewidth=5.0, alpha=0.4, zorder=0)
         entries["this model"] = mark
@@ -241,7 +238,9 @@ def response_figure(fit: Fit, measured: FrequencyResponse) -> Figure:
         entries: dict[str, Artist] = {}
         for number, ((o, k), axes) in enumerate(np.ndenumerate(panels)):
             letter(
-                axes, number, f"{_words(fit.inputs[k])} to {_words(fit.outputs[o])}" if k < m else "coherence"
+                axes,
+                number,
+                f"{column_words(fit.inputs[k])} to {column_words(fit.outputs[o])}" if k < m else "coherence",
             )
             axes.set(xscale="log", xlabel="frequency [Hz]" if o == p - 1 else "")
             if k == m:

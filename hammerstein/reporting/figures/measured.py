@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from hammerstein.records.loops import Loop
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures.loops import LoopRun, loops_figure
-from hammerstein.reporting.figures.style import plain
+from hammerstein.reporting.figures.style import axis_label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,27 +26,33 @@ def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]
     tables : their loops, as ``loop_table`` gives them
     """
     runs = []
-    for record, table in zip(records, tables, strict=True):
+    names = file_labels([record.source for record in records])
+    for name, record, table in zip(names, records, tables, strict=True):
         for loop in _chosen(table):
             part = slice(loop.start, loop.stop + 1)
             driven = record.inputs.index(loop.input)
-            label = f"{loop.amplitude_v:.3g} V" + (
-                f", {Path(record.source).stem}" if len(records) > 1 else ""
-            )
+            label = f"{loop.amplitude_v:.3g} V" + (f", {name}" if len(records) > 1 else "")
             runs.append(LoopRun(label, driven, record.u_v[driven, part], record.y_um[:, part]))
     if not runs:
         return None
     first = records[0]
     return loops_figure(
         runs,
-        [f"{_words(name)} [V]" for name in first.inputs],
-        [f"{_words(name)} [µm]" for name in first.outputs],
+        [axis_label(name, "V") for name in first.inputs],
+        [axis_label(name, "µm") for name in first.outputs],
     )
 
 
-def _words(column: str) -> str:
-    """Name of a column on an axis: a bare number says little."""
-    return f"column {column}" if column.isdigit() else plain(column)
+def file_labels(sources: Sequence[str]) -> list[str]:
+    """Names of files without ending; with their folder where two have the same.
+
+    >>> file_labels(["a/x.csv", "a/y.csv"]), file_labels(["a/x.csv", "b/x.csv"])
+    (['x', 'y'], ['a_x', 'b_x'])
+    """
+    stems = [Path(source).stem for source in sources]
+    if len(set(stems)) == len(stems):
+        return stems
+    return [f"{Path(source).parent.name}_{stem}" for source, stem in zip(sources, stems, strict=True)]
 
 
 def _chosen(table: Sequence[Loop]) -> list[Loop]:

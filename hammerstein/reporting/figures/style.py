@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.records.units import is_unit, without_unit
+
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
@@ -145,6 +147,25 @@ def plain(label: str) -> str:
     ' _5 \\$'
     """
     return (" " if label.startswith("_") else "") + label.replace("$", r"\$")
+
+
+def column_words(column: str) -> str:
+    """Name of a column without its unit, as a label: a bare number says little.
+
+    >>> column_words("3"), column_words("X (um)")
+    ('column 3', 'X')
+    """
+    return f"column {column}" if column.isdigit() else plain(without_unit(column) or column)
+
+
+def axis_label(column: str, unit: str) -> str:
+    """Label of an axis that shows a column, with the unit that its numbers have now.
+
+    >>> axis_label("X (um)", "µm"), axis_label("V", "V"), axis_label("[V]", "V"), axis_label("Volt_1", "V")
+    ('X [µm]', 'V', '[V]', 'Volt_1 [V]')
+    """
+    named = column.isdigit() or not is_unit(column)
+    return f"{column_words(column)} [{unit}]" if named else plain(column)
 
 
 def letter(axes: Axes, number: int, remark: str = "") -> None:

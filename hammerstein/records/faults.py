@@ -1,0 +1,256 @@
+"""Faults of a record that a model would otherwise take for behaviour of the actuator, each by its name.
+
+Every suspicion is a comparison: the outputs are fitted by plays and delayed copies of the voltages, once as
+they are and once with what the fault would add. A fault is named only where that explains far more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.records.checks import runs
+from hammerstein.records.noise import noise_rms
+from hammerstein.records.outliers import FITTED, copies
+from hammerstein.records.preparation import driven_inputs, run_in
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+PLAYS = 16
+REMAINS = 0.25
+"""Part of a record that must remain behind its run-in for drift and saturation to be looked for."""
+DRIFT = 0.005
+"""Smallest drift that is told, in parts of the largest range of the outputs."""
+DRIFT_EXPLAINS = 0.75
+"""Part to which a trend in time must lower the error."""
+BENT = 0.01
+"""Error of a fit, in parts of the range, from which it is asked whether the output saturates."""
+BENT_EXPLAINS = 0.6
+FLAT = 0.75
+"""Slope at an end, in parts of the largest, below which an output saturates."""
+TOP = np.linspace(0.55, 0.95, 17)
+"""Levels, in parts of the range, above which a command may be clipped."""
+STANDS = 0.1
+"""Slope above such a level, in parts of the one below, under which the output stands still."""
+STEEP = 0.5
+"""Slope below it, in parts of the mean one, that tells a limit from a curve."""
+SHARP = 0.8
+"""Slope right below a limit, in parts of the one before, that tells a limit from saturation."""
+FEWEST = 8
+"""Samples from which a slope is believed."""
+LONG = 9
+"""Samples from which a stretch at the limit has a shape."""
+JUMP = 0.1
+SURE = 5.0
+HUMP = 0.01
+"""Rise and fall of an output while the voltage stands at its limit, in parts of its range."""
+
+
+class Fault(NamedTuple):
+    """A fault and the outputs that it spoils.
+
+    Parameters
+    ----------
+    source, outputs : record and names of the outputs
+    text : what it is, with rows and what to do
+    """
+
+    source: str
+    outputs: tuple[str, ...]
+    text: str
+
+
+def faults(record: Record) -> list[Fault]:
+    """Clipped commands, clipped readings of a voltage, drift and saturation of one record.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 4.0, 4000)
+    >>> u = 10.0 * np.sin(2.0 * np.pi * t)
+    >>> [fault.text[:26] for fault in faults(Record([u], [5.0 * u + 2.0 * t], 1e-3))]
+    ['y1 of record drifts by 6.6']
+    """
+    stride = max(record.samples // FITTED, 1)
+    y = record.y_um[:, ::stride]
+    blocks = {k: copies(record.u_v[k], PLAYS, stride) for k in driven_inputs(record)}
+    found = [*_clipped_commands(record, stride, blocks), *_clipped_readings(record)]
+    first = run_in(record) // stride  # what was before the record is forgotten there
+    if found or first > (1.0 - REMAINS) * y.shape[1]:
+        return found
+    every = np.vstack([*blocks.values(), np.ones((1, y.shape[1]))])[:, first:]
+    for o in range(len(y)):
+        found += _bends_and_drifts(record, o, every, y[:, first:], (first * stride, stride))
+    return found
+
+
+def _left(x: Array, y: Array) -> tuple[Array, float]:
+    """Weights of the regressors (column, sample), and the rms of what they leave."""
+    weights = np.linalg.lstsq(x @ x.T, x @ y, rcond=1e-12)[0]
+    return np.asarray(weights), float(np.sqrt(np.mean((y - weights @ x) ** 2)))
+
+
+def _bends_and_drifts(record: Record, o: int, x: Array, y: Array, grid: tuple[int, int]) -> Iterator[Fault]:
+    """Drift and saturation of one output, each judged beside the other."""
+    name, row = record.outputs[o], y[o]
+    weights, plain = _left(x, row)
+    time = np.linspace(-1.0, 1.0, row.size)
+    trend = np.vstack([time, time**2])
+    fit = weights @ x
+    z = 2.0 * (fit - fit.min()) / max(float(np.ptp(fit)), np.finfo(float).tiny) - 1.0
+    bend = np.vstack([z**2, z**3])
+    left = {
+        (drifts, bends): _left(np.vstack([x, *[trend] * drifts, *[bend] * bends]), row)
+        for drifts in (0, 1)
+        for bends in (0, 1)
+    }
+    slow, bent = left[1, 0][1], left[0, 1][1]
+    both = left[1, 1][1]
+    start, stride = grid
+    if slow < DRIFT_EXPLAINS * plain or both < DRIFT_EXPLAINS * bent:
+        a, b = left[1, 0][0][-2:] if slow < bent else left[1, 1][0][-4:-2]
+        line = a * time + b * time**2
+        if np.ptp(line) > DRIFT * float(np.ptp(record.y_um, axis=1).max()):
+            stop = start + (row.size - 1) * stride
+            seconds = (stop - start) * record.sample_time_s
+            yield Fault(
+                record.source,
+                (name,),
+                f"{name} of {record.source} drifts by {np.ptp(line):.3g} um from row {record.rows[start]} to "
+                f"row {record.rows[stop]}, in {seconds:.3g} s, whatever the voltages do: let the set-up "
+                "settle, or take the drift off",
+            )
+    span = float(np.ptp(row))
+    if plain > BENT * span and (bent < BENT_EXPLAINS * plain or both < BENT_EXPLAINS * slow):
+        c2, c3 = left[0, 1][0][-2:] if bent < slow else left[1, 1][0][-2:]
+        slope = 0.5 * float(np.ptp(fit)) + 2.0 * c2 * z + 3.0 * c3 * z**2
+        low, high = float(slope[np.argmin(z)]), float(slope[np.argmax(z)])
+        if min(low, high) < FLAT * float(slope.max()) and max(low, high) < 1.02 * float(slope.max()):
+            ends = [end for end, value in (("lowest", low), ("highest", high)) if value < FLAT * slope.max()]
+            at = record.rows[start + stride * int(np.argmax(z) if ends[-1] == "highest" else np.argmin(z))]
+            yield Fault(
+                record.source,
+                (name,),
+                f"{name} of {record.source} saturates: towards its {' and '.join(ends)} readings (row {at}) "
+                f"it moves by {100.0 * min(low, high) / slope.max():.0f} % of its steepest slope only; lower "
+                "the amplitude, or take the model for what is between",
+            )
+
+
+def _clipped_commands(record: Record, stride: int, blocks: dict[int, Array]) -> Iterator[Fault]:
+    """Outputs that stand still while the command goes on beyond a limit, and start again where it returns."""
+    for k in blocks:
+        u = record.u_v[k, ::stride]
+        centred = record.y_um - record.y_um.mean(axis=1, keepdims=True)
+        o = int(np.argmax(np.abs(centred @ (record.u_v[k] - record.u_v[k].mean()))))
+        y = record.y_um[o, ::stride]
+        others = [block for other, block in blocks.items() if other != k]
+        if others:
+            x = np.vstack([*others, blocks[k], np.ones((1, u.size))])
+            weights, _ = _left(x, y)
+            y = y - weights[: sum(map(len, others))] @ np.vstack(others)
+        for side in (1.0, -1.0):
+            level = _limit(side * u, side * y)
+            if level is not None:
+                yield _clipped(record, k, o, side, level)
+
+
+def _clipped(record: Record, k: int, o: int, side: float, level: float) -> Fault:
+    places = runs(side * record.u_v[k] > level)
+    start, stop = max(places.tolist(), key=lambda place: place[1] - place[0])
+    more = f" and {len(places) - 1} more stretches" if len(places) > 1 else ""
+    name, moved = record.inputs[k], record.outputs[o]
+    return Fault(
+        record.source,
+        record.outputs,
+        f"{name} of {record.source} is clipped on its way to the actuator: {moved} stands still while the "
+        f"command goes on beyond {record.rest_v[k] + side * level:.4g} V "
+        f"(rows {record.rows[start]} to {record.rows[stop]}"
+        f"{more}); keep the command within the range of the amplifier, or record its output",
+    )
+
+
+def _limit(u: Array, y: Array) -> float | None:
+    """Level above which a rising voltage moves the output no further, though it did right below it."""
+    low, high = float(u.min()), float(u.max())
+    span = high - low
+    gain = float((u - u.mean()) @ (y - y.mean()) / max((u - u.mean()) @ (u - u.mean()), np.finfo(float).tiny))
+    rising = np.diff(u, prepend=u[0]) > 0.0
+    for part in TOP:
+        level = low + part * span
+        above, below = rising & (u > level), rising & (u <= level) & (u > level - 0.1 * span)
+        top, under = _slope(u[above], y[above]), _slope(u[below], y[below])
+        if top is None or under is None:
+            continue
+        slope, error = top
+        stands = abs(slope) + 2.0 * error < STANDS * under[0]
+        if stands and under[0] - 2.0 * under[1] > STEEP * gain > 0.0:
+            limit = float(u[below].mean() + (y[above].mean() - y[below].mean()) / under[0])
+            return limit if _sharp(u[rising], y[rising], limit, 0.1 * span) else None
+    return None
+
+
+def _sharp(u: Array, y: Array, limit: float, width: float) -> bool:
+    """Whether the output is as steep right below a limit as further down; towards saturation it is not."""
+    near, before = (u > limit - width) & (u <= limit), (u > limit - 2.0 * width) & (u <= limit - width)
+    slopes = _slope(u[near], y[near]), _slope(u[before], y[before])
+    return slopes[0] is not None and slopes[1] is not None and slopes[0][0] > SHARP * slopes[1][0]
+
+
+def _slope(u: Array, y: Array) -> tuple[float, float] | None:
+    """Slope of an output over a voltage and its standard error; None for too few samples."""
+    if u.size < FEWEST:
+        return None
+    v = u - u.mean()
+    power = float(v @ v)
+    if power == 0.0:
+        return None
+    slope = float(v @ (y - y.mean())) / power
+    left = y - y.mean() - slope * v
+    return slope, float(np.sqrt(left @ left / (u.size - 2) / power))
+
+
+def _clipped_readings(record: Record) -> Iterator[Fault]:
+    """Voltages that stand at their limit while an output rises and falls again: the reading is clipped."""
+    for k in driven_inputs(record):
+        u = record.u_v[k]
+        for side in (1.0, -1.0):
+            held = runs(side * u == (side * u).max()).tolist()
+            places = [(a, b) for a, b in held if b - a + 1 >= LONG and _reached(u, a, b)]
+            if not places:
+                continue
+            humps = np.array([_hump(side * record.y_um[:, a : b + 1]) for a, b in places])
+            spans = np.ptp(record.y_um, axis=1)
+            o = int(np.argmax(spans))
+            noise = noise_rms(record.y_um[o]) / np.sqrt(LONG / 4.0)
+            tall = np.median(humps[:, o]) > max(HUMP * spans[o], SURE * noise)
+            if tall and (humps[:, o] > 0.0).all():
+                start, stop = places[int(np.argmax(humps[:, o]))]
+                name, moved, limit = record.inputs[k], record.outputs[o], record.rest_v[k] + u[start]
+                yield Fault(
+                    record.source,
+                    record.outputs,
+                    f"{name} of {record.source} is clipped by its recorder at {limit:.4g} V: {moved} "
+                    f"rises and falls while it stands (rows {record.rows[start]} to {record.rows[stop]}, "
+                    f"{len(places)} such stretches); record it over a larger range",
+                )
+
+
+def _reached(u: Array, start: int, stop: int) -> bool:
+    """Whether a voltage went up to a limit and back from it, and did not jump."""
+    before, behind = max(start - 1, 0), min(stop + 1, len(u) - 1)
+    jump = max(abs(u[before] - u[start]), abs(u[behind] - u[stop]))
+    return bool(jump < JUMP * np.ptp(u))
+
+
+def _hump(y: Array) -> Array:
+    """How far the middle of a stretch stands above both of its ends (output,); negative if above one only."""
+    tenth = max(y.shape[1] // 8, 1)
+    half = y.shape[1] // 2
+    middle = y[:, half - tenth : half + tenth + 1].mean(axis=1)
+    ends = y[:, :tenth].mean(axis=1), y[:, -tenth:].mean(axis=1)
+    return np.asarray(np.minimum(middle - ends[0], middle - ends[1]))

@@ -1,0 +1,91 @@
+"""How far each voltage moves each output: what a person checks first, and what a wrong unit spoils."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.records.preparation import driven_inputs
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+
+USUAL_GAIN = 1e-3, 1e3
+"""Gains of piezo actuators from shear plates to amplified stages, with room on both sides [um/V]."""
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Gain of one pair over all records.
+
+    Parameters
+    ----------
+    input, output : names of the axes
+    span_v : largest range of the voltage in one record [V]
+    span_um : largest range of the output in one record [um]
+    um_per_v : least-squares gain, all inputs at once [um/V]
+    """
+
+    input: str
+    output: str
+    span_v: float
+    span_um: float
+    um_per_v: float
+
+
+def pair_gains(records: Sequence[Record]) -> list[Gain]:
+    """Gain of every pair of an input that is driven, pair by pair.
+
+    Parameters
+    ----------
+    records : voltages and displacements of one actuator
+
+    Examples
+    --------
+    >>> u = np.sin(np.linspace(0.0, 12.0, 300))
+    >>> pair_gains([Record([u], [5.0 * u], 1e-3)])[0].um_per_v.__round__(9)
+    5.0
+    """
+    first = records[0]
+    power = np.zeros((len(first.u_v),) * 2)
+    cross = np.zeros((len(first.y_um), len(first.u_v)))
+    for record in records:
+        u = record.u_v - record.u_v.mean(axis=1, keepdims=True)
+        power += u @ u.T
+        cross += (record.y_um - record.y_um.mean(axis=1, keepdims=True)) @ u.T
+    size = np.sqrt(np.maximum(np.diag(power), np.finfo(float).tiny))
+    gains = cross / size @ np.linalg.pinv(power / np.outer(size, size), rcond=1e-9, hermitian=True) / size
+    spans_v = np.max([np.ptp(record.u_v, axis=1) for record in records], axis=0)
+    spans_um = np.max([np.ptp(record.y_um, axis=1) for record in records], axis=0)
+    return [
+        Gain(name, output, float(spans_v[k]), float(spans_um[o]), float(gains[o, k]))
+        for k, name in enumerate(first.inputs)
+        if any(k in driven_inputs(record) for record in records)
+        for o, output in enumerate(first.outputs)
+    ]
+
+
+def doubtful_gains(gains: Sequence[Gain]) -> list[str]:
+    """Sentences about inputs whose strongest effect is none that an actuator has.
+
+    Examples
+    --------
+    >>> doubtful_gains([Gain("u", "x", 100.0, 40.0, 0.4)])
+    []
+    >>> print(doubtful_gains([Gain("u", "x", 100.0, 4e5, 4e3)])[0])
+    x moves by 4e+03 um/V (over 4e+05 um for 100 V of u), outside 0.001 to 1000 um/V
+    """
+    strongest: dict[str, Gain] = {}
+    for gain in gains:
+        if abs(gain.um_per_v) >= abs(strongest.get(gain.input, gain).um_per_v):
+            strongest[gain.input] = gain
+    low, high = USUAL_GAIN
+    return [
+        f"{gain.output} moves by {gain.um_per_v:.3g} um/V (over {gain.span_um:.3g} um for "
+        f"{gain.span_v:.3g} V of {gain.input}), outside {low:g} to {high:g} um/V"
+        for gain in strongest.values()
+        if not low <= abs(gain.um_per_v) <= high
+    ]

@@ -1,0 +1,269 @@
+"""Samples that no actuator can have read: lost cells, spikes, glitches. They are found, left out and listed.
+
+A sample is suspected where its column jumps away and back, or leaves the range of all others. It is left out
+where a robust fit of the outputs says so: plays and delayed copies of the voltages, fitted without the
+suspects, must miss an output there by far more than anywhere else; and a voltage is a spike only if the
+outputs are explained no worse without it. Sharp edges, pulses and ringing that the outputs follow stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import Mistake
+from hammerstein.hysteresis import play
+from hammerstein.records.checks import SHOWN, runs, where
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Rows = NDArray[np.int64]
+
+MOST = 0.01
+"""Part of the samples that may be left out."""
+USUAL = 0.02
+"""Part of the samples on each side that the usual range leaves out: more than outliers are allowed to be."""
+FAR = 0.5
+"""Distance from the usual range, in parts of it, from which a sample is suspected."""
+JUMP = 4.0
+SMALLEST = 0.02
+"""A jump is suspected from this many times the usual large step on, and from this part of the range."""
+LONGEST = 0.005
+"""Longest excursion away and back that is suspected, in parts of the record."""
+APART = 3.0
+"""Distance of a value that stands for nothing (-9999) from all others, in parts of their range."""
+SURE = 4.0
+"""A suspect is left out if the fit misses it by this many times the usual large error."""
+NO_WORSE = 1.05
+"""Error of the fit without a spike of the voltage, in parts of that with it, up to which it is left out."""
+EXACT = 1e-12
+"""Error below which a fit is exact [um]."""
+PLAYS = 8
+LAGS = (1, 2, 3, 5, 8, 13)
+FITTED = 40_000
+"""Samples of which the robust fit is made."""
+ROUNDS = 4
+
+
+class Outliers(NamedTuple):
+    """Samples of one column that were left out.
+
+    Parameters
+    ----------
+    column : its name
+    rows : (sample,) rows in the file, from 1
+    values : (sample,) what was read there
+    samples : of the whole record
+    """
+
+    column: str
+    rows: Rows
+    values: Array
+    samples: int
+
+    def describe(self) -> str:
+        """List rows and readings, the first few of many.
+
+        Examples
+        --------
+        >>> Outliers("x", np.array([7, 8, 30]), np.array([-9999.0, -9999.0, 200.0]), 4000).describe()
+        'rows 7 to 8 (-9999), row 30 (200): 3 of 4000 samples'
+        """
+        starts = np.flatnonzero(np.diff(self.rows, prepend=-1) != 1)
+        stops = np.append(starts[1:], len(self.rows)) - 1
+        words = []
+        for start, stop in list(zip(starts, stops, strict=True))[:SHOWN]:
+            first, last = self.rows[start], self.rows[stop]
+            place = f"row {first}" if first == last else f"rows {first} to {last}"
+            words.append(f"{place} ({self.values[start]:.6g})")
+        more = f" and {len(starts) - SHOWN} more places" if len(starts) > SHOWN else ""
+        return f"{', '.join(words)}{more}: {len(self.rows)} of {self.samples} samples"
+
+
+class Mended(NamedTuple):
+    """Voltages and displacements (axis, sample) without outliers, and a flag for each sample left out."""
+
+    u: Array
+    y: Array
+    lost_u: Flags
+    lost_y: Flags
+
+
+def without_outliers(u: Array, y: Array) -> Mended:
+    """Voltages (input, sample) [V] and displacements (output, sample) [um] with outliers replaced.
+
+    A lost voltage is bridged by a straight line; a lost displacement by the robust fit, shifted by what it
+    misses on both sides, so that it has next to no weight in any later fit.
+
+    Examples
+    --------
+    >>> u = 10.0 * np.sin(np.linspace(0.0, 40.0, 4000))[None]
+    >>> y = 5.0 * u
+    >>> y[0, 1234] = 200.0
+    >>> found = without_outliers(u, y)
+    >>> np.flatnonzero(found.lost_y[0]), bool(abs(found.y[0, 1234] - 5.0 * u[0, 1234]) < 1e-6)
+    (array([1234]), True)
+    """
+    suspect_u = np.array([_suspects(row) for row in u])
+    suspect_y = np.array([_suspects(row) for row in y])
+    nothing = np.zeros_like(suspect_y)
+    if not (suspect_u.any() or suspect_y.any()):
+        return Mended(u, y, suspect_u, nothing)
+    lost_u, bridged = np.zeros_like(suspect_u), u
+    if suspect_u.any():
+        trial = np.array([_bridged(row, flags) for row, flags in zip(u, suspect_u, strict=True)])
+        aside = suspect_y | _widened(np.any(suspect_u, axis=0))
+        with_them, without = (_usual_error(y - _fit(v, y, aside), aside) for v in (u, trial))
+        worse = np.log(np.maximum(without, EXACT) / np.maximum(with_them, EXACT))
+        if float(worse.mean()) <= np.log(NO_WORSE):
+            lost_u, bridged = suspect_u, trial
+    if not suspect_y.any():
+        return Mended(bridged, y, lost_u, nothing)
+    lost_y, fit = _confirmed(bridged, y, suspect_y)
+    mended = np.array([f + _bridged(row - f, flags) for row, f, flags in zip(y, fit, lost_y, strict=True)])
+    return Mended(bridged, np.where(lost_y, mended, y), lost_u, lost_y)
+
+
+def _confirmed(u: Array, y: Array, suspects: Flags) -> tuple[Flags, Array]:
+    """Suspects that a fit without them misses, again with those that it does not miss (redescending)."""
+    lost = suspects
+    for _ in range(ROUNDS):
+        fit = _fit(u, y, lost)
+        error = np.abs(y - fit)
+        limit = SURE * _large_error(error, lost) + SMALLEST * _span(fit)
+        again = suspects & (error > limit[:, None])
+        if (again == lost).all():
+            break
+        lost = again
+    return lost, fit
+
+
+def outlier_mistakes(names: Sequence[str], values: Array, lost: Flags, rows: Rows) -> list[Mistake]:
+    """Columns of which more is lost than may be left out."""
+    return [
+        Mistake(
+            where(found.column),
+            f"outliers in {found.describe()} ({100 * len(found.rows) / found.samples:.1f} %), more than the "
+            f"{100 * MOST:.0f} % that may be left out; mend the record",
+        )
+        for found in listed(names, values, lost, rows)
+        if len(found.rows) > max(MOST * found.samples, 1)
+    ]
+
+
+def listed(names: Sequence[str], values: Array, lost: Flags, rows: Rows) -> list[Outliers]:
+    """Outliers of each column that has some; values (column, sample) as they were read."""
+    return [
+        Outliers(name, rows[flags], row[flags], len(row))
+        for name, row, flags in zip(names, values, lost, strict=True)
+        if flags.any()
+    ]
+
+
+def _suspects(x: Array) -> Flags:
+    """Samples that leave the range of the others, or jump away and back."""
+    low, high = np.quantile(x, [USUAL, 1.0 - USUAL])
+    span = float(high - low)
+    suspects = (x > high + FAR * span) | (x < low - FAR * span) if span > 0.0 else np.zeros(len(x), bool)
+    suspects |= _placeholder(x)
+    steps = np.diff(x)
+    size = np.abs(steps)
+    usual = np.quantile(size, 1.0 - 2.0 * USUAL)
+    jumps = np.flatnonzero(size > max(JUMP * usual, SMALLEST * span))
+    if 0 < jumps.size <= 4.0 * MOST * len(x) + 4:
+        longest = max(LONGEST * len(x), 3.0)
+        for a, b in pairwise(jumps):
+            away_and_back = steps[a] * steps[b] < 0.0 and b - a <= longest
+            if away_and_back and abs(x[b + 1] - x[a]) < 0.5 * min(size[a], size[b]):
+                suspects[a + 1 : b + 1] = True
+    return suspects
+
+
+def _placeholder(x: Array) -> Flags:
+    """A value that stands for nothing: far from all others, which are a minority at most."""
+    flags = np.zeros(len(x), dtype=bool)
+    for extreme in (x.min(), x.max()):
+        same = x == extreme
+        rest = x[~same]
+        if rest.size > 0.5 * len(x) and np.ptp(rest) > 0.0:
+            distance = min(abs(extreme - rest.min()), abs(extreme - rest.max()))
+            if distance > APART * np.ptp(rest):
+                flags |= same
+    return flags
+
+
+def _bridged(x: Array, flags: Flags) -> Array:
+    """A row with straight lines over the flagged samples."""
+    if not flags.any() or flags.all():
+        return x
+    samples, kept = np.arange(len(x)), ~flags
+    return np.asarray(np.where(flags, np.interp(samples, samples[kept], x[kept]), x))
+
+
+def _widened(flags: Flags) -> Flags:
+    """Flags and as many samples behind each as the fit looks back."""
+    wide = flags.copy()
+    for start, stop in runs(flags):
+        wide[max(start - 1, 0) : stop + LAGS[-1] + 2] = True
+    return wide
+
+
+def _fit(u: Array, y: Array, aside: Flags) -> Array:
+    """Outputs (output, sample) by plays and delayed copies of the voltages, fitted without some samples."""
+    x = np.vstack([*(copies(row) for row in u if np.ptp(row) > 0.0), np.ones((1, y.shape[1]))])
+    stride = max(y.shape[1] // FITTED, 1)
+    fit = np.empty_like(y)
+    for o, row in enumerate(y):
+        flags = aside[o] if aside.ndim == 2 else aside
+        used = np.flatnonzero(~flags)[::stride]
+        weights = np.linalg.lstsq(x[:, used] @ x[:, used].T, x[:, used] @ row[used], rcond=1e-12)[0]
+        fit[o] = weights @ x
+    return fit
+
+
+def copies(u: Array, plays: int = PLAYS, stride: int = 1) -> Array:
+    """Plays of a voltage whose thresholds divide half its range, from rest, and the voltage some samples ago.
+
+    Parameters
+    ----------
+    u : (sample,) voltage [V]
+    plays : how many
+    stride : samples from one that is kept to the next
+
+    Returns
+    -------
+    (row, sample), counted from the first voltage
+    """
+    v = u - u[0]
+    thresholds = 0.5 * float(np.ptp(u)) * np.arange(plays) / plays
+    rows = [play(v, [threshold])[0, ::stride] for threshold in thresholds]
+    rows += [np.concatenate([np.zeros(d), v[:-d]])[::stride] for d in LAGS if d < len(u)]
+    return np.vstack(rows)
+
+
+def _large_error(error: Array, aside: Flags) -> Array:
+    """Usual large error (output,): two percent of the samples that are not set aside have a larger one."""
+    return np.array(
+        [
+            np.quantile(row[~flags], 1.0 - USUAL) if not flags.all() else np.inf
+            for row, flags in zip(error, aside, strict=True)
+        ]
+    )
+
+
+def _usual_error(residual: Array, aside: Flags) -> Array:
+    """Median size of what a fit leaves (output,), away from the samples set aside."""
+    return np.array(
+        [
+            np.median(np.abs(row[~flags])) if not flags.all() else np.inf
+            for row, flags in zip(residual, aside, strict=True)
+        ]
+    )
+
+
+def _span(values: Array) -> Array:
+    return np.asarray(np.ptp(values, axis=1))

@@ -1,0 +1,122 @@
+"""Units in the names of columns and in rows of units, and their factors to V, um and s."""
+
+from __future__ import annotations
+
+import re
+from typing import Literal, NamedTuple
+
+Kind = Literal["voltage", "displacement", "time"]
+
+BASE: dict[Kind, str] = {"voltage": "V", "displacement": "um", "time": "s"}
+FACTORS: dict[Kind, dict[str, float]] = {
+    "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3},
+    "displacement": {"um": 1.0, "nm": 1e-3, "pm": 1e-6, "mm": 1e3, "cm": 1e4, "m": 1e6},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+}
+WORDS = {"volt": "v", "millivolt": "mv", "kilovolt": "kv", "micron": "um", "sec": "s", "second": "s"}
+WORDS |= {"millisecond": "ms", "microsecond": "us", "nanosecond": "ns", "minute": "min"}
+for _prefix, _short in (("", "m"), ("milli", "mm"), ("micro", "um"), ("nano", "nm")):
+    WORDS |= {f"{_prefix}meter": _short, f"{_prefix}metre": _short}
+NO_UNIT = ("", "-", "1", "hz", "khz")
+"""What else may stand in a row of units."""
+SINGLE = ("m", "s", "v")
+"""Letters that may be part of a name after a mere underscore or blank, such as ``x_m`` for a measured x."""
+
+IN_BRACKETS = re.compile(r"^(?P<name>.*?)(?P<open>\s*[\[(]\s*)(?P<unit>[^\[\]()]*?)(?P<close>\s*[\])]\s*)$")
+BEHIND_SLASH = re.compile(r"^(?P<name>.+?)(?P<open>\s*/\s*|\s+in\s+)(?P<unit>[^\W\d_]+)(?P<close>\s*)$")
+AT_END = re.compile(r"^(?P<name>.+?)(?P<open>[_ ])(?P<unit>[^\W\d_]+)(?P<close>\s*)$")
+PLAIN = re.compile(r"^(?P<name>)(?P<open>)(?P<unit>[^\W\d_]+)(?P<close>)$")
+
+
+class Unit(NamedTuple):
+    """What a column is measured in.
+
+    Parameters
+    ----------
+    symbol : as it is usually written, such as ``mV``
+    kind : voltage, displacement or time
+    factor : to V, um or s
+    """
+
+    symbol: str
+    kind: Kind
+    factor: float
+
+
+def unit_of(word: str) -> Unit | None:
+    """Unit that a word stands for, in any case; None if it is none.
+
+    Examples
+    --------
+    >>> unit_of("mV").factor, unit_of("µm").kind, unit_of("Volts").symbol, unit_of("deg")
+    (0.001, 'displacement', 'V', None)
+    """
+    short = word.strip().lower().replace("µ", "u").replace("μ", "u")
+    short = WORDS.get(short.removesuffix("s"), short) if len(short) > 2 else short
+    for kind, factors in FACTORS.items():
+        for symbol, factor in factors.items():
+            if symbol.lower() == short:
+                return Unit(symbol, kind, factor)
+    return None
+
+
+def is_unit(word: str) -> bool:
+    """Whether a word may stand in a row of units."""
+    word = word.strip()
+    bracketed = IN_BRACKETS.match(word)
+    inner = bracketed["unit"] if bracketed and not bracketed["name"] else word
+    return (
+        (bracketed is not None and not bracketed["name"]) or inner.lower() in NO_UNIT or bool(unit_of(inner))
+    )
+
+
+def _match(name: str) -> re.Match[str] | None:
+    """Where the unit stands in the name of a column."""
+    for pattern in (IN_BRACKETS, BEHIND_SLASH, AT_END, PLAIN):
+        match = pattern.match(name)
+        if match and (unit := unit_of(match["unit"])):
+            vague = pattern in (AT_END, PLAIN) and match["unit"].lower() in SINGLE
+            if not vague or (pattern is AT_END and unit.symbol != "m"):
+                return match
+    return None
+
+
+def unit_in(name: str) -> Unit | None:
+    """Unit in the name of a column: ``u [mV]``, ``x (nm)``, ``x / um``, ``time_ms``; None if it has none.
+
+    A lone ``m`` behind an underscore or a blank may mean "measured" and is no unit.
+
+    Examples
+    --------
+    >>> [unit.symbol if (unit := unit_in(n)) else None for n in ("u_mV", "X (um)", "Weg / nm", "x_m")]
+    ['mV', 'um', 'nm', None]
+    """
+    match = _match(name)
+    return unit_of(match["unit"]) if match else None
+
+
+def in_base_unit(name: str) -> str:
+    """Name of a column after its numbers were turned into V, um or s.
+
+    Examples
+    --------
+    >>> in_base_unit("u_mV"), in_base_unit("X (nm)"), in_base_unit("x")
+    ('u_V', 'X (um)', 'x')
+    """
+    match = _match(name)
+    unit = unit_of(match["unit"]) if match else None
+    if match is None or unit is None or unit.factor == 1.0:
+        return name
+    return f"{match['name']}{match['open']}{BASE[unit.kind]}{match['close']}"
+
+
+def without_unit(name: str) -> str:
+    """Name of a column without the unit in brackets or behind a slash, for a label that has its own.
+
+    Examples
+    --------
+    >>> without_unit("X (um)"), without_unit("u / V"), without_unit("u_x"), without_unit("[V]")
+    ('X', 'u', 'u_x', '')
+    """
+    match = _match(name)
+    return match["name"].strip(" _") if match else name

@@ -1,0 +1,98 @@
+"""Each fault of a record is named as what it is, with rows, and none of the others is suspected."""
+
+import re
+
+import pytest
+import record_faults as made
+from record_faults import SHAPES, STEP_S, copied, measured
+
+from hammerstein.errors import HammersteinError
+from hammerstein.identification.identify import identify
+from hammerstein.identification.settings import Settings
+from hammerstein.records.record import Record
+
+WORDS = {
+    "outliers": "outliers",
+    "drift": "drifts by",
+    "clipped command": "is clipped on its way",
+    "clipped reading": "is clipped by its recorder",
+    "saturation": "saturates",
+    "swapped": "columns swapped",
+    "butterfly": "no rising loop",
+    "inseparable": "never move independently",
+    "never turns": "never turns|no voltage turns",
+    "never driven": "never driven",
+    "noise": "readings are noise",
+    "lag": "phase lag looks like hysteresis",
+    "clipped sensor": "stands at",
+    "missed": "is missed by",
+}
+"""What is said of each fault, and of no other."""
+
+PERIODIC = ("sines", "one-sided", "starts in motion")
+SLOW = ("falling triangles", "falling triangles both ways", *PERIODIC)
+ALL = tuple(SHAPES)
+FAULTS = [
+    *((made.one_sample, "outliers", r"row 1234 \(200\): 1 of", shape) for shape in ALL),
+    *(
+        (made.lost_cells, "outliers", r"rows 501 to 506 \(-9999\), row 2001 \(-9999\): 7 of", shape)
+        for shape in ALL
+    ),
+    *(
+        (made.lost_rows, "outliers", r"rows 2101 to 2103 \(-9999\): 3 of", shape)
+        for shape in ALL
+        if shape not in ("prbs", "random levels")
+    ),
+    *((made.drive_spike, "outliers", r"u_x are left out: row 2222 \(", shape) for shape in ALL),
+    *(
+        (made.drift, "drift", r"x of r0.csv drifts by [45]\.\d* um from row \d+ to row \d{4}", shape)
+        for shape in SLOW
+    ),
+    *((made.thermal_drift, "drift", r"y of r0.csv drifts by [234]\.\d* um", shape) for shape in SLOW),
+    *(
+        (made.clipped_command, "clipped command", r"goes on beyond .* V \(rows \d+ to \d+", shape)
+        for shape in SLOW
+    ),
+    *(
+        (made.clipped_reading, "clipped reading", r"while it stands \(rows \d+ to \d+", shape)
+        for shape in PERIODIC
+    ),
+    *((made.saturation, "saturation", r"row \d+|steepest slope", shape) for shape in SLOW),
+    *((made.swapped, "swapped", r"column x, rows 1 to .*column y, rows 1 to", shape) for shape in SLOW),
+    *((made.half_swapped, "swapped", r"column y, rows 1 to", shape) for shape in SLOW),
+]
+
+
+def diagnosis(us, ys):
+    """Everything that is said of records."""
+    try:
+        records = [
+            Record(u, y, STEP_S, ("u_x", "u_y"), ("x", "y"), f"r{k}.csv")
+            for k, (u, y) in enumerate(zip(us, ys, strict=True))
+        ]
+        _, fit = identify(records, Settings(operators=10, delay_samples=0, error_curve=False))
+    except HammersteinError as error:
+        return str(error)
+    return "\n".join([fit.verdict, *fit.flags, *fit.not_identifiable, *fit.notes])
+
+
+def suspicions(said):
+    return {fault for fault, words in WORDS.items() if re.search(words, said)}
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2])
+@pytest.mark.parametrize("shape", ALL)
+def test_a_clean_record_raises_no_suspicion(shape, noise):
+    said = diagnosis(*copied(measured(shape, noise, seed=int(1e4 * noise))))
+    assert suspicions(said) == set(), said
+
+
+@pytest.mark.parametrize(
+    ("fault", "name", "rows", "shape"), FAULTS, ids=lambda v: getattr(v, "__name__", None)
+)
+def test_a_fault_is_named_with_its_rows_and_none_of_the_others(fault, name, rows, shape):
+    us, ys = copied(measured(shape))
+    fault(us, ys)
+    said = diagnosis(us, ys)
+    assert suspicions(said) == {name}, said
+    assert re.search(rows, said, re.DOTALL), said

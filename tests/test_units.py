@@ -1,0 +1,108 @@
+"""Units in names and rows of units, names that stand twice, gains that no actuator has."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from record_cases import TIME, N, U, X, message, read, table_text
+
+from hammerstein.records.gains import doubtful_gains, pair_gains
+from hammerstein.records.record import Record, read_records
+
+
+@pytest.mark.parametrize(
+    ("header", "v_per", "um_per"),
+    [
+        ("t,u_mV,x_nm", 1e-3, 1e-3),
+        ("t,u [kV],x (mm)", 1e3, 1e3),
+        ("t [s],u / mV,x / m", 1e-3, 1e6),
+        ("t,u,x\ns,mV,nm", 1e-3, 1e-3),
+        ("t,u,x\n[s],[V],[m]", 1.0, 1e6),
+        ("Time (s),U (V),X (um)", 1.0, 1.0),
+    ],
+)
+def test_units_of_columns_are_read(tmp_path, header, v_per, um_per):
+    path = tmp_path / "loop.csv"
+    path.write_text(header + "\n" + table_text(np.column_stack([TIME, U / v_per, X / um_per])))
+    (record,) = read(path, inputs=["2"], outputs=["3"])
+    np.testing.assert_allclose(record.u_v[0], U, atol=2e-9 * v_per)
+    np.testing.assert_allclose(record.y_um[0], X, atol=2e-9 * um_per)
+    assert not any("m" in name.lower().replace("um", "") for name in record.inputs)
+
+
+def test_a_scale_takes_the_place_of_the_unit(tmp_path):
+    path = tmp_path / "loop.csv"
+    path.write_text("t,u_mV,x_V\n" + table_text(np.column_stack([TIME, U, X / 8.0])))
+    (record,) = read(path, inputs=["u_mV"], outputs=["x_V"], input_scale=1.0, output_scale=8.0)
+    np.testing.assert_allclose(record.u_v[0], U, atol=1e-8)
+    np.testing.assert_allclose(record.y_um[0], X, atol=1e-7)
+    assert record.inputs == ("u_mV",)
+
+
+def test_a_voltage_is_no_displacement(tmp_path):
+    path = tmp_path / "loop.csv"
+    path.write_text("t,u [V],x [um]\n" + table_text(np.column_stack([TIME, U, X])))
+    text = message(read, path, inputs=["x [um]"], outputs=["u [V]"])
+    assert "is in um, which is no voltage: are --inputs and --outputs swapped?" in text
+    assert "is in V, which is no displacement" in text
+
+
+@pytest.mark.parametrize(("name", "factor"), [("time_ms", 1e3), ("t [us]", 1e6), ("Time (ms)", 1e3)])
+def test_a_time_in_another_unit_is_read(tmp_path, name, factor):
+    path = tmp_path / "loop.csv"
+    path.write_text(f"{name},u_x,x\n" + table_text(np.column_stack([TIME * factor, U, X])))
+    assert read(path, time=name, rate_hz=None)[0].sample_time_s == 5e-3
+
+
+def test_columns_of_one_name_get_names_of_their_own(tmp_path):
+    path = tmp_path / "scope.csv"
+    path.write_text("second,Volt,Volt,x,x\n" + table_text(np.column_stack([TIME, U, 0.5 * U, X, -X])))
+    for inputs, outputs in ((["2", "3"], ["4", "5"]), (["2", "Volt_2"], ["4", "x_2"])):
+        (record,) = read_records([path], inputs=inputs, outputs=outputs, rate_hz=200.0)
+        assert record.inputs == ("Volt", "Volt_2")
+        assert record.outputs == ("x", "x_2")
+        np.testing.assert_allclose(record.u_v[1], 0.5 * U, atol=1e-9)
+    text = message(read, path, inputs=["Volt"], outputs=["4"])
+    assert "stands 2 times in the header; give its number, 2 and 3" in text
+
+
+def test_names_stay_unique_when_their_units_become_one(tmp_path):
+    path = tmp_path / "loop.csv"
+    path.write_text("u_mV,u_V,x\n" + table_text(np.column_stack([1e3 * U, 2 * U, X])))
+    (record,) = read_records([path], inputs=["1", "2"], outputs=["3"], rate_hz=200.0)
+    assert len(set(record.inputs)) == 2
+    np.testing.assert_allclose(record.u_v, [U, 2 * U], atol=1e-8)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e6])
+@pytest.mark.parametrize("digits", [9, 3])
+def test_a_rate_does_not_hide_the_gaps_of_a_time_column(tmp_path, unit, digits):
+    """Ten of 5 ms samples are missing, whatever the column's unit is and however few its digits."""
+    kept = np.delete(np.arange(N), np.arange(100, 110))
+    rows = np.column_stack([np.round(TIME, digits) * unit, U, X])
+    path = tmp_path / "gap.csv"
+    path.write_text("t,u_x,x\n" + table_text(rows[kept]))
+    assert "about 10 samples are missing, which --rate does not mend" in message(read, path)
+    path.write_text("t,u_x,x\n" + table_text(rows))
+    assert read(path)[0].samples == N
+    jitter = rows + np.array([1.0, 0.0, 0.0]) * 1e-3 * unit * np.random.default_rng(1).uniform(-1, 1, (N, 1))
+    path.write_text("t,u_x,x\n" + table_text(jitter))
+    assert read(path)[0].samples == N
+
+
+def test_gains_of_all_pairs_and_doubts():
+    other = np.roll(U, 37)
+    records = [
+        Record([U, 0 * U], [5.0 * U, 0.1 * U], 1e-3),
+        Record([U, other], [5 * U + other, 3 * other], 1e-3),
+    ]
+    gains = {(g.input, g.output): g for g in pair_gains(records)}
+    assert gains["u1", "y1"].um_per_v == pytest.approx(5.0, rel=1e-9)
+    assert gains["u2", "y1"].um_per_v == pytest.approx(1.0, rel=1e-9)
+    assert gains["u2", "y2"].um_per_v == pytest.approx(3.0, rel=2e-2)
+    assert gains["u1", "y1"].span_v == pytest.approx(20.0)
+    assert doubtful_gains(list(gains.values())) == []
+    for scale, word in ((1e-4, "0.0005"), (1e3, "5e+03")):
+        doubts = doubtful_gains(pair_gains([Record([U], [scale * 5.0 * U], 1e-3)]))
+        assert len(doubts) == 1
+        assert word in doubts[0]
