@@ -24,7 +24,7 @@ from hammerstein.metrics.cycle import settled_cycle
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.cache import kept
-from hammerstein.signals import Multisine, Sine
+from hammerstein.signals import Multisine, Sine, Triangle
 from hammerstein.simulation import Plant
 
 Array = NDArray[np.float64]
@@ -50,7 +50,10 @@ def identify_by_experiment(plant: Plant, spec: ClosedFormSpec | JointFitSpec, se
     IdentificationError : the data do not determine the model, or the drive cuts the voltage
     """
     actuator = replace(plant.model, instruments=plant.instruments)
-    return HammersteinModel.from_json(kept(_identified)(actuator.to_json(), spec.model_dump_json(), seed))
+    # The text is a part of the seed: what was added later and is not given must not move the noise.
+    unsaid = {"waveform"} if getattr(spec, "waveform", None) is None else set()
+    text = spec.model_dump_json(exclude=unsaid)
+    return HammersteinModel.from_json(kept(_identified)(actuator.to_json(), text, seed))
 
 
 def _identified(actuator_json: str, spec_json: str, seed: int) -> str:
@@ -168,9 +171,10 @@ def _settled_loop(bench: Plant, spec: ClosedFormSpec, k: int, seeds: list[int]) 
     period = 1.0 / spec.frequency_hz
     settle = max(spec.settle_cycles, math.ceil(0.05 / period))
     samples = round((settle + spec.measured_cycles) * period / bench.sample_time_s)
-    voltage = np.zeros((bench.model.hysteresis.n_inputs, samples))
-    time_s = np.arange(samples) * bench.sample_time_s
-    voltage[k] = spec.amplitude_v * np.sin(2.0 * np.pi * spec.frequency_hz * time_s)
+    wave = Triangle if spec.waveform == "triangle" else Sine
+    signal = wave(amplitude=spec.amplitude_v, frequency_hz=spec.frequency_hz, axis=k + 1)
+    time_s = np.arange(samples, dtype=np.float64) * bench.sample_time_s
+    voltage = signal.sample(time_s, bench.model.hysteresis.n_inputs)
     response = bench.respond(voltage, [*seeds, k])
     phases = 2 * max(1, round(0.5 * period / bench.sample_time_s))
     both = np.vstack([response.drive_v[k], response.reading_um])

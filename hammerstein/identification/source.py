@@ -27,6 +27,9 @@ class ClosedFormSpec(BaseModel):
     method: Literal["closed_form"] = "closed_form"
     frequency_hz: PositiveFloat = 50.0
     amplitude_v: PositiveFloat = 10.0
+    waveform: Literal["sine", "triangle"] | None = Field(
+        default=None, description="what drives the input: a sine if not given"
+    )
     operators: PositiveInt = 15
     settle_cycles: PositiveInt = 5
     measured_cycles: PositiveInt = 10

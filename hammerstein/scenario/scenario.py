@@ -73,6 +73,15 @@ class Tolerance(BaseModel):
     absolute: float = Field(default=1e-6, ge=0.0)
 
 
+class AlsoOn(BaseModel):
+    """Another actuator that answers the claims, with so many passes of the paper's law in a sample."""
+
+    model_config = _STRICT
+
+    actuator: str
+    passes: PositiveInt = 1
+
+
 class Scenario(BaseModel):
     """One experiment: an actuator, a signal, and what is compared."""
 
@@ -97,7 +106,7 @@ class Scenario(BaseModel):
     )
     tolerances: dict[str, Tolerance] = {}
     claims: tuple[Claim, ...] = ()
-    claims_also_on: tuple[str, ...] = Field(
+    claims_also_on: tuple[str | AlsoOn, ...] = Field(
         default=(), description="other actuators that answer the claims, for comparison"
     )
 
@@ -215,7 +224,7 @@ def _relative_to(scenario: Scenario, folder: Path) -> Scenario:
     """Make the paths of files relative to the scenario's folder."""
     changes: dict[str, Any] = {
         "actuator": _resolved(scenario.actuator, folder),
-        "claims_also_on": tuple(_resolved(name, folder) for name in scenario.claims_also_on),
+        "claims_also_on": tuple(_also_on(other, folder) for other in scenario.claims_also_on),
     }
     for name in ("compensators", "models"):
         sources = getattr(scenario, name)
@@ -228,6 +237,12 @@ def _relative_to(scenario: Scenario, folder: Path) -> Scenario:
         if isinstance(signal, FromFile):
             changes[name] = signal.model_copy(update={"path": str(folder / signal.path)})
     return scenario.model_copy(update=changes)
+
+
+def _also_on(other: str | AlsoOn, folder: Path) -> str | AlsoOn:
+    if isinstance(other, str):
+        return _resolved(other, folder)
+    return other.model_copy(update={"actuator": _resolved(other.actuator, folder)})
 
 
 def _resolved(name: str, folder: Path) -> str:
