@@ -127,7 +127,7 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
         lines={report.name: [Line.of(verdict) for verdict in report.verdicts] for report in reports},
         readings=[Met.of(name, counted) for name in actuators],
         tables=[_table(group, actuators) for group in (counted, [v for v in verdicts if v.calibrated])],
-        none=[v.id for v in counted if not any(answer.agrees for answer in v.answers)],
+        unmet=[v.id for v in counted if not any(answer.agrees for answer in v.answers)],
         total=len(counted),
     )
 
