@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from hammerstein.errors import InputError
 from hammerstein.experiment.run import run
 from hammerstein.metrics import Row
+from hammerstein.reporting.claims_page import write_page
 from hammerstein.scenario.claims import Agreement, Change, Claim, Quantity, verdicts
 
 
@@ -168,3 +169,34 @@ def test_refused(fields):
         _claim(
             fields.get("agreement", {"at_most": 1}), **{k: v for k, v in fields.items() if k != "agreement"}
         )
+
+
+def test_the_page_opens_with_what_holds_where_and_puts_calibration_apart(tmp_path):
+    claim = {
+        "id": "C1",
+        "statement": "moves",
+        "quantity": {"metric": "height_um", "measured_axis": "x"},
+        "agreement": {"at_least": 1.0},
+    }
+    claims = [
+        claim,
+        claim | {"id": "C2", "agreement": {"at_least": 1e6}},
+        claim | {"id": "C3", "calibrated": True},
+    ]
+    content = {
+        "question": "?",
+        "actuator": "duo_bimorph_static",
+        "claims_also_on": [{"actuator": "duo_bimorph_paper", "passes": 4}],
+        "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0, "axis": 1},
+        "claims": claims,
+    }
+    write_page([run(content, "one")], tmp_path, tmp_path / "page")
+    text = (tmp_path / "page" / "README.md").read_text()
+    opening = text.split("\n\n")[1]
+    assert opening.startswith("Of 2 claims hold under `duo_bimorph_static`")
+    assert "1 of 2" in opening
+    assert "under none of them hold C2." in opening
+    counted, apart = text.split("The actuators were made to meet these")
+    assert "| C3 |" in apart
+    assert "| C3 |" not in counted
+    assert "| (1" in counted  # in brackets: not met

@@ -22,12 +22,26 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import JsonValue
 
-from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, discretise, natural_frequency_hz
+from hammerstein.dynamics import (
+    AxesDynamics,
+    Axis,
+    CreepMode,
+    StaticDynamics,
+    discretise,
+    natural_frequency_hz,
+)
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, play
 from hammerstein.model import HammersteinModel
 
 DENSE = 28  # thresholds of the dense actuator, uniform in voltage
+
+# Name, reading of "bandwidth", damping, whether the sensor lags, and what it is: see reports/paper/readings.
+READ = (
+    ("duo_bimorph_paper", "+3 dB", 0.01, False, "gain up by 3 dB at 430 and 470 Hz, sensor without lag"),
+    ("duo_bimorph_static_read", None, 0.0, True, "no dynamics, printed table corrected for the sensor"),
+)
 
 Array = NDArray[np.float64]
 
@@ -54,7 +68,7 @@ def resonant_axes() -> AxesDynamics:
     return AxesDynamics(axes=tuple(Axis(resonance_hz=f, damping_ratio=0.15) for f in (430.0, 470.0)))
 
 
-def block_behind(printed: HammersteinModel, dynamics: AxesDynamics) -> PrandtlIshlinskii:
+def block_behind(printed: HammersteinModel, dynamics: AxesDynamics | StaticDynamics) -> PrandtlIshlinskii:
     """Static block that gives the printed loop when it is measured through dynamics and sensor.
 
     printed : the printed table, without dynamics
@@ -143,7 +157,31 @@ def build(folder: Path) -> list[Path]:
         )
         paths.append(folder / f"{name}.json")
         model.save(paths[-1])
+    paths += [_read(folder, printed, *told) for told in READ]
     return [*paths, _dense(folder, HammersteinModel.load(paths[0]))]
+
+
+def _read(
+    folder: Path,
+    printed: HammersteinModel,
+    name: str,
+    reading: str | None,
+    damping: float,
+    lag: bool,
+    words: str,
+) -> Path:
+    """An actuator that follows from a reading of the paper."""
+    from hammerstein.actuators.readings import actuator_of
+
+    provenance: JsonValue = {
+        "source": "paper, equations 12 and 13, static block found behind dynamics and sensor",
+        "bandwidth": words,
+        "command": "python -m hammerstein.actuators.build",
+    }
+    model = replace(actuator_of(printed, reading, damping, lag), name=name, provenance=provenance)
+    path = folder / f"{name}.json"
+    model.save(path)
+    return path
 
 
 def _dense(folder: Path, model: HammersteinModel) -> Path:

@@ -50,7 +50,7 @@ def variations(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Ite
     sensorless = scenario.model_copy(update={"instruments": instruments})
     yield Variation("sensor", "with an ideal sensor", sensorless, model)
     yield Variation("dynamics", "without dynamics", scenario, model.static())
-    passes = _with_sources(scenario, _more_passes)
+    passes = with_passes(scenario, PASSES)
     yield Variation("passes", f"with {PASSES} passes a sample", passes, model)
     own = {
         **model.instruments.drive.model_dump(),
@@ -106,9 +106,24 @@ def _with_sources(scenario: Scenario, change: Callable[[Any], Any]) -> Scenario 
     return None if same else scenario.model_copy(update=groups)
 
 
-def _more_passes(source: ModelSource) -> ModelSource:
-    is_paper = isinstance(source, InverseMultiplicative)
-    return source.model_copy(update={"iterations": PASSES}) if is_paper else source
+def adjusted(
+    scenario: Scenario, model: HammersteinModel, claim: Claim, passes: int, at_path: bool
+) -> Scenario:
+    """The scenario with so many passes of the paper's law; models identified at the amplitude of a path."""
+    told = with_passes(scenario, passes) or scenario
+    if not at_path:
+        return told
+    return _identified(told, "amplitude_v", _amplitude_of_path(told, model, claim)) or told
+
+
+def with_passes(scenario: Scenario, passes: int) -> Scenario | None:
+    """The scenario with so many passes of the paper's law in a sample; None where it has no such law."""
+
+    def change(source: ModelSource) -> ModelSource:
+        is_paper = isinstance(source, InverseMultiplicative)
+        return source.model_copy(update={"iterations": passes}) if is_paper else source
+
+    return _with_sources(scenario, change)
 
 
 def _identified(scenario: Scenario, key: str, value: float) -> Scenario | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.experiment.causes import changes_of, rows_needed
+from hammerstein.experiment.causes import changes_of, rows_needed, with_passes
 from hammerstein.experiment.measure import rows_of, statements_of
 from hammerstein.experiment.plan import Plan, identification_parts, plan_of
 from hammerstein.experiment.prepare import Case, Progress, SetUp, plant_of, prepare, scenario_axes
@@ -18,7 +18,7 @@ from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.scenario import Scenario, scenario_of
 from hammerstein.scenario.claims import verdicts
-from hammerstein.scenario.scenario import ScenarioSource
+from hammerstein.scenario.scenario import AlsoOn, ScenarioSource
 from hammerstein.simulation import Response
 
 
@@ -177,7 +177,9 @@ def _refuse_not_finite(rows: Iterable[Row]) -> None:
 def _other_answers(scenario: Scenario, name: str) -> dict[str, Sequence[Row]]:
     """What the claims need of the same experiment on the other actuators that they are put to."""
     answers: dict[str, Sequence[Row]] = {}
-    for actuator in scenario.claims_also_on if scenario.claims else ():
-        model = HammersteinModel.load(actuator)
-        answers[model.name] = rows_needed(scenario, scenario.claims, name, model)
+    for other in scenario.claims_also_on if scenario.claims else ():
+        also = AlsoOn(actuator=other) if isinstance(other, str) else other
+        model = HammersteinModel.load(also.actuator)
+        told = scenario if isinstance(other, str) else with_passes(scenario, also.passes) or scenario
+        answers[model.name] = rows_needed(told, scenario.claims, name, model)
     return answers

@@ -25,7 +25,7 @@ from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.cache import kept
 from hammerstein.scenario.source import ClosedFormSpec, IdentificationSpec, JointFitSpec
-from hammerstein.signals import MOST_LINES, Multisine, Sine, smooth_step
+from hammerstein.signals import MOST_LINES, Multisine, Sine, Triangle, smooth_step
 from hammerstein.simulation import Plant
 from hammerstein.voltages import Voltages
 
@@ -54,7 +54,10 @@ def identify_by_experiment(plant: Plant, spec: ClosedFormSpec | JointFitSpec, se
     IdentificationError : the data do not determine the model, or the drive cuts the voltage
     """
     actuator = replace(plant.model, instruments=plant.instruments)
-    return HammersteinModel.from_json(kept(_identified)(actuator.to_json(), spec.model_dump_json(), seed))
+    # The text is a part of the seed: what was added later and is not given must not move the noise.
+    unsaid = {"waveform"} if getattr(spec, "waveform", None) is None else set()
+    text = spec.model_dump_json(exclude=unsaid)
+    return HammersteinModel.from_json(kept(_identified)(actuator.to_json(), text, seed))
 
 
 def _identified(actuator_json: str, spec_json: str, seed: int) -> str:
@@ -183,9 +186,10 @@ def _settled_loop(
     settle = max(spec.settle_cycles, math.ceil(0.05 / period))
     samples = round((settle + spec.measured_cycles) * period / bench.sample_time_s)
     voltage = np.repeat(drive.rest_v[:, None], samples, axis=1)
-    time_s = np.arange(samples) * bench.sample_time_s
-    wave = drive.amplitude_v[k] * np.sin(2.0 * np.pi * spec.frequency_hz * time_s)
-    voltage[k] = drive.centre_v[k] + wave
+    time_s = np.arange(samples, dtype=np.float64) * bench.sample_time_s
+    kind = Triangle if spec.waveform == "triangle" else Sine
+    wave = kind(amplitude=drive.amplitude_v[k], frequency_hz=spec.frequency_hz)
+    voltage[k] = drive.centre_v[k] + wave.sample(time_s, 1)[0]
     response = bench.respond(voltage, [*seeds, k])
     phases = 2 * max(1, round(0.5 * period / bench.sample_time_s))
     both = np.vstack([response.drive_v[k] - drive.centre_v[k], response.reading_um])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +13,8 @@ from pathlib import Path
 from hammerstein.errors import InputError
 from hammerstein.experiment.report import Report
 from hammerstein.files import write_atomic
-from hammerstein.scenario.claims import Verdict
+from hammerstein.model import HammersteinModel, packaged_actuators
+from hammerstein.scenario.claims import Answer, Verdict
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,7 @@ def claims_csv(reports: Sequence[Report]) -> str:
             "paper": verdict.paper,
             "unit": verdict.unit,
             "wanted": verdict.wanted,
+            "calibrated": verdict.calibrated,
             "actuator": answer.actuator,
             "simulated": answer.value,
             "agrees": answer.agrees,
@@ -115,9 +118,57 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
         keep_trailing_newline=True,
         autoescape=False,  # Markdown, not HTML
     )
-    lines = {report.name: [Line.of(verdict) for verdict in report.verdicts] for report in reports}
-    every = [line for report in reports for line in lines[report.name]]
-    met = sum(line.verdict == "met" for line in every)
+    verdicts = [verdict for report in reports for verdict in report.verdicts]
+    actuators = list(dict.fromkeys(answer.actuator for verdict in verdicts for answer in verdict.answers))
+    counted = [verdict for verdict in verdicts if not verdict.calibrated]
     return environment.get_template("paper.md.jinja").render(
-        reports=reports, figures=figures, lines=lines, met=met, total=len(every)
+        reports=reports,
+        figures=figures,
+        lines={report.name: [Line.of(verdict) for verdict in report.verdicts] for report in reports},
+        readings=[Met.of(name, counted) for name in actuators],
+        tables=[_table(group, actuators) for group in (counted, [v for v in verdicts if v.calibrated])],
+        unmet=[v.id for v in counted if not any(answer.agrees for answer in v.answers)],
+        total=len(counted),
     )
+
+
+@dataclass(frozen=True)
+class Met:
+    """Claims that hold under one reading, and what it is."""
+
+    actuator: str
+    words: str
+    met: tuple[str, ...]
+    asked: int
+
+    @classmethod
+    def of(cls, actuator: str, verdicts: Sequence[Verdict]) -> Met:
+        """Count the claims of one actuator."""
+        asked = [(v.id, a.agrees) for v in verdicts for a in v.answers if a.actuator == actuator]
+        met = tuple(name for name, agrees in asked if agrees)
+        return cls(actuator, _reading(actuator), met, len(asked))
+
+
+def _reading(actuator: str) -> str:
+    """What a packaged actuator stands for; empty for another."""
+    if actuator not in packaged_actuators():
+        return ""
+    told = HammersteinModel.load(actuator).provenance
+    return str(told.get("bandwidth", "")) if isinstance(told, dict) else ""
+
+
+def _table(verdicts: Sequence[Verdict], actuators: Sequence[str]) -> list[tuple[str, ...]]:
+    """Cells of each claim: what every actuator answers, in brackets where it does not agree."""
+    rows = []
+    for verdict in verdicts:
+        line = Line.of(verdict)
+        found = {answer.actuator: answer for answer in verdict.answers}
+        cells = [_cell(found.get(name)) for name in actuators]
+        rows.append((line.id, line.statement, line.paper, line.wanted, *cells))
+    return rows
+
+
+def _cell(answer: Answer | None) -> str:
+    if answer is None or not math.isfinite(answer.value):
+        return ""
+    return f"{answer.value:.3g}" if answer.agrees else f"({answer.value:.3g})"

@@ -18,7 +18,7 @@ from hammerstein.files import read_limited
 from hammerstein.instruments import Instruments
 from hammerstein.model import place_of
 from hammerstein.plugins import load_plugins
-from hammerstein.quantities import Cycles, FileName, Frequency, NoCycles, Seed, Size, Tolerated, Wait
+from hammerstein.quantities import Cycles, FileName, Frequency, NoCycles, Passes, Seed, Size, Tolerated, Wait
 from hammerstein.scenario.claims import Claim, MetricName, NumberName
 from hammerstein.scenario.source import ModelSource
 from hammerstein.scenario.tested import Tested
@@ -76,6 +76,15 @@ class Tolerance(BaseModel):
     absolute: Tolerated = 1e-6
 
 
+class AlsoOn(BaseModel):
+    """Another actuator that answers the claims, with so many passes of the paper's law in a sample."""
+
+    model_config = _STRICT
+
+    actuator: FileName
+    passes: Passes = 1
+
+
 class Scenario(BaseModel):
     """One experiment: an actuator, a signal, and what is compared."""
 
@@ -100,7 +109,7 @@ class Scenario(BaseModel):
     )
     tolerances: dict[NumberName, Tolerance] = {}
     claims: tuple[Claim, ...] = ()
-    claims_also_on: tuple[FileName, ...] = Field(
+    claims_also_on: tuple[FileName | AlsoOn, ...] = Field(
         default=(), description="other actuators that answer the claims, for comparison"
     )
 
@@ -283,7 +292,7 @@ def _relative_to(scenario: Scenario, folder: Path) -> Scenario:
     """Make the paths of files relative to the scenario's folder."""
     changes: dict[str, Any] = {
         "actuator": _resolved(scenario.actuator, folder),
-        "claims_also_on": tuple(_resolved(name, folder) for name in scenario.claims_also_on),
+        "claims_also_on": tuple(_also_on(other, folder) for other in scenario.claims_also_on),
     }
     for name in ("compensators", "models"):
         sources = getattr(scenario, name)
@@ -296,6 +305,12 @@ def _relative_to(scenario: Scenario, folder: Path) -> Scenario:
         if isinstance(signal, FromFile):
             changes[name] = signal.model_copy(update={"path": str(folder / signal.path)})
     return scenario.model_copy(update=changes)
+
+
+def _also_on(other: str | AlsoOn, folder: Path) -> str | AlsoOn:
+    if isinstance(other, str):
+        return _resolved(other, folder)
+    return other.model_copy(update={"actuator": _resolved(other.actuator, folder)})
 
 
 def _resolved(name: str, folder: Path) -> str:

@@ -22,6 +22,9 @@ class ClosedFormSpec(BaseModel):
     amplitude_v: Size | None = Field(
         default=None, description="about the middle of the actuator's range; all of that if not given"
     )
+    waveform: Literal["sine", "triangle"] | None = Field(
+        default=None, description="what drives the input: a sine if not given"
+    )
     operators: Operators = 15
     settle_cycles: Cycles = 5
     measured_cycles: Cycles = 10

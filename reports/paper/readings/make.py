@@ -1,0 +1,185 @@
+"""Which reading of the paper reproduces its claims: every claim on every reading, and a table of them.
+
+    python reports/paper/readings/make.py
+
+A reading says what "bandwidth between 400 and 500 Hz" means, how much damping the axes have, whether the
+sensor's 2 kHz take part in identification and judgement, how many passes the law makes in a sample, and
+whether models are identified at 10 V or at the amplitude of the path. Writes README.md and readings.csv
+beside this file.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import os
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from joblib import Parallel, delayed
+
+from hammerstein.actuators.readings import READINGS, actuator_of
+from hammerstein.errors import HammersteinError
+from hammerstein.experiment.causes import adjusted, rows_needed
+from hammerstein.model import HammersteinModel
+from hammerstein.scenario import Scenario, load_scenario
+
+os.environ["HAMMERSTEIN_CACHE"] = ""  # thousands of models, each wanted once
+HERE = Path(__file__).parent
+SCENARIOS = HERE.parents[2] / "scenarios"
+NAMES = (
+    "characterisation",
+    "circles",
+    "compensated_sine",
+    "compensation_error",
+    "lissajous_3_2",
+    "lissajous_4_3",
+    "minor_loops",
+    "model_error",
+    "spiral",
+)
+COARSE = (0.005, 0.01, 0.02, 0.05, 0.1, 0.12, 0.15, 0.2, 0.3, 0.5, 0.7)
+FINE_STEP, FINE_REACH = 0.01, 4
+PASSES = (1, 4, 16)
+UNCOUNTED = {"C8.1"}  # the printed formula, which cannot be what was plotted
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One combination; bandwidth is None without dynamics."""
+
+    bandwidth: str | None
+    damping: float
+    lag: bool
+    passes: int
+    at_path: bool
+
+    def words(self) -> str:
+        """Say it."""
+        plant = "no dynamics" if self.bandwidth is None else f"{self.bandwidth}, damping {self.damping:g}"
+        sensor = "2 kHz sensor" if self.lag else "prompt sensor"
+        passes = "1 pass" if self.passes == 1 else f"{self.passes} passes"
+        volts = "the amplitude of the path" if self.at_path else "10 V"
+        return f"{plant}, {sensor}, {passes}, identified at {volts}"
+
+
+def scenarios() -> tuple[Scenario, ...]:
+    """The scenarios of the paper's figures."""
+    return tuple(load_scenario(SCENARIOS / f"{name}.toml") for name in NAMES)
+
+
+def grid(dampings: Iterable[float]) -> list[Reading]:
+    """Every combination with these dampings."""
+    plants = [(None, 0.0), *itertools.product(READINGS, dampings)]
+    return [
+        Reading(*plant, *rest)
+        for plant in plants
+        for rest in itertools.product((True, False), PASSES, (False, True))
+    ]
+
+
+def answers(reading: Reading) -> dict[str, tuple[float, bool]]:
+    """Value of every claim under a reading, and whether it agrees; none where the plant does not exist."""
+    printed = HammersteinModel.load("duo_bimorph_static")
+    try:
+        model = actuator_of(printed, reading.bandwidth, reading.damping, reading.lag)
+    except HammersteinError:
+        return {}
+    found = {}
+    for scenario in scenarios():
+        # one amplitude of the path for each claim: that of its own radius
+        for claims in [[c] for c in scenario.claims] if reading.at_path else [list(scenario.claims)]:
+            try:
+                told = adjusted(scenario, model, claims[0], reading.passes, reading.at_path)
+                rows = rows_needed(told, claims, "reading", model)
+            except HammersteinError:
+                continue
+            for claim in claims:
+                value = claim.value(rows)
+                found[claim.id] = (value, claim.agreement.holds(value, claim.paper))
+    return found
+
+
+def counted(found: dict[str, tuple[float, bool]]) -> int:
+    """Claims met, of those that count."""
+    calibrated = {c.id for scenario in scenarios() for c in scenario.claims if c.calibrated}
+    return sum(agrees for name, (_, agrees) in found.items() if name not in calibrated | UNCOUNTED)
+
+
+def scan(readings: list[Reading]) -> dict[Reading, dict[str, tuple[float, bool]]]:
+    """All answers, side by side."""
+    found = Parallel(n_jobs=2)(delayed(answers)(reading) for reading in readings)
+    return dict(zip(readings, found, strict=True))
+
+
+def main() -> None:
+    """Coarse scan, then every hundredth of damping around the best, then the page."""
+    table = scan(grid(COARSE))
+    best = max((r for r in table if r.bandwidth), key=lambda r: counted(table[r]))
+    near = [round(best.damping + FINE_STEP * k, 2) for k in range(-FINE_REACH, FINE_REACH + 1)]
+    fine = [Reading(best.bandwidth, d, best.lag, best.passes, best.at_path) for d in near if d > 0.0]
+    table |= scan([reading for reading in fine if reading not in table])
+    write(table)
+
+
+def write(table: dict[Reading, dict[str, tuple[float, bool]]]) -> None:
+    """The page and the table."""
+    names = list(dict.fromkeys(c.id for scenario in scenarios() for c in scenario.claims))
+    order = sorted(table, key=lambda r: (-counted(table[r]), str(r)))
+    with (HERE / "readings.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["bandwidth", "damping", "sensor_lag", "passes", "identified_at_path", "met", *names])
+        for r in order:
+            cells = [f"{table[r][n][0]:.4g}" if n in table[r] else "" for n in names]
+            writer.writerow(
+                [r.bandwidth or "none", r.damping, r.lag, r.passes, r.at_path, counted(table[r]), *cells]
+            )
+    (HERE / "README.md").write_text(page(table, order, names), encoding="utf-8")
+
+
+def page(table: dict[Reading, dict[str, tuple[float, bool]]], order: list[Reading], names: list[str]) -> str:
+    """What holds under which reading."""
+    total = len([n for n in names if n not in UNCOUNTED and not n.startswith("C1.")])
+    shown, seen = [], set()
+    for reading in order:  # the best of every kind of plant and sensor
+        kind = (reading.bandwidth, reading.lag)
+        if kind not in seen:
+            seen.add(kind)
+            shown.append(reading)
+    none = [n for n in names if not any(n in found and found[n][1] for found in table.values())]
+    dynamic = [n for n in names if not any(n in f and f[n][1] for r, f in table.items() if r.bandwidth)]
+    lines = [
+        "# Readings of the paper",
+        "",
+        f"{len(table)} readings, each answering every claim of the scenarios of Figs. 5 to 13. Made by",
+        "",
+        "```",
+        "python reports/paper/readings/make.py",
+        "```",
+        "",
+        f"Most claims, {counted(table[order[0]])} of {total}, hold under: {order[0].words()}. "
+        f"Under no reading at all hold: {', '.join(none) or 'none is left'}. "
+        f"Under no reading with dynamics hold: {', '.join(dynamic) or 'none is left'}.",
+        "",
+        "The best reading of every kind of plant and sensor, and the default; a claim in brackets is",
+        "not met.",
+        "The loops of calibration (C1) and the printed epsilon (C8.1) are not counted. All readings are in",
+        "`readings.csv`.",
+        "",
+        f"| reading | met of {total} | {' | '.join(names)} |",
+        f"| --- | ---: |{' ---: |' * len(names)}",
+    ]
+    default = Reading("-3 dB", 0.12, True, 1, False)
+    for reading in [*shown, *([default] if default not in shown else [])]:
+        cells = []
+        for name in names:
+            value, agrees = table[reading].get(name, (float("nan"), False))
+            cells.append(f"{value:.3g}" if agrees else f"({value:.3g})")
+        lines.append(f"| {reading.words()} | {counted(table[reading])} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
