@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from hammerstein.errors import HammersteinError, InputError, Mistake
 from hammerstein.experiment import run
-from hammerstein.output import TraceFormat, write_report
+from hammerstein.manifest import refuse_name
+from hammerstein.output import ALWAYS, REPORT, TraceFormat, write_report
 from hammerstein.processes import side_by_side
 from hammerstein.report import Report
 from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.setup import Progress
+from hammerstein.staging import prepare
+
+Finish = Callable[[Report], tuple[Path, ...]]
+"""What is done with each report; it gives the places of files that were kept under another name."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of one scenario file: its report, or the error that stopped it."""
+    """What became of one scenario file: its report, or the error that stopped it.
+
+    kept : files in its folder that a person had changed, under their new names
+    """
 
     name: str
     report: Report | None
     error: HammersteinError | None = None
+    kept: tuple[Path, ...] = ()
 
 
 def find_scenarios(paths: Sequence[Path]) -> list[Path]:
@@ -38,11 +47,13 @@ def find_scenarios(paths: Sequence[Path]) -> list[Path]:
         if not inside[0].exists():
             raise InputError(str(path), "does not exist; give scenario files or folders")
         found += [file for file in inside if file not in found]
-    names = [file.stem for file in found]
-    for name in names:
-        if names.count(name) > 1:
+    for file in found:
+        refuse_name(file)
+    names = [file.stem.casefold() for file in found]  # many systems do not tell capital letters apart
+    for file in found:
+        if names.count(file.stem.casefold()) > 1:
             raise InputError(
-                name, "two scenarios have this name, and their reports would overwrite each other"
+                file.stem, "two scenarios have this name, and their reports would overwrite each other"
             )
     return found
 
@@ -65,7 +76,7 @@ def load_all(paths: Sequence[Path]) -> dict[str, Scenario]:
 
 def run_all(
     scenarios: dict[str, Scenario],
-    finish: Callable[[Report], None],
+    finish: Finish,
     jobs: int,
     progress: Progress | None = None,
 ) -> Iterator[Outcome]:
@@ -91,16 +102,16 @@ def _size(scenario: Scenario) -> int:
 def _outcome(
     name: str,
     scenario: Scenario,
-    finish: Callable[[Report], None],
+    finish: Finish,
     jobs: int,
     progress: Progress | None,
 ) -> Outcome:
     try:
         report = run(scenario, name, jobs, progress)
-        finish(report)
+        kept = finish(report)
     except HammersteinError as error:
         return Outcome(name, None, _of(name, error))
-    return Outcome(name, report.without_traces())
+    return Outcome(name, report.without_traces(), kept=kept)
 
 
 def _of(name: str, error: HammersteinError) -> HammersteinError:
@@ -120,6 +131,12 @@ class Writer:
     figures: bool = True
     traces: TraceFormat | None = None
 
-    def __call__(self, report: Report) -> None:
-        """Write one report."""
-        write_report(report, self.out / report.name, figures=self.figures, traces=self.traces)
+    def prepare(self, names: Iterable[str]) -> None:
+        """Refuse folders that cannot take a report, before the work; InputError says why."""
+        for name in names:
+            prepare(self.out / name, REPORT, ALWAYS)
+
+    def __call__(self, report: Report) -> tuple[Path, ...]:
+        """Write one report; give the places of files that were kept."""
+        folder = self.out / report.name
+        return write_report(report, folder, figures=self.figures, traces=self.traces).kept

@@ -13,9 +13,13 @@ from xml.etree import ElementTree
 
 from hammerstein.comparison import Finding, Kind, deviation, limit
 from hammerstein.errors import HammersteinError, ToleranceError
+from hammerstein.files import Content
 from hammerstein.rows import KEY
 
 DEFAULT_FOLDER = Path("reports/baseline")
+SUITE, TITLE = "hammerstein check", "# Scenarios against their baselines"
+JUNIT = Content("JUnit file of a check", sign=f'name="{SUITE}"')
+SUMMARY = Content("summary of a check", sign=TITLE)
 SHOWN = 20  # lines of a table; who has moved more than that wants the worst, not all
 MISSING = "missing"
 _AXES = ("excited_axis", "measured_axis")  # shown as one column
@@ -107,7 +111,7 @@ class CheckResult:
 
     def markdown(self) -> str:
         """Give a summary page: one line a scenario, then what differs."""
-        lines = ["# Scenarios against their baselines", "", "| scenario | result |", "|---|---|"]
+        lines = [TITLE, "", "| scenario | result |", "|---|---|"]
         for check in self.checks:
             verdict = check.headline.removeprefix(f"{check.name}: ")
             mark = "pass" if check.passed else "**FAIL**"
@@ -125,7 +129,7 @@ class CheckResult:
         errors = sum(check.error is not None for check in self.checks)
         counts = {"tests": str(len(self.checks)), "failures": str(failures), "errors": str(errors)}
         root = ElementTree.Element("testsuites", counts)
-        suite = ElementTree.SubElement(root, "testsuite", {"name": "hammerstein check", **counts})
+        suite = ElementTree.SubElement(root, "testsuite", {"name": SUITE, **counts})
         for check in self.checks:
             names = {"classname": check.path.parent.as_posix(), "name": check.name}
             case = ElementTree.SubElement(suite, "testcase", {k: _xml(v) for k, v in names.items()})

@@ -89,20 +89,25 @@ def run(
     if jobs > 1 and (len(paths) > 1 or paths[0].is_dir()):
         begin_loading()  # before this process loads what it needs itself
     from hammerstein.batch import Writer, load_all, run_all
-    from hammerstein.claims_page import claims_csv, write_page
+    from hammerstein.claims_page import CLAIMS, PAGE, write_claims, write_page
     from hammerstein.compilation import compile_once
     from hammerstein.errors import InputError
-    from hammerstein.files import refuse_unwritable, write_atomic
-    from hammerstein.tables import claims_table, result_table, show
+    from hammerstein.files import refuse_unwritable
+    from hammerstein.staging import prepare
+    from hammerstein.tables import claims_table, kept_aside, result_table, show
 
     refuse_unwritable("--out", out)
     if page is not None:
         refuse_unwritable("--page", page)
+        prepare(page, PAGE, [PAGE.sign[0]])
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
-    compile_once(_complain)
     writer = Writer(out, figures, "mat" if traces == "mat" else "csv" if traces == "csv" else None)
+    writer.prepare(scenarios)
+    if any(scenario.claims for scenario in scenarios.values()):
+        prepare(out, CLAIMS, [CLAIMS.sign[0]])
+    compile_once(_complain)
     outcomes = []
     with _Watch(len(scenarios)) as watch:
         for outcome in run_all(scenarios, writer, jobs, watch.progress):
@@ -111,10 +116,16 @@ def run(
     outcomes.sort(key=lambda outcome: outcome.name)
     reports = [outcome.report for outcome in outcomes if outcome.report is not None]
     claimed = [report for report in reports if report.verdicts]
-    if claimed:
-        write_atomic(out / "claims.csv", claims_csv(claimed))
-    if page is not None:
-        write_page(reports, out, page)
+    kept = [place for outcome in outcomes for place in outcome.kept]
+    if len(reports) < len(outcomes):
+        what = ["claims.csv"] * bool(claimed) + ["the page"] * (page is not None)
+        if what:
+            _complain(f"{' and '.join(what)} is not written, as not every scenario has a report")
+    else:
+        kept += write_claims(claimed, out) if claimed else ()
+        kept += write_page(reports, out, page) if page is not None else ()
+    for place in kept:
+        _complain(kept_aside(place))
     if as_json:
         errors = [str(outcome.error) for outcome in outcomes if outcome.error]
         contents = [json.loads(report.to_json()) for report in reports]
@@ -154,13 +165,15 @@ def check(
 ) -> None:
     """Run scenarios again and compare every number with its baseline."""
     from hammerstein.batch import find_scenarios
+    from hammerstein.check_result import JUNIT, SUMMARY
     from hammerstein.compilation import compile_once
-    from hammerstein.files import refuse_unwritable, write_atomic
+    from hammerstein.files import refuse_overwriting, refuse_unwritable, write_atomic
     from hammerstein.regression import check_files
 
-    for option, file in (("--junit", junit), ("--markdown", markdown)):
+    for option, file, content in (("--junit", junit, JUNIT), ("--markdown", markdown, SUMMARY)):
         if file is not None:
             refuse_unwritable(option, file.parent)
+            refuse_overwriting(option, file, content)
     compile_once(_complain)
     with _Watch(len(find_scenarios(paths))) as watch:
         result = check_files(paths, baseline, update_baseline, jobs, watch.progress, watch.finished)
@@ -204,8 +217,11 @@ def plot(
     from hammerstein.compilation import compile_once
     from hammerstein.experiment import run as run_scenario
     from hammerstein.figures import write_figures
+    from hammerstein.figures.write import FIGURES
+    from hammerstein.staging import prepare
 
     ((name, scenario),) = load_all([path]).items()
+    prepare(out / name, FIGURES, ())
     compile_once(_complain)
     with _Watch(1) as watch:
         report = run_scenario(scenario, name, jobs, watch.progress)

@@ -17,12 +17,14 @@ from hammerstein.compensators.law import Law
 from hammerstein.compensators.reach import Reach, Shortfall, reach, require_reach, shortfall
 from hammerstein.compensators.specs import Compensator, NoCompensation
 from hammerstein.errors import InputError, SimulationError
+from hammerstein.files import Content
 from hammerstein.instruments import Drive
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import read_signal
 from hammerstein.validation import mistakes_of
 
 Array = NDArray[np.float64]
+CONTENT = Content("drive file", sign="time_s,drive_")
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,13 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, PositiveFloat, Val
 
 from hammerstein.dynamics import AxesDynamics, Dynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError, Mistake
-from hammerstein.files import read_limited, write_atomic
+from hammerstein.files import Content, read_limited, write_atomic
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.instruments import Instruments
 from hammerstein.validation import mistakes_of, suggestion
 
 FORMAT = "hammerstein-model/1"
+CONTENT = Content("model file", sign="hammerstein-model/")
 
 
 @dataclass(frozen=True, eq=False)

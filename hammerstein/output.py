@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -10,18 +11,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import InputError
-from hammerstein.files import write_atomic
-from hammerstein.report import Report, Trace
+from hammerstein.figures.write import FIGURES
+from hammerstein.manifest import Owner
+from hammerstein.report import FORMAT, Report, Trace
+from hammerstein.staging import Stage, staged
 
 TraceFormat = Literal["csv", "mat"]
+LONGEST_NAME = 60  # a character takes up to four of the 255 bytes that most systems allow
+
+
+REPORT = Owner("report", sign=("report.json", f'"format": "{FORMAT}"'), replaces=(FIGURES.name,))
+ALWAYS = ("report.json", "report.md", "rms.csv")
+
+
+@dataclass(frozen=True)
+class Written:
+    """Files of a report, and those of a person that were kept under another name."""
+
+    files: tuple[Path, ...]
+    kept: tuple[Path, ...]
 
 
 def write_report(
     report: Report, folder: Path, *, figures: bool = True, traces: TraceFormat | None = None
-) -> list[Path]:
+) -> Written:
     """Write ``report.json``, ``rms.csv``, ``report.md``, figures and, on request, traces.
 
-    Every file is written in one piece; ``report.json`` comes last, so that a folder that holds it is whole.
+    They take the place of those of an earlier run together; where one cannot be written, that report stays.
+    Files that this program did not write stay as well.
 
     Parameters
     ----------
@@ -32,58 +49,40 @@ def write_report(
 
     Raises
     ------
-    InputError : the folder cannot be written
+    InputError : the folder cannot be written, is a link, or holds other people's files under these names
     """
     from hammerstein.markdown import render
 
-    written: list[Path] = []
-    drawn: list[Path] = []
-    _clear(folder)
-    if figures:
-        from hammerstein.figures import write_figures
+    with staged(folder, REPORT) as stage:
+        drawn = []
+        if figures:
+            from hammerstein.figures import figures_of
+            from hammerstein.figures.write import files_of
 
-        drawn = write_figures(report, folder)
-        written += drawn
-    if traces is not None:
-        written += _write_traces(report, folder / "traces", traces)
-    names = sorted(path.name for path in drawn if path.suffix == ".png")
-    texts = {
-        "rms.csv": report.to_csv(),
-        "report.md": render(report, names),
-        "report.json": report.to_json(),
-    }
-    if report.bands:
-        texts = {"bands.csv": report.bands_to_csv()} | texts
-    for name, text in texts.items():
-        write_atomic(folder / name, text)
-        written.append(folder / name)
-    return written
+            for name, content in files_of(figures_of(report)):
+                stage.write(name, content)
+                drawn.append(name)
+        if traces is not None:
+            _write_traces(report, stage, traces)
+        if report.bands:
+            stage.write("bands.csv", report.bands_to_csv())
+        stage.write("rms.csv", report.to_csv())
+        stage.write("report.md", render(report, sorted(name for name in drawn if name.endswith(".png"))))
+        stage.write("report.json", report.to_json())
+    return Written(tuple(stage.written), stage.kept)
 
 
-def _clear(folder: Path) -> None:
-    """Remove what an earlier run of the scenario wrote, so that no stale figure stays."""
-    for pattern in ("*.png", "*.svg", "rms.csv", "bands.csv", "report.md", "report.json", "traces/*.*"):
-        for path in folder.glob(pattern):
-            try:
-                path.unlink()
-            except OSError as error:
-                raise InputError(str(path), f"cannot be replaced ({error.strerror})") from None
-
-
-def _write_traces(report: Report, folder: Path, kind: TraceFormat) -> list[Path]:
+def _write_traces(report: Report, stage: Stage, kind: TraceFormat) -> None:
     """One file a case, every wire a column (CSV) or a variable (MATLAB)."""
-    paths = []
     for number, trace in enumerate(report.traces, start=1):
-        path = folder / f"{number:03d}_{_file_name(trace)}.{kind}"
+        name = f"traces/{number:03d}_{_file_name(trace)}.{kind}"
         columns = _columns(trace, report)
-        write_atomic(path, _csv(columns) if kind == "csv" else _matlab(columns, path))
-        paths.append(path)
-    return paths
+        stage.write(name, _csv(columns) if kind == "csv" else _matlab(columns, stage.folder / name))
 
 
 def _file_name(trace: Trace) -> str:
     words = f"{trace.label or 'drive'} {trace.excited_axis} {trace.signal.highest_frequency_hz:g}Hz"
-    return "".join(c if c.isalnum() or c in ".-" else "_" for c in words)
+    return "".join(c if c.isalnum() or c in ".-" else "_" for c in words[:LONGEST_NAME])
 
 
 def _columns(trace: Trace, report: Report) -> dict[str, NDArray[np.float64]]:

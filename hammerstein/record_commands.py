@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from hammerstein.files import Content
     from hammerstein.identification.records import Record
 
 Files = Annotated[
@@ -28,17 +29,15 @@ OutputScale = Annotated[float, typer.Option(metavar="S", help="Factor from the f
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 
-def _refuse_output(out: Path, inputs: list[Path]) -> None:
-    """Refuse an output that cannot be written, is a folder, or one of the files that are read."""
+def _refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
+    """Refuse an output that cannot be written, holds something else, or is one of the files that are read."""
     from hammerstein.errors import InputError
-    from hammerstein.files import refuse_unwritable
+    from hammerstein.files import refuse_overwriting, refuse_unwritable
 
     refuse_unwritable("--out", out.parent)
-    if out.exists() and not out.is_file():
-        what = "a folder" if out.is_dir() else "no ordinary file"
-        raise InputError("--out", f"{out} is {what}; give the name of a file")
     if any(path.resolve() == out.resolve() for path in inputs):
         raise InputError("--out", f"{out} is one of the files that are read; choose another name")
+    refuse_overwriting("--out", out, content)
 
 
 def _say(message: str) -> None:
@@ -80,12 +79,17 @@ def loops(
 ) -> None:
     """Find the loops in measured records: height, width, area, closure, drift."""
     from hammerstein.errors import InputError
+    from hammerstein.figures.measured import LOOPS, LOOPS_FILES, loops_of_records
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.loops import loop_table
+    from hammerstein.manifest import refuse_name
+    from hammerstein.staging import prepare
     from hammerstein.tables import loops_table, show
 
     if figures:
         refuse_unwritable("--out", out)
+        refuse_name(files[0])
+        prepare(out / files[0].stem, LOOPS, LOOPS_FILES)
     read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
     records = read(files, all_driven=False)
     found = {record.source: loop_table(record) for record in records}
@@ -103,10 +107,9 @@ def loops(
         show(loops_table(found))
     if figures:
         from hammerstein.figures import save_figures
-        from hammerstein.figures.measured import loops_of_records
 
         figure = loops_of_records(records, [found[record.source] for record in records])
-        for path in save_figures({"loops": figure} if figure else {}, out / Path(files[0]).stem):
+        for path in save_figures({"loops": figure} if figure else {}, out / files[0].stem, LOOPS):
             typer.echo(str(path), err=as_json)
 
 
@@ -153,11 +156,13 @@ def identify(
     from hammerstein.compilation import compile_once
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
-    from hammerstein.fit_output import write_fit
+    from hammerstein.fit_output import ALWAYS, FIT, write_fit
     from hammerstein.identification.fit_report import fit_json
     from hammerstein.identification.identify import identify as identified
     from hammerstein.identification.settings import settings_of
-    from hammerstein.tables import fit_table, show
+    from hammerstein.model import CONTENT
+    from hammerstein.staging import prepare
+    from hammerstein.tables import fit_table, kept_aside, show
 
     settings = settings_of(
         operators=operators,
@@ -172,7 +177,7 @@ def identify(
         sensor_bandwidth_hz=sensor_bandwidth,
     )
     held = validate or []
-    _refuse_output(out, [*files, *held])
+    _refuse_output(out, [*files, *held], CONTENT)
     twice = sorted({str(f) for f in held if f.resolve() in {g.resolve() for g in files}})
     if twice:
         raise InputError(
@@ -180,6 +185,7 @@ def identify(
         )
     folder = report or out.parent / f"{out.stem}_fit"
     refuse_unwritable("--report", folder)
+    prepare(folder, FIT, ALWAYS)
     compile_once(_say)
     with _Spinner() as spinner:
         read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
@@ -187,7 +193,8 @@ def identify(
         model, fit = identified(
             read(files), settings, validation=validation, name=out.stem, progress=spinner.tell
         )
-    write_fit(model, fit, out, folder, figures)
+    for place in write_fit(model, fit, out, folder, figures):
+        _say(kept_aside(place))
     if as_json:
         typer.echo(fit_json(model, fit), nl=False)
         return
@@ -236,13 +243,14 @@ def compensate(
     as_json: AsJson = False,
 ) -> None:
     """Turn a reference into the voltages to send, with the predicted response."""
+    from hammerstein.compensate import CONTENT
     from hammerstein.compensate import compensate as compensated
     from hammerstein.compilation import compile_once
     from hammerstein.files import write_atomic
     from hammerstein.tables import compensation_table, show
 
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
-    _refuse_output(out, [Path(model), reference])
+    _refuse_output(out, [Path(model), reference], CONTENT)
     compile_once(_say)
     found = compensated(model, reference, law, options, clip, range_v)
     write_atomic(out, found.to_csv())

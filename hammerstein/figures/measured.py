@@ -10,10 +10,13 @@ from hammerstein.figures.loops import LoopRun, loops_figure
 from hammerstein.figures.style import plain
 from hammerstein.identification.loops import Loop
 from hammerstein.identification.records import Record
+from hammerstein.manifest import Owner
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+LOOPS = Owner("loops", sign=("loops.svg", "<dc:title>hammerstein"))
+LOOPS_FILES = ("loops.svg", "loops.png")
 MOST_AMPLITUDES = 4  # line styles that can be told apart
 
 
