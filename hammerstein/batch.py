@@ -7,16 +7,17 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from hammerstein.errors import HammersteinError, InputError, Mistake
+from hammerstein.errors import HammersteinError, InputError, LostProcessError, Mistake
 from hammerstein.experiment import run
 from hammerstein.manifest import refuse_name
 from hammerstein.output import ALWAYS, REPORT, TraceFormat, write_report
-from hammerstein.processes import side_by_side
 from hammerstein.report import Report
 from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.setup import Progress
 from hammerstein.staging import prepare
+from hammerstein.workers import side_by_side
 
+WHY_LOST = ". The system does so when the memory is full: run fewer side by side (--jobs 1), or less at once."
 Finish = Callable[[Report], tuple[Path, ...]]
 """What is done with each report; it gives the places of files that were kept under another name."""
 
@@ -92,7 +93,12 @@ def run_all(
     # Long ones first, so that none is left alone at the end.
     by_size = sorted(scenarios.items(), key=lambda item: -_size(item[1]))
     tasks = [partial(_outcome, name, scenario, finish, 1, None) for name, scenario in by_size]
-    yield from side_by_side(tasks, min(jobs, len(scenarios)))
+
+    def lost(number: int, how: str) -> Outcome:
+        name = by_size[number][0]
+        return Outcome(name, None, LostProcessError(f"{name}: its process {how}, twice{WHY_LOST}"))
+
+    yield from side_by_side(tasks, min(jobs, len(scenarios)), lost)
 
 
 def _size(scenario: Scenario) -> int:

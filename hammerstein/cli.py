@@ -42,11 +42,19 @@ PROCESSORS = os.cpu_count() or 1
 
 
 class _Interrupted(BaseException):
-    """Ctrl-C. Not KeyboardInterrupt, which Typer would answer itself."""
+    """Ctrl-C, SIGTERM or a closed terminal. Not KeyboardInterrupt, which Typer would answer itself."""
 
 
 def _interrupt(*_: object) -> None:
     raise _Interrupted
+
+
+def _answer_interrupts() -> None:
+    """Let every polite request to end come as one exception; what nohup has switched off stays off."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _interrupt)
 
 
 def _one_thread_a_job() -> None:
@@ -57,7 +65,7 @@ def _one_thread_a_job() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; a mistake of the user is one message and an exit code, never a traceback."""
-    signal.signal(signal.SIGINT, _interrupt)
+    _answer_interrupts()
     _one_thread_a_job()
     try:
         app(arguments)

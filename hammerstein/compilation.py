@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.model import HammersteinModel
-from hammerstein.processes import side_by_side
+from hammerstein.workers import side_by_side
 
 MODEL, RANGE_V, SAMPLE_TIME_S, SAMPLES = "duo_bimorph", 10.0, 50e-6, 800
 
@@ -19,8 +19,8 @@ def compile_once(say: Callable[[str], None]) -> None:
     if not _must_compile():
         return
     say("compiling the time loops, once after installation (15 to 25 s)")
-    for _ in side_by_side((_use_the_others, _use_inverse), 2):
-        pass
+    for _ in side_by_side((_use_the_others, _use_inverse), 2, lost=lambda *_: None):
+        pass  # what is not compiled here is compiled when it is used
 
 
 def _must_compile() -> bool:

@@ -1,7 +1,8 @@
 """What can go wrong, one class per exit code of the command line.
 
 Exit codes: 0 fine, 1 a number left its tolerance, 2 a file is wrong,
-3 a simulation diverged or is out of reach, 4 identification cannot fit.
+3 a simulation diverged or is out of reach, 4 identification cannot fit,
+70 a process was lost.
 """
 
 from __future__ import annotations
@@ -61,6 +62,12 @@ class SimulationError(HammersteinError):
     """A simulation diverged, a law cannot converge, or a reference is out of reach."""
 
     exit_code = 3
+
+
+class LostProcessError(HammersteinError):
+    """The process of a run was ended from outside."""
+
+    exit_code = 70
 
 
 class IdentificationError(HammersteinError):

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import stat
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +18,7 @@ SIGNED_BYTES = 1_000_000
 NOTHING = b" \t\r\n{}[]"
 """A file of these alone holds nothing that could be lost."""
 UNFINISHED = ".hammerstein-part"
-_UNFINISHED: dict[str, tuple[Path, ...]] = {}
+_UNFINISHED: dict[Path, Callable[[], None]] = {}
 
 
 def read_limited(path: Path, what: str, limit: int = LARGEST_TEXT_BYTES) -> str:
@@ -55,22 +54,21 @@ def write_atomic(path: Path, content: str | bytes) -> None:
     try:
         _refuse_no_file(str(path), path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(
-            dir=path.parent, prefix=f".{path.name[:100]}.", suffix=UNFINISHED
-        )
-        begun(temporary)
+        prefix = f".{path.name[:100]}."
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=UNFINISHED)
+        temporary = Path(name)
+        begun(temporary, temporary.unlink)
         _write(handle, data)
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, path)
-        ended(temporary)
     except OSError as error:
-        _discard(temporary)
         raise InputError(str(path), f"cannot be written ({reason_of(error)}); choose another place") from None
-    except BaseException:
-        _discard(temporary)
-        raise
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+            ended(temporary)
 
 
 def write_through(path: Path, data: bytes) -> None:
@@ -152,12 +150,12 @@ def refuse_unwritable(option: str, folder: Path) -> None:
         raise InputError(option, f"the folder {place} cannot be written; choose another place")
 
 
-def begun(place: str, made: tuple[Path, ...] = ()) -> None:
-    """Take note of a file or folder that is half-written, and of folders that were made for it."""
-    _UNFINISHED[place] = made
+def begun(place: Path, discard: Callable[[], None]) -> None:
+    """Take note of a file or folder that is half-written, and of what removes it."""
+    _UNFINISHED[place] = discard
 
 
-def ended(place: str) -> None:
+def ended(place: Path) -> None:
     """Take note that a file or folder is half-written no more."""
     _UNFINISHED.pop(place, None)
 
@@ -171,19 +169,9 @@ def remove_empty(folders: Iterable[Path]) -> None:
 
 def discard_unfinished() -> None:
     """Remove what is half-written at this moment, for a process that ends at once."""
-    for temporary in tuple(_UNFINISHED):
-        _discard(temporary)
-
-
-def _discard(temporary: str | None) -> None:
-    if temporary is not None:
-        made = _UNFINISHED.pop(temporary, ())
-        if os.path.isdir(temporary):
-            shutil.rmtree(temporary, ignore_errors=True)
-        else:
-            with contextlib.suppress(OSError):
-                os.unlink(temporary)
-        remove_empty(made)
+    for discard in tuple(_UNFINISHED.values()):
+        with contextlib.suppress(OSError):
+            discard()
 
 
 def reason_of(error: OSError) -> str:

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM held back while something must not be left in the middle."""
+"""Ctrl-C, SIGTERM and the end of the terminal held back while something must not be left in the middle."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-ENDING = (signal.SIGINT, signal.SIGTERM)
+ENDING = tuple(s for s in signal.Signals if s.name in ("SIGINT", "SIGTERM", "SIGHUP"))
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from pathlib import Path
 from hammerstein.errors import InputError
 from hammerstein.exchange import NEW, Exchange, clear, exchange, recover
 from hammerstein.files import begun, ended, reason_of, remove_empty
-from hammerstein.folder_lock import locked
+from hammerstein.folder_lock import LOCK, locked
 from hammerstein.interrupts import deferred_interrupts
 from hammerstein.manifest import MANIFEST, Entry, Holder, Manifest, Owner, digest_of, refuse_link
 
@@ -93,19 +93,16 @@ def staged(folder: Path, owner: Owner) -> Iterator[Stage]:
     made = tuple(place for place in (folder, *folder.parents) if not place.exists())
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with _room_of(folder) as (room, kept):
-            begun(str(room), made)
+        with _room_of(folder, made) as (room, kept):
             stage = Stage(folder, room)
             stage.kept = kept
             yield stage
             with deferred_interrupts():
                 stage.publish(owner)
-                ended(str(room))
     except OSError as error:
         what = f"cannot be written ({reason_of(error)}); choose another place"
         raise InputError(str(folder), what) from None
     finally:
-        ended(str(folder / ROOM))
         remove_empty(made)
 
 
@@ -125,7 +122,7 @@ def prepare(folder: Path, owner: Owner, names: Sequence[str]) -> None:
     refuse_link(folder)
     try:
         if (folder / ROOM).exists():
-            with _room_of(folder):
+            with _room_of(folder, ()):
                 pass
         Manifest.read(folder).refuse_foreign(names, owner)
     except OSError as error:
@@ -133,14 +130,24 @@ def prepare(folder: Path, owner: Owner, names: Sequence[str]) -> None:
 
 
 @contextmanager
-def _room_of(folder: Path) -> Iterator[tuple[Path, tuple[Path, ...]]]:
+def _room_of(folder: Path, made: Sequence[Path]) -> Iterator[tuple[Path, tuple[Path, ...]]]:
     """Hidden folder for the making, empty, and what was kept aside when an interrupted run was finished."""
     room = folder / ROOM
     refuse_link(room)
-    with locked(room):
-        try:
-            with deferred_interrupts():
-                kept = recover(folder, room)
-            yield room, kept
-        finally:
-            clear(room)
+
+    def discard() -> None:
+        clear(room)
+        (room / LOCK).unlink(missing_ok=True)
+        remove_empty((room, *made))
+
+    try:
+        with locked(room):
+            begun(room, discard)
+            try:
+                with deferred_interrupts():
+                    kept = recover(folder, room)
+                yield room, kept
+            finally:
+                clear(room)
+    finally:
+        ended(room)
