@@ -20,9 +20,11 @@ array([[58.4 ,  1.41],
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # as typing has it, which takes longer to import than all of this
 if TYPE_CHECKING:
+    from typing import Any
+
     from hammerstein.dynamics import (
         AxesDynamics,
         Axis,

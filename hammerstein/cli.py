@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hammerstein import record_commands
+from hammerstein import record_commands, terminal
 from hammerstein.errors import HammersteinError
+from hammerstein.leaving import INTERRUPTED, INTERRUPTS, LEFT, leave
+from hammerstein.terminal import complain, show, tell
 
 if TYPE_CHECKING:
     from hammerstein.batch import Outcome
@@ -37,7 +39,6 @@ Jobs = Annotated[
     int, typer.Option(min=1, help="Runs side by side.", show_default="the processors of this machine")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
-INTERRUPTED = 130
 PROCESSORS = os.cpu_count() or 1
 
 
@@ -46,14 +47,15 @@ class _Interrupted(BaseException):
 
 
 def _interrupt(*_: object) -> None:
+    for number in INTERRUPTS:
+        signal.signal(number, leave)  # who asks twice does not want to wait
     raise _Interrupted
 
 
 def _answer_interrupts() -> None:
     """Let every polite request to end come as one exception; what nohup has switched off stays off."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+    for number in INTERRUPTS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
 
 
@@ -65,16 +67,34 @@ def _one_thread_a_job() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; a mistake of the user is one message and an exit code, never a traceback."""
-    _answer_interrupts()
-    _one_thread_a_job()
     try:
-        app(arguments)
-    except HammersteinError as error:
-        _complain(str(error))
-        sys.exit(error.exit_code)
+        _answer_interrupts()
+        terminal.make_ready()
+        _one_thread_a_job()
+        code = _answered(arguments)
     except _Interrupted:
-        _complain("interrupted; what was finished is written, and nothing else")
-        sys.exit(INTERRUPTED)
+        complain(LEFT)
+        code = INTERRUPTED
+    sys.exit(code)
+
+
+def _answered(arguments: list[str] | None) -> int | str | None:
+    """Exit code of the command; its mistake has been told."""
+    code: int | str | None = 0
+    try:
+        try:
+            app(arguments)
+        except SystemExit as end:
+            code = end.code
+        except OSError as error:
+            if error.filename is not None:
+                raise
+            terminal.nobody_listens(error)  # a library has printed: our own files are opened by name
+        terminal.settle()
+    except HammersteinError as error:
+        complain(str(error))
+        return error.exit_code
+    return code
 
 
 @app.command()
@@ -102,7 +122,7 @@ def run(
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
     from hammerstein.staging import prepare
-    from hammerstein.tables import claims_table, kept_aside, result_table, show
+    from hammerstein.tables import claims_table, kept_aside, result_table
 
     refuse_unwritable("--out", out)
     if page is not None:
@@ -115,7 +135,7 @@ def run(
     writer.prepare(scenarios)
     if any(scenario.claims for scenario in scenarios.values()):
         prepare(out, CLAIMS, [CLAIMS.sign[0]])
-    compile_once(_complain)
+    compile_once(complain)
     outcomes = []
     with _Watch(len(scenarios)) as watch:
         for outcome in run_all(scenarios, writer, jobs, watch.progress):
@@ -128,23 +148,23 @@ def run(
     if len(reports) < len(outcomes):
         what = ["claims.csv"] * bool(claimed) + ["the page"] * (page is not None)
         if what:
-            _complain(f"{' and '.join(what)} is not written, as not every scenario has a report")
+            complain(f"{' and '.join(what)} is not written, as not every scenario has a report")
     else:
         kept += write_claims(claimed, out) if claimed else ()
         kept += write_page(reports, out, page) if page is not None else ()
     for place in kept:
-        _complain(kept_aside(place))
+        complain(kept_aside(place))
     if as_json:
         errors = [str(outcome.error) for outcome in outcomes if outcome.error]
         contents = [json.loads(report.to_json()) for report in reports]
-        typer.echo(json.dumps({"reports": contents, "errors": errors}))
+        tell(json.dumps({"reports": contents, "errors": errors}))
     else:
         if reports:
             show(result_table(reports))
         if claimed:
             show(claims_table(claimed))
         if reports:
-            typer.echo(f"{len(reports)} of {len(outcomes)} reports written in {out}")
+            tell(f"{len(reports)} of {len(outcomes)} reports written in {out}")
     _fail_with(outcomes)
 
 
@@ -152,7 +172,7 @@ def _fail_with(outcomes: list[Outcome]) -> None:
     """Tell every error; exit with the code of the gravest."""
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     for error in errors:
-        _complain(str(error))
+        complain(str(error))
     if errors:
         raise typer.Exit(max(error.exit_code for error in errors))
 
@@ -182,14 +202,14 @@ def check(
         if file is not None:
             refuse_unwritable(option, file.parent)
             refuse_overwriting(option, file, content)
-    compile_once(_complain)
+    compile_once(complain)
     with _Watch(len(find_scenarios(paths))) as watch:
         result = check_files(paths, baseline, update_baseline, jobs, watch.progress, watch.finished)
     if junit is not None:
         write_atomic(junit, result.junit())
     if markdown is not None:
         write_atomic(markdown, result.markdown())
-    typer.echo(json.dumps(result.as_dict()) if as_json else result.text())
+    tell(json.dumps(result.as_dict()) if as_json else result.text())
     raise typer.Exit(result.exit_code)
 
 
@@ -198,18 +218,18 @@ def schema() -> None:
     """Print the JSON Schema of scenario files, for editors."""
     from hammerstein.scenario import Scenario
 
-    typer.echo(json.dumps(Scenario.model_json_schema(), indent=1, sort_keys=True))
+    tell(json.dumps(Scenario.model_json_schema(), indent=1, sort_keys=True))
 
 
 @app.command()
 def actuators(as_json: AsJson = False) -> None:
     """List the actuators that come with the package."""
     from hammerstein.model import HammersteinModel, packaged_actuators
-    from hammerstein.tables import actuator_table, show
+    from hammerstein.tables import actuator_table
 
     models = [HammersteinModel.load(name) for name in packaged_actuators()]
     if as_json:
-        typer.echo(json.dumps([json.loads(model.to_json()) for model in models]))
+        tell(json.dumps([json.loads(model.to_json()) for model in models]))
     else:
         show(actuator_table(models))
 
@@ -230,11 +250,11 @@ def plot(
 
     ((name, scenario),) = load_all([path]).items()
     prepare(out / name, FIGURES, ())
-    compile_once(_complain)
+    compile_once(complain)
     with _Watch(1) as watch:
         report = run_scenario(scenario, name, jobs, watch.progress)
     for figure in write_figures(report, out / name):
-        typer.echo(str(figure))
+        tell(str(figure))
 
 
 class _Watch:
@@ -249,7 +269,7 @@ class _Watch:
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-            columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+            columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
             self.bar = Progress(*columns, console=Console(stderr=True), transient=True)
             self.bar.start()
             self.task = self.bar.add_task("running", total=self.scenarios)
@@ -266,14 +286,12 @@ class _Watch:
         return None if self.bar is None else self._within
 
     def _within(self, what: str, done: int, total: int) -> None:
-        self.bar.update(self.inner, description=what, completed=done, total=total, visible=True)
+        self.bar.update(
+            self.inner, description=terminal.clean(what), completed=done, total=total, visible=True
+        )
 
     def finished(self, name: str) -> None:
         """Count one more scenario."""
         if self.bar is not None:
-            self.bar.update(self.task, advance=1, description=name)
+            self.bar.update(self.task, advance=1, description=terminal.clean(name))
             self.bar.update(self.inner, visible=False)
-
-
-def _complain(message: str) -> None:
-    typer.echo(message, err=True)

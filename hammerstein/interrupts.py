@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-ENDING = tuple(s for s in signal.Signals if s.name in ("SIGINT", "SIGTERM", "SIGHUP"))
+from hammerstein.leaving import INTERRUPTS
 
 
 @contextmanager
@@ -23,7 +23,7 @@ def deferred_interrupts() -> Iterator[None]:
     came: list[signal.Signals] = []
     before = {
         number: signal.signal(number, lambda number, _: came.append(signal.Signals(number)))
-        for number in ENDING
+        for number in INTERRUPTS
     }
     try:
         yield

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hammerstein.terminal import clean, complain, show, tell
+
 if TYPE_CHECKING:
     from hammerstein.files import Content
     from hammerstein.identification.records import Record
@@ -38,10 +40,6 @@ def _refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
     if any(path.resolve() == out.resolve() for path in inputs):
         raise InputError("--out", f"{out} is one of the files that are read; choose another name")
     refuse_overwriting("--out", out, content)
-
-
-def _say(message: str) -> None:
-    typer.echo(message, err=True)
 
 
 def _columns(words: str) -> list[str]:
@@ -84,7 +82,7 @@ def loops(
     from hammerstein.identification.loops import loop_table
     from hammerstein.manifest import refuse_name
     from hammerstein.staging import prepare
-    from hammerstein.tables import loops_table, show
+    from hammerstein.tables import loops_table
 
     if figures:
         refuse_unwritable("--out", out)
@@ -102,7 +100,7 @@ def loops(
             for source, loops_found in found.items()
             for loop in loops_found
         ]
-        typer.echo(json.dumps({"loops": plain}))
+        tell(json.dumps({"loops": plain}))
     else:
         show(loops_table(found))
     if figures:
@@ -110,7 +108,7 @@ def loops(
 
         figure = loops_of_records(records, [found[record.source] for record in records])
         for path in save_figures({"loops": figure} if figure else {}, out / files[0].stem, LOOPS):
-            typer.echo(str(path), err=as_json)
+            (complain if as_json else tell)(str(path))
 
 
 def identify(
@@ -162,7 +160,7 @@ def identify(
     from hammerstein.identification.settings import settings_of
     from hammerstein.model import CONTENT
     from hammerstein.staging import prepare
-    from hammerstein.tables import fit_table, kept_aside, show
+    from hammerstein.tables import fit_table, kept_aside
 
     settings = settings_of(
         operators=operators,
@@ -186,7 +184,7 @@ def identify(
     folder = report or out.parent / f"{out.stem}_fit"
     refuse_unwritable("--report", folder)
     prepare(folder, FIT, ALWAYS)
-    compile_once(_say)
+    compile_once(complain)
     with _Spinner() as spinner:
         read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
         validation = read(held, all_driven=False) if held else ()
@@ -194,15 +192,15 @@ def identify(
             read(files), settings, validation=validation, name=out.stem, progress=spinner.tell
         )
     for place in write_fit(model, fit, out, folder, figures):
-        _say(kept_aside(place))
+        complain(kept_aside(place))
     if as_json:
-        typer.echo(fit_json(model, fit), nl=False)
+        tell(fit_json(model, fit).rstrip())
         return
     show(fit_table(fit))
-    typer.echo(fit.verdict)
+    tell(fit.verdict)
     for text in (fit.invertibility, *fit.flags, *fit.not_identifiable, *fit.notes):
-        typer.echo(f"* {text}")
-    typer.echo(f"model in {out}, fit report in {folder}")
+        tell(f"* {text}")
+    tell(f"model in {out}, fit report in {folder}")
 
 
 class _Spinner:
@@ -224,7 +222,9 @@ class _Spinner:
     def tell(self, what: str) -> None:
         """Show what is being done."""
         if self.status is not None:
-            self.status.update(what)
+            from rich.text import Text
+
+            self.status.update(Text(clean(what)))
 
 
 def compensate(
@@ -247,17 +247,17 @@ def compensate(
     from hammerstein.compensate import compensate as compensated
     from hammerstein.compilation import compile_once
     from hammerstein.files import write_atomic
-    from hammerstein.tables import compensation_table, show
+    from hammerstein.tables import compensation_table
 
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
     _refuse_output(out, [Path(model), reference], CONTENT)
-    compile_once(_say)
+    compile_once(complain)
     found = compensated(model, reference, law, options, clip, range_v)
     write_atomic(out, found.to_csv())
     if as_json:
-        typer.echo(json.dumps({"drive": str(out), **found.summary()}))
+        tell(json.dumps({"drive": str(out), **found.summary()}))
         return
     show(compensation_table(found))
     for text in found.statements():
-        typer.echo(text)
-    typer.echo(f"voltages in {out}")
+        tell(text)
+    tell(f"voltages in {out}")
