@@ -42,13 +42,13 @@ if TYPE_CHECKING:
         SimulationError,
         ToleranceError,
     )
-    from hammerstein.experiment import run, simulate, simulate_in_stretches
+    from hammerstein.experiment.report import Report
+    from hammerstein.experiment.run import run, simulate, simulate_in_stretches
     from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii, play
     from hammerstein.instruments import Drive, Instruments, Sensor
     from hammerstein.model import HammersteinModel
-    from hammerstein.plant import Plant, Response
-    from hammerstein.report import Report
     from hammerstein.scenario import Scenario, load_scenario
+    from hammerstein.simulation import Plant, Response
 
 # Where each public name lives. Names are imported when they are used: the command line must answer at once.
 _HOMES = {
@@ -69,12 +69,12 @@ _HOMES = {
         "SimulationError",
         "ToleranceError",
     ),
-    "experiment": ("run", "simulate", "simulate_in_stretches"),
+    "experiment.run": ("run", "simulate", "simulate_in_stretches"),
     "hysteresis": ("Pair", "PlayState", "PrandtlIshlinskii", "play"),
     "instruments": ("Drive", "Instruments", "Sensor"),
     "model": ("HammersteinModel",),
-    "plant": ("Plant", "Response"),
-    "report": ("Report",),
+    "simulation": ("Plant", "Response"),
+    "experiment.report": ("Report",),
     "scenario": ("Scenario", "load_scenario"),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}

@@ -6,7 +6,7 @@ What must hold from the first line on is here, and nothing else is imported befo
 import os
 import sys
 
-from hammerstein.leaving import leave_on_interrupts
+from hammerstein.runtime.leaving import leave_on_interrupts
 
 
 def main() -> None:
@@ -14,7 +14,7 @@ def main() -> None:
     leave_on_interrupts()
     _fill_the_standard_streams()
     try:
-        from hammerstein.cli import main as command_line
+        from hammerstein.commands.cli import main as command_line
 
         command_line()
     finally:

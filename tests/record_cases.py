@@ -5,7 +5,7 @@ import pytest
 import theory
 
 from hammerstein.errors import InputError
-from hammerstein.identification.records import read_records
+from hammerstein.records.record import read_records
 
 N = 400
 TIME = 5e-3 * np.arange(N)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hammerstein.experiment import run
+from hammerstein.experiment.run import run
 from hammerstein.scenario import Scenario
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"

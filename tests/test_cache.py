@@ -1,4 +1,4 @@
-from hammerstein import cache
+from hammerstein.runtime import cache
 
 
 def test_a_result_is_kept_and_counts_for_its_arguments_only(tmp_path, monkeypatch):

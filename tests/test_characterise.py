@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from hammerstein.actuators.build import with_thresholds
-from hammerstein.characterise import identify_by_experiment
 from hammerstein.dynamics import discretise
 from hammerstein.errors import IdentificationError
+from hammerstein.experiment.simulated_identification import identify_by_experiment
+from hammerstein.identification.source import ClosedFormSpec, JointFitSpec
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
-from hammerstein.plant import Plant
 from hammerstein.signals import Lissajous, Triangle
-from hammerstein.sources import ClosedFormSpec, JointFitSpec
+from hammerstein.simulation import Plant
 
 T = 50e-6
 JOINT = JointFitSpec(method="hammerstein")

@@ -3,9 +3,9 @@ import math
 import pytest
 from pydantic import ValidationError
 
-from hammerstein.claims import Agreement, Claim, Quantity, verdicts
 from hammerstein.errors import InputError
 from hammerstein.rows import Row
+from hammerstein.scenario.claims import Agreement, Claim, Quantity, verdicts
 
 
 def _row(rms, frequency=50.0, measured="x", true=None, label="a"):

@@ -8,7 +8,7 @@ import time
 import pandas as pd
 import pytest
 
-from hammerstein.cli import main
+from hammerstein.commands.cli import main
 
 SMALL = """
 question = "How round is a small circle?"

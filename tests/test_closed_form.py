@@ -7,14 +7,14 @@ import pytest
 import theory
 
 from hammerstein.errors import IdentificationError
-from hammerstein.identification.closed_form import closed_form, rising_branch
-from hammerstein.identification.partition import (
+from hammerstein.identification.static.closed_form import closed_form, rising_branch
+from hammerstein.identification.static.partition import (
     nodes_uniform_in_time,
     thresholds_uniform_in_time,
     thresholds_uniform_in_voltage,
 )
-from hammerstein.identification.records import Record
-from hammerstein.identification.settled_loops import closed_form_model, mean_cycle
+from hammerstein.identification.static.settled_loops import closed_form_model, mean_cycle
+from hammerstein.records.record import Record
 
 PERIOD = 400  # 50 Hz, samples of 50 us
 

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hammerstein.cli import main
-from hammerstein.compensate import compensate
+from hammerstein.commands.cli import main
+from hammerstein.compensators.drive_file import compensate
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import smooth_step
 

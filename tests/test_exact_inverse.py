@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import theory
 
-from hammerstein.compensators.exact_inverse import ExactInverse
-from hammerstein.compensators.invertibility import invertibility
+from hammerstein.compensators.exact.inverse import ExactInverse
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.model import HammersteinModel
 
 

@@ -5,7 +5,9 @@ import pytest
 import theory
 
 from hammerstein.errors import IdentificationError
-from hammerstein.identification import Record, Settings, identify
+from hammerstein.identification.identify import identify
+from hammerstein.identification.settings import Settings
+from hammerstein.records.record import Record
 
 QUICK = Settings(operators=5, error_curve=False, delay_samples=0)
 THRESHOLDS = [[np.array([0.0, 1.0, 3.0])] * 2] * 2

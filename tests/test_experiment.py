@@ -7,12 +7,13 @@ import pytest
 import theory_linear as theory
 
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.experiment import run, simulate, simulate_in_stretches
+from hammerstein.experiment.run import run, simulate, simulate_in_stretches
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
-from hammerstein.plant import Plant
-from hammerstein.scenario import Measure, Scenario, load_scenario
+from hammerstein.scenario import Scenario, load_scenario
+from hammerstein.scenario.scenario import Measure
+from hammerstein.simulation import Plant
 
 
 def _scenario(**tables):

@@ -11,7 +11,7 @@ from functools import partial
 import psutil
 import pytest
 
-from hammerstein.workers import side_by_side
+from hammerstein.runtime.workers import side_by_side
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of this kind are POSIX")
 
@@ -164,7 +164,7 @@ def test_a_task_that_ends_its_process_is_tried_twice_and_does_not_stop_the_other
 
 def test_a_scenario_whose_process_dies_twice_is_reported_and_the_rest_goes_on(folder, started):
     (folder / "sitecustomize.py").write_text(
-        "import os, signal, hammerstein.experiment as e\n"
+        "import os, signal, hammerstein.experiment.run as e\n"
         "real = e.run\n"
         "def run(scenario, name='scenario', *more):\n"
         "    if name == 'a': os.kill(os.getpid(), signal.SIGKILL)\n"

@@ -4,10 +4,10 @@ import control
 import numpy as np
 import pytest
 
-from hammerstein.compensators.exact_inverse import ExactInverse
-from hammerstein.compensators.feedback import Feedback, closed_loop
-from hammerstein.compensators.hammerstein_inverse import HammersteinInverse
-from hammerstein.compensators.tuning import Gains
+from hammerstein.compensators.exact.inverse import ExactInverse
+from hammerstein.compensators.feedback.pid import Feedback, closed_loop
+from hammerstein.compensators.feedback.tuning import Gains
+from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii

@@ -16,13 +16,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hammerstein.errors import InputError
-from hammerstein.experiment import run
-from hammerstein.figures import LoopRun, figures_of, loops_figure, save_figures, write_figures
-from hammerstein.figures.loop_data import legend_labels, legible_parts
-from hammerstein.figures.style import MOST_POINTS, line_style, thin_path, thin_trace
-from hammerstein.figures.sweep import SweepCurve, sweep_figure
-from hammerstein.figures.write import images
-from hammerstein.report import Report
+from hammerstein.experiment.report import Report
+from hammerstein.experiment.run import run
+from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure, save_figures, write_figures
+from hammerstein.reporting.figures.loop_data import legend_labels, legible_parts
+from hammerstein.reporting.figures.style import MOST_POINTS, line_style, thin_path, thin_trace
+from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
+from hammerstein.reporting.figures.write import images
 from hammerstein.scenario import Scenario
 
 LARGEST_SVG_BYTES = 400_000
@@ -300,9 +300,9 @@ def test_drawing_needs_no_window_and_importing_no_matplotlib() -> None:
     code = """
 import sys
 import numpy as np
-from hammerstein.figures import LoopRun, loops_figure
+from hammerstein.reporting.figures import (LoopRun, loops_figure)
 assert "matplotlib" not in sys.modules
-from hammerstein.figures.write import images
+from hammerstein.reporting.figures.write import images
 images(loops_figure([LoopRun("a", 0, np.arange(3.0), np.ones((1, 3)))], ["u"], ["y"]))
 assert "matplotlib" in sys.modules
 assert "matplotlib.pyplot" not in sys.modules

@@ -8,11 +8,15 @@ import theory
 
 from hammerstein.dynamics import AxesDynamics, Axis, discretise
 from hammerstein.errors import InputError
-from hammerstein.identification import Record, Settings, fit_static, identify, input_grids
-from hammerstein.identification.fitted_thresholds import fit_thresholds, merged
-from hammerstein.identification.regressors import BLOCK, Start, regressor_blocks
-from hammerstein.identification.threshold_exchange import exchanged, finer
-from hammerstein.identification.threshold_search import ThresholdTask, place_at
+from hammerstein.identification.identify import identify
+from hammerstein.identification.operators import input_grids
+from hammerstein.identification.settings import Settings
+from hammerstein.identification.static.fitted_thresholds import fit_thresholds, merged
+from hammerstein.identification.static.regressors import BLOCK, Start, regressor_blocks
+from hammerstein.identification.static.static_block import fit_static
+from hammerstein.identification.static.threshold_exchange import exchanged, finer
+from hammerstein.identification.static.threshold_search import ThresholdTask, place_at
+from hammerstein.records.record import Record
 from hammerstein.signals import Multisine
 
 T = 50e-6

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from hammerstein.errors import IdentificationError, InputError
-from hammerstein.identification.frequency_response import frequency_response
+from hammerstein.identification.linear.frequency_response import frequency_response
 
 Array = NDArray[np.float64]
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "cubespec_fsm"

@@ -3,9 +3,9 @@ import numpy as np
 import pytest
 import theory_linear
 
-from hammerstein.compensators.exact_inverse import ExactInverse
-from hammerstein.compensators.hammerstein_inverse import HammersteinInverse
-from hammerstein.compensators.linear_inverse import linear_inverse
+from hammerstein.compensators.exact.inverse import ExactInverse
+from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
+from hammerstein.compensators.preview.linear_inverse import linear_inverse
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StateSpaceDynamics, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii

@@ -10,16 +10,18 @@ import theory
 
 from hammerstein.dynamics import StateSpaceDynamics, discretise
 from hammerstein.errors import IdentificationError, InputError
-from hammerstein.figures.identified import identified_figures, spectrum
-from hammerstein.figures.write import images
-from hammerstein.identification import Record, Settings, identify, read_records
-from hammerstein.identification.coupled import ModalCopies, behind_gain, fit_linear, fit_static_coupled
-from hammerstein.identification.fit_report import fit_json, fit_page
-from hammerstein.identification.prediction import Score
-from hammerstein.identification.regressors import Start
-from hammerstein.identification.starts import cautious_start, closed, run_in
+from hammerstein.identification.identify import identify
+from hammerstein.identification.linear.coupled import ModalCopies, behind_gain, fit_linear, fit_static_coupled
+from hammerstein.identification.score import Score
+from hammerstein.identification.settings import Settings
+from hammerstein.identification.static.history import cautious_start, closed, run_in
+from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.verdict import invertibility_of, verdict
 from hammerstein.model import HammersteinModel
+from hammerstein.records.record import Record, read_records
+from hammerstein.reporting.figures.identified import identified_figures, spectrum
+from hammerstein.reporting.figures.write import images
+from hammerstein.reporting.fit_page import fit_json, fit_page
 
 QUICK = {"error_curve": False}
 

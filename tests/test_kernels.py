@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.hysteresis.kernels import BLOCK, first_at_least, move, respond_textbook, search_guide
+from hammerstein.hysteresis.play_kernels import BLOCK, first_at_least, move, respond_textbook, search_guide
 
 RNG_SEED = 11
 

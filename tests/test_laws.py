@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from hammerstein.compensators.decoupled_inverse import DecoupledInverse
-from hammerstein.compensators.exact_inverse import ExactInverse
-from hammerstein.compensators.hammerstein_inverse import HammersteinInverse
+from hammerstein.compensators.exact.inverse import ExactInverse
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
 from hammerstein.compensators.linear_gain import LinearGain
+from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii

@@ -9,11 +9,11 @@ import pytest
 import theory
 
 from hammerstein.errors import InputError
-from hammerstein.identification.loops import branches, loop_table, pair_loops, settled_loop
-from hammerstein.identification.noise import dead_band, noise_rms, quantum
-from hammerstein.identification.preparation import leads
-from hammerstein.identification.records import Record, read_paired_records, read_records
-from hammerstein.identification.turning_points import find_cycles, turning_points
+from hammerstein.records.loops import branches, loop_table, pair_loops, settled_loop
+from hammerstein.records.noise import dead_band, noise_rms, quantum
+from hammerstein.records.preparation import leads
+from hammerstein.records.record import Record, read_paired_records, read_records
+from hammerstein.records.turning_points import find_cycles, turning_points
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 

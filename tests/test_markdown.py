@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from hammerstein.answer import answer
-from hammerstein.conditions import number
-from hammerstein.experiment import run
-from hammerstein.markdown import GLOSSARY, escaped, render
-from hammerstein.number_tables import MOST_FREQUENCIES, number_tables
-from hammerstein.report import Report
+from hammerstein.experiment.report import Report
+from hammerstein.experiment.run import run
+from hammerstein.experiment.selection import number
+from hammerstein.reporting.page import GLOSSARY, escaped, render
+from hammerstein.reporting.summary import answer
+from hammerstein.reporting.tables import MOST_FREQUENCIES, number_tables
 from hammerstein.rows import Row
 from hammerstein.scenario import Scenario
 

@@ -9,9 +9,11 @@ import pytest
 from record_cases import message
 
 from hammerstein.dynamics import StateSpaceDynamics
-from hammerstein.identification import Record, Settings, identify, read_paired_records, read_records
-from hammerstein.identification.preparation import driven_inputs, estimate_delay, leads
-from hammerstein.identification.readers import read_columns
+from hammerstein.identification.identify import identify
+from hammerstein.identification.settings import Settings
+from hammerstein.records.preparation import driven_inputs, estimate_delay, leads
+from hammerstein.records.readers import read_columns
+from hammerstein.records.record import Record, read_paired_records, read_records
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 DBO = DATA / "dbo_piezo_micromanipulator"

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from hammerstein.cli import main
+from hammerstein.commands.cli import main
 
 SMALL = """
 question = "How large is a loop?"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from record_cases import THRESHOLDS, N, U, X, message, plays
 
-from hammerstein.identification.preparation import estimate_delay, lag_rad, leads, prepare, refuse_swapped
-from hammerstein.identification.records import Record
+from hammerstein.records.preparation import estimate_delay, lag_rad, leads, prepare, refuse_swapped
+from hammerstein.records.record import Record
 
 
 class TestPreparation:

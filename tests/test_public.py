@@ -12,6 +12,6 @@ def test_every_public_name_is_there():
 
 def test_the_command_line_imports_nothing_heavy():
     heavy = {"numpy", "numba", "control", "pandas", "pydantic"}
-    code = f"import sys, hammerstein.cli; print(sorted({heavy} & set(sys.modules)))"
+    code = f"import sys, hammerstein.commands.cli; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import theory
 
-from hammerstein.compensators.exact_inverse import ExactInverse
-from hammerstein.compensators.hammerstein_inverse import HammersteinInverse
-from hammerstein.compensators.reach import largest_scale, reach, require_reach, shortfall
+from hammerstein.compensators.exact.inverse import ExactInverse
+from hammerstein.compensators.exact.reach import largest_scale, reach, require_reach, shortfall
+from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hammerstein.cli import main
+from hammerstein.commands.cli import main
 from hammerstein.model import HammersteinModel
-from hammerstein.plant import Plant
+from hammerstein.simulation import Plant
 
 T = 50e-6
 

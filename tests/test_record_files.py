@@ -11,9 +11,9 @@ import scipy.io
 from record_cases import TIME, N, U, X, message, read, table_text
 
 from hammerstein.errors import InputError
-from hammerstein.identification.readers import read_array
-from hammerstein.identification.record_checks import sample_time, time_mistakes
-from hammerstein.identification.records import read_records
+from hammerstein.records.checks import sample_time, time_mistakes
+from hammerstein.records.readers import read_array
+from hammerstein.records.record import read_records
 
 
 class TestTextFiles:

@@ -7,8 +7,8 @@ import pytest
 from record_cases import N, U, X, message, plays
 
 from hammerstein.errors import InputError
-from hammerstein.identification.preparation import driven_inputs
-from hammerstein.identification.records import Record, read_paired_records, read_records
+from hammerstein.records.preparation import driven_inputs
+from hammerstein.records.record import Record, read_paired_records, read_records
 
 
 class TestRecord:

@@ -12,16 +12,17 @@ from xml.etree import ElementTree
 
 import pytest
 
-from hammerstein.baseline import Baseline, key_of, numbers_of
-from hammerstein.check_result import CheckResult, ScenarioCheck
-from hammerstein.claims import Answer, Verdict
-from hammerstein.comparison import METRICS, Finding, Kind, compare
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.experiment import run
-from hammerstein.regression import check_files
-from hammerstein.report import Band, Report
+from hammerstein.experiment.report import Band, Report
+from hammerstein.experiment.run import run
+from hammerstein.regression.baseline import Baseline, key_of, numbers_of
+from hammerstein.regression.check import check_files
+from hammerstein.regression.compare import METRICS, Finding, Kind, compare
+from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.rows import Row
-from hammerstein.scenario import Scenario, Tolerance
+from hammerstein.scenario import Scenario
+from hammerstein.scenario.claims import Answer, Verdict
+from hammerstein.scenario.scenario import Tolerance
 
 LOOP = """
 question = "How large is a loop?"

@@ -9,13 +9,13 @@ from scipy.signal import cont2discrete, lfilter
 from theory_linear import second_order_step
 
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
-from hammerstein.identification.axis_task import AxisTask, axis_of
 from hammerstein.identification.candidates import dynamics_of
-from hammerstein.identification.records import Record
-from hammerstein.identification.regressors import Start
-from hammerstein.identification.second_order import AxisFit, fit_axes, refine, search_axes
-from hammerstein.identification.static_block import fit_static
+from hammerstein.identification.linear.axis_task import AxisTask, axis_of
+from hammerstein.identification.linear.second_order import AxisFit, fit_axes, refine, search_axes
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.verdict import axis_identified, axis_statements
+from hammerstein.records.record import Record
 
 T = 5e-5
 R = np.array([0.0, 1.0, 3.0, 6.0])

@@ -2,16 +2,7 @@ import numpy as np
 import pytest
 
 from hammerstein.errors import InputError
-from hammerstein.signals import (
-    Circle,
-    FromFile,
-    Lissajous,
-    Multisine,
-    Sine,
-    Spiral,
-    Triangle,
-    read_signal,
-)
+from hammerstein.signals import Circle, FromFile, Lissajous, Multisine, Sine, Spiral, Triangle, read_signal
 
 t = np.linspace(0.0, 0.1, 2001)
 

@@ -11,12 +11,12 @@ from scipy import signal
 
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
-from hammerstein.identification import weighted_lines
-from hammerstein.identification.frequency_response import FrequencyResponse, frequency_response
-from hammerstein.identification.refinement import _normal_equations, refine, split
-from hammerstein.identification.state_space import fit_state_space, output_error_percent
-from hammerstein.identification.subspace import stable, subspace
-from hammerstein.identification.weighted_lines import Matrices, WeightedLines, weigh
+from hammerstein.identification.linear import weighted_lines
+from hammerstein.identification.linear.frequency_response import FrequencyResponse, frequency_response
+from hammerstein.identification.linear.refinement import _normal_equations, refine, split
+from hammerstein.identification.linear.state_space import fit_state_space, output_error_percent
+from hammerstein.identification.linear.subspace import stable, subspace
+from hammerstein.identification.linear.weighted_lines import Matrices, WeightedLines, weigh
 
 Array = NDArray[np.float64]
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "cubespec_fsm"

@@ -11,17 +11,12 @@ from scipy.signal import lfilter
 
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
-from hammerstein.identification.delay import shortest_delay, static_delay
-from hammerstein.identification.normal_equations import Bounds, moments_of, pooled, solve
-from hammerstein.identification.operators import (
-    CurvePoint,
-    enough_operators,
-    error_curve,
-    input_grids,
-)
-from hammerstein.identification.records import Record
-from hammerstein.identification.regressors import SideBySide, Start, channel
-from hammerstein.identification.static_block import direct_pairs, fit_static
+from hammerstein.identification.linear.delay import shortest_delay, static_delay
+from hammerstein.identification.operators import CurvePoint, enough_operators, error_curve, input_grids
+from hammerstein.identification.static.normal_equations import Bounds, moments_of, pooled, solve
+from hammerstein.identification.static.regressors import SideBySide, Start, channel
+from hammerstein.identification.static.static_block import direct_pairs, fit_static
+from hammerstein.records.record import Record
 
 SHAPES = [(1, 1), (1, 2), (2, 1), (2, 2), (2, 3), (3, 2), (3, 3)]
 
@@ -114,7 +109,7 @@ def test_a_record_in_blocks_gives_the_same_as_in_one(monkeypatch):
     thresholds, weights = random_model(generator, 2, 1)
     record = record_of(random_walk(generator, 2), thresholds, weights, 0.0, 0.1, generator)
     whole = fit_static([record], thresholds)
-    monkeypatch.setattr("hammerstein.identification.regressors.BLOCK", 37)
+    monkeypatch.setattr("hammerstein.identification.static.regressors.BLOCK", 37)
     pieces = fit_static([record], thresholds)
     found = [pair.weights_um_per_v for pair in whole.hysteresis.pairs[0]]
     assert worst(pieces.hysteresis, [found]) < 1e-10

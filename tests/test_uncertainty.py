@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from hammerstein.errors import InputError
-from hammerstein.experiment import run
+from hammerstein.experiment.run import run
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.scenario import Scenario
-from hammerstein.uncertainty import Uncertainty
+from hammerstein.scenario.uncertainty import Uncertainty
 
 
 def _scenario(**uncertainty):

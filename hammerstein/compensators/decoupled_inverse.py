@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hammerstein.compensators.law import Array, Law, require_square
+from hammerstein.blocks import Array, Law, require_square
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel

@@ -9,10 +9,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.compensators.law import Array, Law, require_square
-from hammerstein.compensators.slopes import slope_matrices
+from hammerstein.blocks import Array, Law, require_square
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PlayState, PrandtlIshlinskii
+from hammerstein.hysteresis.slopes import slope_matrices
 from hammerstein.model import HammersteinModel
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from hammerstein.hysteresis.kernels import move
+from hammerstein.hysteresis.play_kernels import move
 
 # A step below this is no movement: two samples at equal distance from a peak differ in their last bits, and
 # these differ from one machine to another; they must not decide when the jump at a reversal comes.

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hammerstein.compensators.law import Array, Law
+from hammerstein.blocks import Array, Law
 from hammerstein.model import HammersteinModel
 
 

@@ -10,11 +10,11 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, TypeAdapter, model_validator
 
-from hammerstein.compensators.feedback import Feedback
-from hammerstein.compensators.law import Law
-from hammerstein.compensators.tuning import Gains
+from hammerstein.blocks import Law
+from hammerstein.compensators.feedback.pid import Feedback
+from hammerstein.compensators.feedback.tuning import Gains
+from hammerstein.identification.source import ModelSource
 from hammerstein.model import HammersteinModel
-from hammerstein.sources import ModelSource
 
 
 class NoCompensation(ModelSource):
@@ -74,7 +74,7 @@ class ExactInverseSpec(ModelSource):
 
     def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
         """Give the law for a model, a drive range and a sample time."""
-        from hammerstein.compensators.exact_inverse import ExactInverse
+        from hammerstein.compensators.exact.inverse import ExactInverse
 
         return ExactInverse(model, range_v, self.softening_v, self.run_anyway)
 
@@ -96,7 +96,7 @@ class HammersteinInverseSpec(ModelSource):
 
     def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
         """Give the law for a model, a drive range and a sample time."""
-        from hammerstein.compensators.hammerstein_inverse import HammersteinInverse
+        from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
 
         options = (self.preview_s, self.filter_hz, self.softening_v, self.run_anyway)
         return HammersteinInverse(model, range_v, sample_time_s, *options)

@@ -45,7 +45,7 @@ def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
     >>> play([0.0, 2.0, 1.0, -2.0], [0.5])
     array([[ 0. ,  1.5,  1.5, -1.5]])
     """
-    from hammerstein.hysteresis.kernels import play_bank
+    from hammerstein.hysteresis.play_kernels import play_bank
 
     thresholds = np.atleast_1d(np.asarray(r, dtype=np.float64))
     plays = np.zeros(len(thresholds)) if start is None else np.array(start, dtype=np.float64)
@@ -196,7 +196,7 @@ class Bank:
     @classmethod
     def of(cls, pairs: Sequence[Sequence[Pair]]) -> Bank:
         """Merge the pairs (output, input) onto one grid an input."""
-        from hammerstein.hysteresis.kernels import search_guide
+        from hammerstein.hysteresis.play_kernels import search_guide
 
         p, m = len(pairs), len(pairs[0])
         grids = [np.unique(np.concatenate([pairs[o][k].thresholds_v for o in range(p)])) for k in range(m)]
@@ -352,7 +352,7 @@ class PrandtlIshlinskii:
         >>> v
         array([[ 3., -3.]])
         """
-        from hammerstein.hysteresis.kernels import respond_turning_points
+        from hammerstein.hysteresis.play_kernels import respond_turning_points
 
         u = np.ascontiguousarray(np.atleast_2d(np.asarray(u_v, dtype=np.float64)))
         if u.ndim != 2 or u.shape[0] != self.n_inputs:

@@ -9,25 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.dynamics import (
-    AxesDynamics,
-    LinearBlock,
-    StateSpaceDynamics,
-    StaticDynamics,
-    discretise,
-)
+from hammerstein.dynamics import AxesDynamics, LinearBlock, StateSpaceDynamics, StaticDynamics, discretise
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
-from hammerstein.identification.coupled import fit_linear, fit_static_coupled, refit_linear
 from hammerstein.identification.fit import Kind
-from hammerstein.identification.fitted_thresholds import criterion, fit_thresholds, gained
-from hammerstein.identification.prediction import Candidate, score
-from hammerstein.identification.records import Record
-from hammerstein.identification.regressors import Start
-from hammerstein.identification.second_order import AxesFit, AxisFit, FirstGuess, fit_axes
+from hammerstein.identification.linear.coupled import fit_linear, fit_static_coupled, refit_linear
+from hammerstein.identification.linear.second_order import AxesFit, AxisFit, FirstGuess, fit_axes
+from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.settled_loops import closed_form_model
-from hammerstein.identification.static_block import (
+from hammerstein.identification.static.fitted_thresholds import criterion, fit_thresholds, gained
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.settled_loops import closed_form_model
+from hammerstein.identification.static.static_block import (
     Layout,
     StaticFit,
     Thresholds,
@@ -37,8 +30,9 @@ from hammerstein.identification.static_block import (
     solve_static,
     static_moments,
 )
-from hammerstein.identification.threshold_search import ThresholdTask
+from hammerstein.identification.static.threshold_search import ThresholdTask
 from hammerstein.identification.verdict import FELT, axis_identified, invertibility_of
+from hammerstein.records.record import Record
 
 MOST_ROUNDS = 8
 """Most times that the two blocks are fitted in turn; each must gain a fiftieth."""

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import IdentificationError
-from hammerstein.identification.noise import noise_rms, quantum
-from hammerstein.identification.prediction import Candidate
-from hammerstein.identification.records import Record
-from hammerstein.identification.regressors import Start
-from hammerstein.identification.static_block import half_swing
-from hammerstein.identification.turning_points import turning_points
+from hammerstein.identification.score import Candidate
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import half_swing
+from hammerstein.records.noise import noise_rms, quantum
+from hammerstein.records.record import Record
+from hammerstein.records.turning_points import turning_points
 
 Array = NDArray[np.float64]
 

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from hammerstein.identification.linear.second_order import AxisFit
 from hammerstein.identification.operators import CurvePoint
-from hammerstein.identification.prediction import Candidate, Score
-from hammerstein.identification.records import Record
-from hammerstein.identification.regressors import Start
-from hammerstein.identification.second_order import AxisFit
+from hammerstein.identification.score import Candidate, Score
+from hammerstein.identification.static.regressors import Start
+from hammerstein.records.record import Record
 
 Kind = Literal["linear", "static_hysteresis", "linear_dynamics", "hammerstein"]
 

@@ -19,14 +19,10 @@ from hammerstein.identification.candidates import (
     build_state_space,
     build_static,
 )
-from hammerstein.identification.delay import static_delay
-from hammerstein.identification.excitation import (
-    answers,
-    excitation_statements,
-    refuse_noise,
-    refuse_one_way,
-)
+from hammerstein.identification.excitation import answers, excitation_statements, refuse_noise, refuse_one_way
 from hammerstein.identification.fit import Fit, Kind
+from hammerstein.identification.linear.delay import static_delay
+from hammerstein.identification.linear.second_order import FirstGuess, checked_delay, search_axes
 from hammerstein.identification.operators import (
     CURVE_SAMPLES,
     CurvePoint,
@@ -34,14 +30,17 @@ from hammerstein.identification.operators import (
     error_curve,
     input_grids,
 )
-from hammerstein.identification.prediction import Candidate, Score, ranges, score
-from hammerstein.identification.preparation import driven_inputs, prepare, refuse_swapped
-from hammerstein.identification.records import Record
-from hammerstein.identification.regressors import Start
-from hammerstein.identification.second_order import FirstGuess, checked_delay, search_axes
+from hammerstein.identification.score import Candidate, Score, ranges, score
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.starts import StartMode, cautious_start, closed, judged_starts, shortened
-from hammerstein.identification.static_block import Layout, direct_pairs, fit_static, half_swing
+from hammerstein.identification.static.history import (
+    StartMode,
+    cautious_start,
+    closed,
+    judged_starts,
+    shortened,
+)
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import Layout, direct_pairs, fit_static, half_swing
 from hammerstein.identification.verdict import (
     axis_statements,
     bound_notes,
@@ -53,6 +52,8 @@ from hammerstein.identification.verdict import (
 )
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
+from hammerstein.records.preparation import driven_inputs, prepare, refuse_swapped
+from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -110,7 +111,7 @@ def identify(
 
     Examples
     --------
-    >>> from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+    >>> from hammerstein.hysteresis import (Pair, PrandtlIshlinskii)
     >>> u = 4.0 * np.sin(2.0 * np.pi * np.arange(1200) / 300) * np.linspace(1.0, 0.5, 1200)
     >>> truth = PrandtlIshlinskii([[Pair([0.0, 1.0, 2.0], [3.0, 1.0, 1.0])]])
     >>> record = Record([u], truth.respond([u])[0], 1e-3)

@@ -10,21 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import LinearBlock
-from hammerstein.identification.normal_equations import (
+from hammerstein.identification.score import ranges
+from hammerstein.identification.static.history import shortened
+from hammerstein.identification.static.normal_equations import (
     Moments,
     coefficients,
     moments_of,
     pooled,
     squares_left,
 )
-from hammerstein.identification.partition import thresholds_uniform_in_time, thresholds_uniform_in_voltage
-from hammerstein.identification.prediction import ranges
-from hammerstein.identification.preparation import driven_inputs
-from hammerstein.identification.records import Record
-from hammerstein.identification.regressors import Filter, Start, delayed, regressor_blocks
-from hammerstein.identification.starts import shortened
-from hammerstein.identification.static_block import half_swing, path_filters
-from hammerstein.identification.turning_points import find_cycles
+from hammerstein.identification.static.partition import (
+    thresholds_uniform_in_time,
+    thresholds_uniform_in_voltage,
+)
+from hammerstein.identification.static.regressors import Filter, Start, delayed, regressor_blocks
+from hammerstein.identification.static.static_block import half_swing, path_filters
+from hammerstein.records.preparation import driven_inputs
+from hammerstein.records.record import Record
+from hammerstein.records.turning_points import find_cycles
 
 Array = NDArray[np.float64]
 Partition = Literal["time", "voltage", "fitted"]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from hammerstein.errors import InputError, Mistake
 from hammerstein.identification.operators import Partition, input_grids
-from hammerstein.identification.records import Record
-from hammerstein.identification.starts import StartMode
+from hammerstein.identification.static.history import StartMode
+from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
 Method = Literal["closed_form", "least_squares", "nonnegative", "invertible"]

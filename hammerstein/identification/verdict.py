@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.compensators.invertibility import invertibility
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.fit import KIND_NAMES, Kind
-from hammerstein.identification.prediction import Candidate, Score, ranges
-from hammerstein.identification.records import Record
-from hammerstein.identification.regressors import Start
-from hammerstein.identification.second_order import AxisFit
-from hammerstein.identification.static_block import StaticFit
+from hammerstein.identification.linear.second_order import AxisFit
+from hammerstein.identification.score import Candidate, Score, ranges
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import StaticFit
+from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,12 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from hammerstein.fit_output import write_fit
-from hammerstein.identification import Settings, identify, read_paired_records, read_records
 from hammerstein.identification.fit import Fit
+from hammerstein.identification.identify import identify
+from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel
+from hammerstein.records.record import read_paired_records, read_records
+from hammerstein.reporting.fit_folder import write_fit
 
 HERE = Path(__file__).parent
 NOTES = """# Measured records

@@ -43,7 +43,7 @@ kept = u.nbytes + v.nbytes
 
 EXPERIMENT = """
 from hammerstein.scenario import Scenario
-from hammerstein.setup import prepare
+from hammerstein.experiment.prepare import prepare
 def scenario(cycles):
     law = {"label": "paper", "law": "inverse_multiplicative", "identification": {"frequency_hz": 50.0}}
     return Scenario.model_validate({

@@ -6,12 +6,12 @@ from cases import SAMPLE_TIME_S, sines
 from ratios import Work
 from references import experiment_diagram
 
-from hammerstein.compensators.exact_inverse import ExactInverse
+from hammerstein.compensators.exact.inverse import ExactInverse
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
+from hammerstein.experiment.measure import rows_of
+from hammerstein.experiment.prepare import prepare
 from hammerstein.instruments import standard_noise
-from hammerstein.measure import rows_of
 from hammerstein.scenario import Scenario
-from hammerstein.setup import prepare
 
 LAWS = "Compensators, 2 x 2, 15 operators, 50 Hz sines (ratio: times the forward model)"
 EXPERIMENT = "Whole experiment: reference, compensator, drive, hysteresis, dynamics, sensor, metrics"

@@ -11,7 +11,9 @@ import pytest
 from cases import SAMPLE_TIME_S, sines
 from ratios import Row
 
-from hammerstein.identification import Record, Settings, identify
+from hammerstein.identification.identify import identify
+from hammerstein.identification.settings import Settings
+from hammerstein.records.record import Record
 
 ROOT = Path(__file__).resolve().parents[2]
 RUN = "Waiting time on the wall (ratio: part of what is allowed)"
@@ -25,7 +27,7 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 begin = time.process_time()
 import importlib
 from pathlib import Path
-from hammerstein.processes import LOADED_ONCE
+from hammerstein.runtime.processes import LOADED_ONCE
 for name in LOADED_ONCE:
     importlib.import_module(name)
 spent = {"loading the libraries": time.process_time()}
@@ -40,8 +42,8 @@ def clocked(module, name, what):
             spent[what] = spent.get(what, 0.0) + time.process_time() - start
     setattr(module, name, timed)
 
-from hammerstein import batch, experiment
-from hammerstein.figures import write
+from hammerstein.experiment import (batch, run as experiment)
+from hammerstein.reporting.figures import write
 clocked(experiment, "prepare", "models, kept from the run before, and laws")
 clocked(batch, "run", "run")
 clocked(write, "figures_of", "building the figures")

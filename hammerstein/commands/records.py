@@ -1,0 +1,263 @@
+"""Commands that start from measured records."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hammerstein.commands.terminal import clean, complain, show, tell
+
+if TYPE_CHECKING:
+    from hammerstein.files import Content
+    from hammerstein.records.record import Record
+
+Files = Annotated[
+    list[Path], typer.Argument(metavar="FILE...", help="Records: CSV, .dat, .npy, .mat, Parquet.")
+]
+Inputs = Annotated[str, typer.Option(metavar="COL[,COL]", help="Voltage columns, by name or number from 1.")]
+Outputs = Annotated[
+    str, typer.Option(metavar="COL[,COL]", help="Displacement columns, by name or number from 1.")
+]
+Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Samples a second.")]
+Time = Annotated[str | None, typer.Option(metavar="COL", help="Time column in s, instead of --rate.")]
+InputScale = Annotated[float, typer.Option(metavar="S", help="Factor from the file's number to V.")]
+OutputScale = Annotated[float, typer.Option(metavar="S", help="Factor from the file's number to um.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
+
+
+def _refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
+    """Refuse an output that cannot be written, holds something else, or is one of the files that are read."""
+    from hammerstein.errors import InputError
+    from hammerstein.files import refuse_overwriting, refuse_unwritable
+
+    refuse_unwritable("--out", out.parent)
+    if any(path.resolve() == out.resolve() for path in inputs):
+        raise InputError("--out", f"{out} is one of the files that are read; choose another name")
+    refuse_overwriting("--out", out, content)
+
+
+def _columns(words: str) -> list[str]:
+    return [word.strip() for word in words.split(",") if word.strip()]
+
+
+def _reader(
+    inputs: str, outputs: str, rate: float | None, time: str | None, input_scale: float, output_scale: float
+) -> partial[tuple[Record, ...]]:
+    """How the files of a command are read."""
+    from hammerstein.records.record import read_records
+
+    return partial(
+        read_records,
+        inputs=_columns(inputs),
+        outputs=_columns(outputs),
+        rate_hz=rate,
+        time=time,
+        input_scale=input_scale,
+        output_scale=output_scale,
+    )
+
+
+def loops(
+    files: Files,
+    inputs: Inputs,
+    outputs: Outputs,
+    rate: Rate = None,
+    time: Time = None,
+    input_scale: InputScale = 1.0,
+    output_scale: OutputScale = 1.0,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the figure goes.")] = Path("reports"),
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Find the loops in measured records: height, width, area, closure, drift."""
+    from hammerstein.commands.tables import loops_table
+    from hammerstein.errors import InputError
+    from hammerstein.files import refuse_unwritable
+    from hammerstein.records.loops import loop_table
+    from hammerstein.reporting.figures.measured import LOOPS, LOOPS_FILES, loops_of_records
+    from hammerstein.storage.manifest import refuse_name
+    from hammerstein.storage.staging import prepare
+
+    if figures:
+        refuse_unwritable("--out", out)
+        refuse_name(files[0])
+        prepare(out / files[0].stem, LOOPS, LOOPS_FILES)
+    read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
+    records = read(files, all_driven=False)
+    found = {record.source: loop_table(record) for record in records}
+    for source, table in found.items():
+        if not table:
+            raise InputError(source, "no loop found: a voltage must turn twice; record two periods or more")
+    if as_json:
+        plain = [
+            {"file": source, **asdict(loop), "width_percent": loop.width_percent}
+            for source, loops_found in found.items()
+            for loop in loops_found
+        ]
+        tell(json.dumps({"loops": plain}))
+    else:
+        show(loops_table(found))
+    if figures:
+        from hammerstein.reporting.figures import save_figures
+
+        figure = loops_of_records(records, [found[record.source] for record in records])
+        for path in save_figures({"loops": figure} if figure else {}, out / files[0].stem, LOOPS):
+            (complain if as_json else tell)(str(path))
+
+
+def identify(
+    files: Files,
+    inputs: Inputs,
+    outputs: Outputs,
+    rate: Rate = None,
+    time: Time = None,
+    input_scale: InputScale = 1.0,
+    output_scale: OutputScale = 1.0,
+    validate: Annotated[
+        list[Path] | None, typer.Option(metavar="FILE", help="Records held back; may be repeated.")
+    ] = None,
+    operators: Annotated[str, typer.Option(help="Thresholds of each pair, or auto.")] = "15",
+    partition: Annotated[
+        str, typer.Option(help="Thresholds: uniform in time or voltage, or fitted to the records.")
+    ] = "time",
+    thresholds: Annotated[
+        str | None, typer.Option(metavar="V[,V]", help="Thresholds in V for all pairs, instead of these.")
+    ] = None,
+    method: Annotated[
+        str, typer.Option(help="invertible, least_squares, nonnegative or closed_form.")
+    ] = "invertible",
+    ridge: Annotated[float, typer.Option(help="Penalty of the weights; 0: none.")] = 0.0,
+    dynamics: Annotated[str, typer.Option(help="none, second_order or state_space.")] = "none",
+    order: Annotated[int | None, typer.Option(help="Order of a state-space model.")] = None,
+    creep_modes: Annotated[int, typer.Option(help="Slow modes of each second-order axis.")] = 0,
+    delay_samples: Annotated[
+        int | None, typer.Option(help="Delay of the outputs; found if not given.")
+    ] = None,
+    sensor_bandwidth: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Of the sensor, from its data sheet.")
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the model goes.")] = Path("model.json"),
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Where the fit report goes; beside the model if not given."),
+    ] = None,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Identify a model from measured records, and say how far it can be trusted."""
+    from hammerstein.commands.tables import fit_table, kept_aside
+    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.errors import InputError
+    from hammerstein.files import refuse_unwritable
+    from hammerstein.identification.identify import identify as identified
+    from hammerstein.identification.settings import settings_of
+    from hammerstein.model import CONTENT
+    from hammerstein.reporting.fit_folder import ALWAYS, FIT, write_fit
+    from hammerstein.reporting.fit_page import fit_json
+    from hammerstein.storage.staging import prepare
+
+    settings = settings_of(
+        operators=operators,
+        thresholds=thresholds,
+        partition=partition,
+        method=method,
+        ridge=ridge,
+        dynamics=dynamics,
+        order=order,
+        creep_modes=creep_modes,
+        delay_samples=delay_samples,
+        sensor_bandwidth_hz=sensor_bandwidth,
+    )
+    held = validate or []
+    _refuse_output(out, [*files, *held], CONTENT)
+    twice = sorted({str(f) for f in held if f.resolve() in {g.resolve() for g in files}})
+    if twice:
+        raise InputError(
+            "--validate", f"{twice[0]} is among the records that are fitted; hold back another one"
+        )
+    folder = report or out.parent / f"{out.stem}_fit"
+    refuse_unwritable("--report", folder)
+    prepare(folder, FIT, ALWAYS)
+    compile_once(complain)
+    with _Spinner() as spinner:
+        read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
+        validation = read(held, all_driven=False) if held else ()
+        model, fit = identified(
+            read(files), settings, validation=validation, name=out.stem, progress=spinner.tell
+        )
+    for place in write_fit(model, fit, out, folder, figures):
+        complain(kept_aside(place))
+    if as_json:
+        tell(fit_json(model, fit).rstrip())
+        return
+    show(fit_table(fit))
+    tell(fit.verdict)
+    for text in (fit.invertibility, *fit.flags, *fit.not_identifiable, *fit.notes):
+        tell(f"* {text}")
+    tell(f"model in {out}, fit report in {folder}")
+
+
+class _Spinner:
+    """What is being done, on stderr, when a person watches."""
+
+    def __enter__(self) -> _Spinner:
+        self.status = None
+        if sys.stderr.isatty():
+            from rich.console import Console
+
+            self.status = Console(stderr=True).status("reading")
+            self.status.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.status is not None:
+            self.status.stop()
+
+    def tell(self, what: str) -> None:
+        """Show what is being done."""
+        if self.status is not None:
+            from rich.text import Text
+
+            self.status.update(Text(clean(what)))
+
+
+def compensate(
+    model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
+    reference: Annotated[Path, typer.Argument(help="CSV: time_s, then one column an axis, in um.")],
+    law: Annotated[str, typer.Option(help="As in a scenario.")] = "hammerstein_inverse",
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the voltages go.")] = Path("drive.csv"),
+    filter_hz: Annotated[float | None, typer.Option(help="Bandwidth of the reference filter.")] = None,
+    preview_s: Annotated[float | None, typer.Option(help="How far ahead the reference is known.")] = None,
+    softening_v: Annotated[float | None, typer.Option(help="Voltage that spreads the jump.")] = None,
+    gain: Annotated[str | None, typer.Option(help="Of inverse_multiplicative: auto or identity.")] = None,
+    range_v: Annotated[
+        float | None, typer.Option("--range", metavar="V", help="Of the drive; from the model if not given.")
+    ] = None,
+    clip: Annotated[bool, typer.Option("--clip", help="Accept a path partly out of reach.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Turn a reference into the voltages to send, with the predicted response."""
+    from hammerstein.commands.tables import compensation_table
+    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.compensators.drive_file import CONTENT
+    from hammerstein.compensators.drive_file import compensate as compensated
+    from hammerstein.files import write_atomic
+
+    options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
+    _refuse_output(out, [Path(model), reference], CONTENT)
+    compile_once(complain)
+    found = compensated(model, reference, law, options, clip, range_v)
+    write_atomic(out, found.to_csv())
+    if as_json:
+        tell(json.dumps({"drive": str(out), **found.summary()}))
+        return
+    show(compensation_table(found))
+    for text in found.statements():
+        tell(text)
+    tell(f"voltages in {out}")

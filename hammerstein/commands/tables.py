@@ -1,0 +1,137 @@
+"""Tables for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hammerstein.experiment.report import Report
+from hammerstein.model import HammersteinModel
+from hammerstein.reporting.claims_page import Line
+from hammerstein.rows import Row
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from hammerstein.compensators.drive_file import Compensation
+    from hammerstein.identification.fit import Fit
+    from hammerstein.records.loops import Loop
+
+_LEFT = 3  # the first columns hold words
+
+
+def _table(title: str, columns: Sequence[str]) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title, box=box.SIMPLE, title_justify="left")
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="left" if i < _LEFT else "right", overflow="fold")
+    return table
+
+
+def result_table(reports: Iterable[Report]) -> Table:
+    """One line for each scenario and compensator or model: what a person looks at first."""
+    columns = ("scenario", "compensator", "frequency_hz", "rms_um", "max_um", "max_true_um", "saturated")
+    table = _table("Worst figures of each scenario, over its direct transfers and paths", columns)
+    for report in reports:
+        for label in dict.fromkeys(row.compensator for row in report.rows):
+            rows = [row for row in report.rows if row.compensator == label and _is_direct(row)]
+            table.add_row(report.name, label or "(drive in V)", *_figures(rows))
+    return table
+
+
+def _is_direct(row: Row) -> bool:
+    return row.excited_axis in (row.measured_axis, "all")
+
+
+def _figures(rows: Sequence[Row]) -> list[str]:
+    frequencies = sorted({row.frequency_hz for row in rows})
+    span = f"{frequencies[0]:g}" + (f" ... {frequencies[-1]:g}" if len(frequencies) > 1 else "")
+    cells = [span]
+    for name in ("rms_um", "max_um", "max_true_um"):
+        values = [value for row in rows if (value := getattr(row, name)) is not None]
+        cells.append(f"{max(values):.3f}" if values else "")
+    return [*cells, str(sum(row.saturated_samples for row in rows))]
+
+
+def actuator_table(models: Iterable[HammersteinModel]) -> Table:
+    """One line an actuator: size, operators, dynamics."""
+    table = _table(
+        "Packaged actuators", ("name", "inputs", "outputs", "operators", "dynamics", "amplitude_v")
+    )
+    for model in models:
+        operators = sum(len(pair.thresholds_v) for row in model.hysteresis.pairs for pair in row)
+        words = (model.name, ", ".join(model.inputs), ", ".join(model.outputs), str(operators))
+        table.add_row(*words, model.dynamics.describe(), f"{model.amplitude_v:g}")
+    return table
+
+
+def claims_table(reports: Sequence[Report]) -> Table:
+    """One line a claim: the paper, what every actuator answers, the verdict and its reason."""
+    columns = ("claim", "statement", "reason", "paper", "simulated", "ratio", "wanted", "verdict")
+    table = _table("Claims", columns)
+    for report in reports:
+        for line in (Line.of(verdict) for verdict in report.verdicts):
+            simulated = "\n".join(f"{name} {value}" for name, value in line.simulated)
+            row = (line.id, line.statement, line.reason, line.paper, simulated, line.ratio, line.wanted)
+            table.add_row(*row, line.verdict)
+    return table
+
+
+def compensation_table(found: Compensation) -> Table:
+    """One line an axis: reach, reference, predicted error."""
+    summary = found.summary()
+    names = (
+        "reach_alone_um",
+        "reach_together_um",
+        "reference_max_um",
+        "predicted_rms_um",
+        "predicted_max_um",
+    )
+    table = _table("Predicted response", ("axis", "largest_v", "unreached", *names))
+    inputs = list(found.model.inputs)
+    for o, (axis, figures) in enumerate(summary["axes"].items()):
+        voltage = f"{summary['largest_v'][inputs[o]]:.4g}" if o < len(inputs) else ""
+        unreached = str(summary["unreached_samples"][inputs[o]]) if o < len(inputs) else ""
+        table.add_row(axis, voltage, unreached, *(f"{figures[name]:.4g}" for name in names))
+    return table
+
+
+def fit_table(fit: Fit) -> Table:
+    """One line for each kind of model and output: errors on the records fitted and on those held back."""
+    from hammerstein.identification.fit import KIND_NAMES
+
+    names = ("fit_nrmse_percent", "fit_rms_um", "held_nrmse_percent", "held_rms_um")
+    table = _table("Errors of the fit", ("model", "output", "", *names))
+    for kind, score in fit.fit.items():
+        held = fit.validation.get(kind)
+        for o, output in enumerate(fit.outputs):
+            cells = [f"{score.nrmse_percent[o]:.3f}", f"{score.rms_um[o]:.4g}"]
+            cells += ["", ""] if held is None else [f"{held.nrmse_percent[o]:.3f}", f"{held.rms_um[o]:.4g}"]
+            table.add_row(KIND_NAMES[kind], output, "chosen" if kind == fit.kind else "", *cells)
+    return table
+
+
+def loops_table(found: Mapping[str, Sequence[Loop]]) -> Table:
+    """One line a loop of a measured record."""
+    columns = ("file", "input", "output", "start", "amplitude_v", "height_um", "width_um", "width_percent")
+    table = _table("Loops", (*columns, "area_v_um", "closure_um", "drift_um", "settled"))
+    for source, loops in found.items():
+        for loop in loops:
+            numbers = (loop.amplitude_v, loop.height_um, loop.width_um, loop.width_percent, loop.area_v_um)
+            table.add_row(
+                Path(source).name,
+                loop.input,
+                loop.output + (" (minor)" if loop.minor else ""),
+                str(loop.start),
+                *(f"{number:.4g}" for number in (*numbers, loop.closure_um, loop.drift_um)),
+                "yes" if loop.settled else "no",
+            )
+    return table
+
+
+def kept_aside(place: Path) -> str:
+    """Say that a file which a person had changed has another name now."""
+    return f"{place} is what was changed by hand in an earlier result"

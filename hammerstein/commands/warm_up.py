@@ -1,0 +1,77 @@
+"""Compile the time loops once after installation: side by side, before a run needs them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.model import HammersteinModel
+from hammerstein.runtime.workers import side_by_side
+
+MODEL, RANGE_V, SAMPLE_TIME_S, SAMPLES = "duo_bimorph", 10.0, 50e-6, 800
+
+
+def compile_once(say: Callable[[str], None]) -> None:
+    """Compile every loop by using it, if numba's cache holds none yet, as after installation."""
+    if not _must_compile():
+        return
+    say("compiling the time loops, once after installation (15 to 25 s)")
+    for _ in side_by_side((_use_the_others, _use_inverse), 2, lost=lambda *_: None):
+        pass  # what is not compiled here is compiled when it is used
+
+
+def _must_compile() -> bool:
+    from hammerstein.compensators.exact.kernel import respond_exact
+    from hammerstein.compensators.kernels import respond_inverse_multiplicative
+    from hammerstein.hysteresis.play_kernels import respond_turning_points
+
+    loops = (respond_turning_points, respond_inverse_multiplicative, respond_exact)
+    return not all(_is_cached(loop) for loop in loops)
+
+
+def _is_cached(loop: object) -> bool:
+    """Whether an index file of this loop lies where numba keeps it."""
+    folder = Path(loop.stats.cache_path)  # type: ignore[attr-defined]  # numba's dispatcher has no types
+    name = loop.__name__  # type: ignore[attr-defined]
+    return any(folder.glob(f"*.{name}-*.nbi"))
+
+
+def _use_inverse() -> None:
+    """The exact inverse takes as long to compile as all the other loops together."""
+    from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
+
+    law = HammersteinInverse(HammersteinModel.load(MODEL), RANGE_V, SAMPLE_TIME_S, filter_hz=2000.0)
+    law.drive_for(_path())
+
+
+def _use_the_others() -> None:
+    from hammerstein.experiment.prepare import prepare
+    from hammerstein.identification.identify import identify
+    from hammerstein.identification.settings import Settings
+    from hammerstein.identification.static.regressors import Start, regressor_blocks
+    from hammerstein.records.record import Record
+    from hammerstein.scenario import Scenario
+
+    laws = ("none", "inverse_multiplicative", "decoupled_inverse", "feedback")
+    scenario = Scenario.model_validate(
+        {
+            "question": "Does it run?",
+            "actuator": MODEL,
+            "reference": {"kind": "sine", "amplitude_um": 10.0, "frequency_hz": 50.0},
+            "compensators": [{"label": law, "law": law, "model": MODEL} for law in laws],
+        }
+    )
+    setup = prepare(scenario)
+    responses = [setup.simulate(case) for case in setup.cases()]
+    records = [Record(found.drive_v, found.reading_um, SAMPLE_TIME_S) for found in responses[:2]]
+    identify(records, Settings(dynamics="second_order", error_curve=False))
+    for _ in regressor_blocks(_path(), Start("rest"), [np.zeros(1)] * 2, with_derivatives=True):
+        pass
+
+
+def _path() -> NDArray[np.float64]:
+    time_s = SAMPLE_TIME_S * np.arange(SAMPLES)
+    return 10.0 * np.vstack([np.sin(2.0 * np.pi * 50.0 * time_s), np.sin(2.0 * np.pi * 75.0 * time_s)])

@@ -1,0 +1,175 @@
+"""The exact inverse of the multivariable model: Gamma(U) = Y_r in every sample, cross-couplings included."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hammerstein.blocks import Array, Law
+from hammerstein.errors import InputError
+from hammerstein.hysteresis.invertibility import completed, invertibility, require_inverse
+from hammerstein.model import HammersteinModel
+
+STILL = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class ExactState:
+    """Memory of the exact inverse, as in the table of ``exact_pieces``.
+
+    stack : (m, n_max+2, 3+m) the stacks of segments behind the smallest plays
+    hand : (m, 3) height of each stack, the last q asked for [V], ramp of the jump from -1 to 1
+    """
+
+    stack: Array
+    hand: Array
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain lists."""
+        return {"stack": self.stack.tolist(), "hand": self.hand.tolist()}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> ExactState:
+        """Restore what ``as_dict`` saved."""
+        return cls(np.array(data["stack"], dtype=np.float64), np.array(data["hand"], dtype=np.float64))
+
+
+class Recovery(NamedTuple):
+    """How a linear block comes back to its path after the range kept it off: x+ = a x + b (v - gain x)."""
+
+    a: Array
+    b: Array
+    gain: Array
+
+
+class ExactInverse(Law[ExactState]):
+    """Solves ``Gamma(U) = Y_r`` in every sample by walking the affine pieces of the model.
+
+    The model may be any square one whose slope determinants have one sign (``invertibility``), with its own
+    thresholds for every pair and weights of either sign. One with more inputs than outputs is solved with
+    the least drive: of all drives that the gain matrix of the settled loops maps to the same displacement,
+    the shortest one (least sum of squares of the inputs, up to their smallest plays).
+
+    Where the smallest threshold r_0 of an input is above zero the drive jumps by 2 r_0 when that input turns,
+    for nothing moves in between. ``softening_v`` spreads the jump over that much movement of the input; until
+    it is over the plant's smallest play stands still, at most ``2 r_0 s / (2 r_0 + s)`` volts behind, and the
+    memory of the law follows the play, not the wish.
+
+    An input that would leave the drive's range stays at the range. The output that it moves most is then
+    missed; the other inputs go on solving the other outputs exactly.
+
+    Parameters
+    ----------
+    model : m inputs, p <= m outputs; its static block is used
+    range_v : range of the drive [V]
+    softening_v : movement over which the jump at a reversal is spread [V]; 0: at once
+    run_anyway : accept a model without an inverse; where no solution is found the drive stays where the walk
+        ended
+
+    Attributes
+    ----------
+    invertibility : what was found before the run
+
+    Raises
+    ------
+    InputError : more outputs than inputs, a smallest threshold beyond the range, or softening below zero
+    SimulationError : the model has no inverse, with the slopes and the remedy
+
+    Source: this work; the method is that of ``exact_kernel``.
+
+    Examples
+    --------
+    >>> from hammerstein.dynamics.models import StaticDynamics
+    >>> from hammerstein.hysteresis import (Pair, PrandtlIshlinskii)
+    >>> plant = PrandtlIshlinskii([[Pair([0.1, 1.0], [4.0, 2.0])]])
+    >>> model = HammersteinModel("one axis", plant, StaticDynamics(n_outputs=1), 10.0, ("u",), ("y",))
+    >>> law = ExactInverse(model, 10.0)
+    >>> drive_v, _ = law.respond([[0.0, 10.0, 8.0]])
+    >>> plant.respond(drive_v)[0].round(9)
+    array([[ 0., 10.,  8.]])
+    """
+
+    def __init__(
+        self, model: HammersteinModel, range_v: float, softening_v: float = 0.0, run_anyway: bool = False
+    ):
+        hysteresis = model.hysteresis
+        self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
+        self.range_v, self.softening_v = range_v, softening_v
+        if not (np.isfinite(softening_v) and softening_v >= 0.0):
+            raise InputError("softening_v", f"must be 0 or more volts, not {softening_v:g}")
+        found = invertibility(hysteresis, range_v, model.amplitude_v)
+        self.invertibility = replace(found, inputs=model.inputs)
+        require_inverse(self.invertibility, "exact_inverse", run_anyway)
+        self.square, self.smallest_v = completed(hysteresis, model.amplitude_v)
+        self._table = self._new_table()
+
+    def _new_table(self) -> Array:
+        """Table of ``exact_pieces`` with the model in it."""
+        from hammerstein.compensators.exact import pieces as at
+
+        m, bank = self.n_inputs, self.square.bank
+        operators = bank.r.shape[1]
+        table = np.zeros((4, m, max(operators + 2, at.SCRATCH + 1), at.CONSTANT + 1 + 2 * m))
+        table[at.GRID, :, :operators, at.R] = bank.r
+        table[at.GRID, :, : operators + 1, at.SLOPE : at.SLOPE + m] = bank.slope
+        table[at.GRID, :, : operators + 1, at.SLOPE + m : at.SLOPE + 2 * m] = bank.moment
+        about = table[at.HERE, :, at.ABOUT]
+        about[:, at.PLAY] = self.smallest_v
+        about[:, at.BOUND] = [_difference(self.range_v, r) for r in self.smallest_v.tolist()]
+        about[:, at.SOFT] = np.where(self.smallest_v > 0.0, self.softening_v, 0.0)
+        about[:, at.STILL] = STILL * (1.0 + float(bank.r[np.isfinite(bank.r)].max()))
+        about[:, at.GAIN : at.GAIN + m] = np.abs([bank.slope[k, n] for k, n in enumerate(bank.n)])
+        return table
+
+    def statement(self) -> str:
+        """Say whether there is an inverse, and how far the drive jumps at a reversal."""
+        return self.invertibility.statement()
+
+    def rest(self) -> ExactState:
+        """Actuator never driven: one segment an input, nothing engaged."""
+        m, bank = self.n_inputs, self.square.bank
+        stack, hand = np.zeros((m, bank.r.shape[1] + 2, 3 + m)), np.zeros((m, 3))
+        stack[:, 0, 0], hand[:, 0] = bank.n, 1.0
+        return ExactState(stack, hand)
+
+    def restore(self, data: dict[str, Any]) -> ExactState:
+        """State from what ``as_dict`` gave."""
+        return ExactState.from_dict(data)
+
+    def _respond(self, reference_um: Array, start: ExactState) -> tuple[Array, ExactState]:
+        drive, state, _ = self.solve(reference_um, start, np.zeros(0))
+        return drive, state
+
+    def solve(
+        self, v_um: Array, start: ExactState, away: Array, recovery: Recovery | None = None
+    ) -> tuple[Array, ExactState, Array]:
+        """Drive (m, N) for outputs (p, N) of the static block, and the state after it.
+
+        away : (n,) distance of a linear block behind it from where its inverse believes it to be; the last
+            of what is returned is that distance afterwards
+        recovery : how that distance is taken away; needed if there is such a block
+        """
+        from hammerstein.compensators.exact import pieces as at
+        from hammerstein.compensators.exact.kernel import respond_exact
+
+        p, drive = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1]))
+        back = recovery or Recovery(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((p, 0)))
+        table, left = self._table.copy(), away.copy()
+        _, rows, columns = start.stack.shape
+        stack, hand = table[at.STACK, :, :rows, :columns], table[at.HERE, :, at.HAND, : at.RAMP + 1]
+        stack[:], hand[:] = start.stack, start.hand
+        respond_exact(v_um, self.n_inputs - p, *back, left, table, drive)
+        return drive, ExactState(stack.copy(), hand.copy()), left
+
+
+def _difference(whole: float, part: float) -> float:
+    """Give whole - part, rounded such that adding the part gives the whole, the range, again."""
+    rest = whole - part
+    while rest + part < whole:
+        rest = math.nextafter(rest, math.inf)
+    while rest + part > whole:
+        rest = math.nextafter(rest, -math.inf)
+    return rest

@@ -1,0 +1,309 @@
+"""Compiled solver of Gamma(U) = Y in one sample: a finite walk over the affine pieces of the model.
+
+The smallest threshold r_0 of each input is split off: play(u; r) is play(q; r - r_0) with q = play(u; r_0),
+so the model is another one, whose smallest thresholds are 0, behind one play an input. It is solved for q
+first; then u = q + r_0 while q rises, q - r_0 while it falls.
+
+Seen from its memory, the output of every input is a polygon in q_k: rising from the last q_k or falling from
+it, straight between two engagements (see ``hysteresis.kernels`` for the stack of segments that says where).
+In one box of pieces the model is J q + c, column k of J being the slope of input k. The walk (Katzenelson's
+method) aims at q* = J^-1 (y - c), goes there in a straight line, stops where the first input reaches the
+end of its piece, lets that input change its piece, and aims again, until q* lies inside. Where all
+determinants of J have one sign it ends after finitely many pieces; the last value is the affine solution
+itself, so no error accumulates. At a corner the input of least index goes first (Murty's rule).
+
+An input that would leave its range stands still at the range, and takes one equation with it.
+
+Sources: Katzenelson, Bell System Technical Journal 44 (1965) 1605-1620; Fujisawa and Kuh, SIAM Journal on
+Applied Mathematics 22 (1972) 307-328 (one sign suffices); Murty, Opsearch 11 (1974) 123-130 (least
+index).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from hammerstein.compensators.exact.pieces import (
+    ABOUT,
+    AIM,
+    AT,
+    BOUND,
+    COUNT,
+    DEPTH,
+    FAR,
+    FIXED,
+    GAIN,
+    HAND,
+    HERE,
+    INVERSE,
+    JACOBIAN,
+    LEFT,
+    MISSED,
+    NEAR,
+    NOW,
+    PLAY,
+    QUALITY,
+    RAMP,
+    SIGMA,
+    SOFT,
+    STACK,
+    STILL,
+    TOTAL,
+    WANTED,
+    Q,
+    U,
+    X,
+    Y,
+    first_piece,
+    jacobian,
+    next_piece,
+    output,
+    previous_piece,
+    push,
+)
+
+GONE = 1e-12
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def respond_exact(reference, virtual, a, b, gain, x, w, drive):  # type: ignore[no-untyped-def]
+    """Drive (m, N), overwritten, whose model output is the reference (p, N); the memory is updated.
+
+    Behind a linear block (a (n, n), b (n, p)), x (n,) is how far its state is from the one that belongs to
+    the reference, as it is after the range was reached; ``reference - gain x`` is asked for until it is not.
+    """
+    p = reference.shape[0]
+    new = np.empty(x.shape[0])
+    away = False
+    for s in range(x.shape[0]):
+        away = away or x[s] != 0.0
+    ready = prepare(w)
+    for t in range(reference.shape[1]):
+        for o in range(p):
+            w[HERE, o, NOW, Y] = reference[o, t]
+            if away:
+                for s in range(x.shape[0]):
+                    w[HERE, o, NOW, Y] -= gain[o, s] * x[s]
+        if not (ready and stay(w)):
+            ready = walk(ready, virtual, w)
+            for o in range(p):
+                away = away or (w[HERE, o, NOW, MISSED] != 0.0 and x.shape[0] > 0)
+        for k in range(drive.shape[0]):
+            drive[k, t] = w[HERE, k, NOW, U]
+        if away:
+            away = _drift(reference, t, a, b, x, new, w)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _drift(reference, t, a, b, x, new, w):  # type: ignore[no-untyped-def]
+    """Move the distance x of the linear block by one sample; False once it is gone."""
+    for s in range(x.shape[0]):
+        new[s] = 0.0
+        for q in range(x.shape[0]):
+            new[s] += a[s, q] * x[q]
+        for o in range(reference.shape[0]):
+            new[s] += b[s, o] * (w[HERE, o, NOW, Y] + w[HERE, o, NOW, MISSED] - reference[o, t])
+    largest = 0.0
+    for s in range(x.shape[0]):
+        largest = max(largest, abs(new[s]))
+    for s in range(x.shape[0]):
+        x[s] = new[s] if largest > GONE else 0.0
+    return largest > GONE
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def prepare(w):  # type: ignore[no-untyped-def]
+    """Put the walk where the memory is; True where ``stay`` may start from there."""
+    ready = True
+    for k in range(w.shape[1]):
+        w[HERE, k, NOW, FIXED] = -1.0
+        w[HERE, k, NOW, U] = w[HERE, k, HAND, WANTED] + w[HERE, k, HAND, RAMP] * w[HERE, k, ABOUT, PLAY]
+        ready = first_piece(w, k, 0.0) and ready
+        if w[HERE, k, ABOUT, SOFT] > 0.0 and w[HERE, k, HAND, RAMP] != w[HERE, k, NOW, SIGMA]:
+            ready = False
+    jacobian(w)
+    return ready and w[HERE, 0, NOW, QUALITY] == 2.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def stay(w):  # type: ignore[no-untyped-def]
+    """Solve within the pieces of the last sample; False, and no memory changed, where they do not hold q."""
+    m = w.shape[1]
+    for k in range(m):
+        q = 0.0
+        for o in range(m):
+            q += w[HERE, k, INVERSE, o] * (w[HERE, o, NOW, Y] - w[HERE, o, NOW, TOTAL])
+        w[HERE, k, NOW, AIM] = q
+        d = w[HERE, k, NOW, SIGMA]
+        if (
+            d * (q - w[HERE, k, NOW, Q]) < -w[HERE, k, ABOUT, STILL]
+            or d * (q - w[HERE, k, NOW, FAR]) > 0.0
+            or abs(q) > w[HERE, k, ABOUT, BOUND]
+        ):
+            return False
+    for k in range(m):
+        d, q = w[HERE, k, NOW, SIGMA], w[HERE, k, NOW, AIM]
+        if d * (q - w[HERE, k, NOW, Q]) > 0.0:
+            w[HERE, k, NOW, Q] = q
+            w[HERE, k, NOW, NEAR] = q
+            w[HERE, k, NOW, U] = q + d * w[HERE, k, ABOUT, PLAY]
+            w[STACK, k, int(w[HERE, k, HAND, COUNT]) - 1, X] = q
+            w[HERE, k, HAND, WANTED] = q
+        w[HERE, k, NOW, MISSED] = 0.0
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def walk(ready, virtual, w):  # type: ignore[no-untyped-def]
+    """Solve one sample from the memory, whatever it takes; drive and memory are those of what was reached.
+
+    ready : whether the walk stands at the memory already. Returns what ``prepare`` does.
+    """
+    m = w.shape[1]
+    exact = True
+    while True:
+        if not ready:
+            for k in range(m):
+                first_piece(w, k, 0.0)
+            jacobian(w)
+        exact = _to_target(w) and exact
+        if not _fix_one(virtual, w):
+            break
+        exact = ready = False
+    whole = exact
+    for k in range(m):
+        moved, lags = _commit(w, k)
+        exact = exact and not lags
+        whole = whole and moved and not lags
+    if whole:
+        # The pieces of the walk are those of the memory now, and so are the Jacobian and its inverse.
+        for k in range(m):
+            w[HERE, k, NOW, NEAR] = w[HERE, k, NOW, Q]
+            w[HERE, k, NOW, DEPTH] = w[HERE, k, NOW, MISSED] = 0.0
+        return w[HERE, 0, NOW, QUALITY] == 2.0
+    ready = prepare(w)
+    for o in range(m):
+        w[HERE, o, NOW, MISSED] = 0.0 if exact else output(w, o) - w[HERE, o, NOW, Y]
+    return ready
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _aim(w):  # type: ignore[no-untyped-def]
+    """Aim of the present pieces, J^-1 (y - c), corrected once against a poorly conditioned J."""
+    m = w.shape[1]
+    for k in range(m):
+        aim = 0.0
+        for o in range(m):
+            aim += w[HERE, k, INVERSE, o] * (w[HERE, o, NOW, Y] - w[HERE, o, NOW, TOTAL])
+        w[HERE, k, NOW, AIM] = aim
+    for o in range(m):
+        left = w[HERE, o, NOW, Y] - w[HERE, o, NOW, TOTAL]
+        for k in range(m):
+            left -= w[HERE, o, JACOBIAN, k] * w[HERE, k, NOW, AIM]
+        w[HERE, o, NOW, LEFT] = left
+    for k in range(m):
+        more = 0.0
+        for o in range(m):
+            more += w[HERE, k, INVERSE, o] * w[HERE, o, NOW, LEFT]
+        w[HERE, k, NOW, AIM] += more
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _to_target(w):  # type: ignore[no-untyped-def]
+    """Walk to the target from the first pieces; False where the model lets no walk get there."""
+    m = w.shape[1]
+    for _ in range(64 + 8 * m * w.shape[2]):
+        if w[HERE, 0, NOW, QUALITY] == 0.0:
+            return False
+        _aim(w)
+        first, share = _first_to_leave(w)
+        if first == m:
+            for k in range(m):
+                near, far = w[HERE, k, NOW, NEAR], w[HERE, k, NOW, FAR]
+                w[HERE, k, NOW, Q] = min(max(w[HERE, k, NOW, AIM], min(near, far)), max(near, far))
+            return True
+        onwards = w[HERE, first, NOW, SIGMA] * (w[HERE, first, NOW, AIM] - w[HERE, first, NOW, Q]) > 0.0
+        for k in range(m):
+            w[HERE, k, NOW, Q] += share * (w[HERE, k, NOW, AIM] - w[HERE, k, NOW, Q])
+        if onwards:
+            next_piece(w, first)
+        else:
+            previous_piece(w, first)
+        jacobian(w)
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _first_to_leave(w):  # type: ignore[no-untyped-def]
+    """Input that leaves its piece first on the way to the aim, or m if none, and the share until then."""
+    first, share = w.shape[1], 1.0
+    for k in range(w.shape[1]):
+        sigma, q = w[HERE, k, NOW, SIGMA], w[HERE, k, NOW, Q]
+        along = sigma * (w[HERE, k, NOW, AIM] - q)
+        room = sigma * (w[HERE, k, NOW, FAR] - q if along > 0.0 else q - w[HERE, k, NOW, NEAR])
+        way = abs(along)
+        if way > room + w[HERE, k, ABOUT, STILL] and max(room, 0.0) < share * way:
+            first, share = k, max(room, 0.0) / way
+    return first, share
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fix_one(virtual, w):  # type: ignore[no-untyped-def]
+    """Fix the input that is furthest outside its range at the range; False where none is outside.
+
+    It takes one row with it: a row without an output if there is one, else the output it moves most.
+    """
+    m = w.shape[1]
+    worst, excess = -1, 0.0
+    for k in range(m):
+        outside = abs(w[HERE, k, NOW, Q]) - w[HERE, k, ABOUT, BOUND]
+        if w[HERE, k, NOW, FIXED] < 0.0 and outside > max(excess, w[HERE, k, ABOUT, STILL]):
+            worst, excess = k, outside
+    if worst < 0:
+        return False
+    row, most = -1, -1.0
+    for o in range(m):
+        gain = w[HERE, worst, ABOUT, GAIN + o]
+        size = gain + (1e12 if o >= m - virtual and gain > 0.0 else 0.0)
+        taken = False
+        for k in range(m):
+            taken = taken or w[HERE, k, NOW, FIXED] == o
+        if not taken and size > most:
+            row, most = o, size
+    w[HERE, worst, NOW, FIXED] = row
+    bound = w[HERE, worst, ABOUT, BOUND]
+    w[HERE, worst, NOW, AT] = bound if w[HERE, worst, NOW, Q] > 0.0 else -bound
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _commit(w, k):  # type: ignore[no-untyped-def]
+    """Put the end of the walk of input k into the memory, and its drive.
+
+    Returns whether the input moved, and whether its smallest play lags behind a soft jump.
+    """
+    last = w[STACK, k, int(w[HERE, k, HAND, COUNT]) - 1, X]
+    q, bound = w[HERE, k, NOW, Q], w[HERE, k, ABOUT, BOUND]
+    if abs(q) > bound - w[HERE, k, ABOUT, STILL]:
+        q = bound if q > 0.0 else -bound
+    lags = False
+    if w[HERE, k, ABOUT, SOFT] > 0.0:
+        step = 2.0 * (q - w[HERE, k, HAND, WANTED]) / w[HERE, k, ABOUT, SOFT]
+        w[HERE, k, HAND, RAMP] = min(max(w[HERE, k, HAND, RAMP] + step, -1.0), 1.0)
+        w[HERE, k, HAND, WANTED] = q
+        if w[HERE, k, HAND, RAMP] != w[HERE, k, NOW, SIGMA]:
+            u = q + w[HERE, k, HAND, RAMP] * w[HERE, k, ABOUT, PLAY]
+            q = max(u - w[HERE, k, ABOUT, PLAY], min(u + w[HERE, k, ABOUT, PLAY], last))
+            lags = True
+    moved = abs(q - last) > w[HERE, k, ABOUT, STILL] or (q != last and abs(q) == bound)
+    if moved:
+        while w[HERE, k, NOW, SIGMA] * (q - w[HERE, k, NOW, NEAR]) < 0.0:
+            previous_piece(w, k)
+        w[HERE, k, NOW, Q] = q
+        push(w, k)
+        if w[HERE, k, ABOUT, SOFT] == 0.0:
+            w[HERE, k, HAND, RAMP] = w[HERE, k, NOW, SIGMA]
+            w[HERE, k, HAND, WANTED] = q
+    w[HERE, k, NOW, U] = w[HERE, k, HAND, WANTED] + w[HERE, k, HAND, RAMP] * w[HERE, k, ABOUT, PLAY]
+    return moved, lags

@@ -1,0 +1,130 @@
+"""Compiled loops of a law that reads the sensor: one step of the controller, and the whole closed loop."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from hammerstein.hysteresis.play_kernels import move
+
+# Columns of the controller's memory, a row an output: the last reference, what the sensor should read, the
+# integral, the last error, and the correction for the next sample.
+REFERENCE, SEEN, INTEGRAL, ERROR, CORRECTION = range(5)
+# Columns of its settings, a row an output: the sensor's lag (pole, and the two shares of a reference that is
+# straight between samples), then the gains for one sample.
+POLE, OLD, NEW, PROPORTIONAL, INTEGRATING, DERIVATIVE = range(6)
+
+
+@njit(cache=True, nogil=True)
+def correct(reference, reading, settings, memory):  # type: ignore[no-untyped-def]
+    """One step of the controller: from reference and reading (p,) of a sample to the next correction."""
+    for o in range(memory.shape[0]):
+        seen = settings[o, POLE] * memory[o, SEEN] + settings[o, OLD] * memory[o, REFERENCE]
+        seen += settings[o, NEW] * reference[o]
+        error = seen - reading[o]
+        memory[o, INTEGRAL] += settings[o, INTEGRATING] * error
+        change = settings[o, DERIVATIVE] * (error - memory[o, ERROR])
+        memory[o, CORRECTION] = settings[o, PROPORTIONAL] * error + memory[o, INTEGRAL] + change
+        memory[o, REFERENCE], memory[o, SEEN], memory[o, ERROR] = reference[o], seen, error
+
+
+@njit(cache=True, nogil=True)
+def request(feedforward, inverse_gain, gain, limit, memory, requested):  # type: ignore[no-untyped-def]
+    """Voltages (m,) for the correction in the memory, beside a feedforward (m,).
+
+    What the range cuts off is taken out of the integral (back-calculation), in um by the gain matrix.
+    """
+    for k in range(requested.shape[0]):
+        requested[k] = feedforward[k]
+        for o in range(memory.shape[0]):
+            requested[k] += inverse_gain[k, o] * memory[o, CORRECTION]
+    for k in range(requested.shape[0]):
+        cut = min(max(requested[k], -limit), limit) - requested[k]
+        for o in range(memory.shape[0]):
+            memory[o, INTEGRAL] += gain[o, k] * cut
+
+
+@njit(cache=True, nogil=True)
+def run_closed_loop(  # type: ignore[no-untyped-def]
+    reference,
+    feedforward,
+    noise,
+    settings,
+    inverse_gain,
+    gain,
+    limit,
+    memory,
+    instruments,
+    bank,
+    plays,
+    rows,
+    x,
+    out,
+):
+    """Controller, drive, hysteresis, linear block and sensor, sample by sample.
+
+    reference, noise : (p, N); feedforward : (m, N); settings, memory : the controller's, see above
+    instruments : range [V], step [V], range [um], step [um], noise [um]
+    bank : r, slope, moment; plays : count, end, x, d, below; rows, x : of the linear block, positions first
+    out : requested and drive (m, N); hysteresis, position, reading (p, N), overwritten
+    """
+    requested, drive, hysteresis, position, reading = out
+    m, p = drive.shape[0], reading.shape[0]
+    both = np.empty(2 * p)
+    v = np.empty(p)
+    asked = np.empty(m)
+    now, heard = np.empty(p), np.empty(p)
+    z = np.empty(x.shape[0] + p)
+    new = np.empty(x.shape[0])
+    for t in range(reference.shape[1]):
+        request(feedforward[:, t], inverse_gain, gain, limit, memory, asked)
+        for k in range(m):
+            requested[k, t] = asked[k]
+            drive[k, t] = converted(asked[k], instruments[0], instruments[1])
+        _static_output(drive[:, t], bank, plays, v)
+        _linear_step(rows, x, v, z, new, both)
+        for o in range(p):
+            hysteresis[o, t], position[o, t] = v[o], both[o]
+            heard[o] = converted(both[p + o] + instruments[4] * noise[o, t], instruments[2], instruments[3])
+            reading[o, t], now[o] = heard[o], reference[o, t]
+        correct(now, heard, settings, memory)
+
+
+@njit(cache=True, nogil=True)
+def converted(value, limit, step):  # type: ignore[no-untyped-def]
+    """Clip to a range and round to a step, as ``Drive.apply`` and ``Sensor.read`` do."""
+    held = min(max(value, -limit), limit)
+    return held if step == 0.0 else np.rint(held / step) * step
+
+
+@njit(cache=True, nogil=True)
+def _static_output(u, bank, plays, v):  # type: ignore[no-untyped-def]
+    """Output v (p,) of the hysteresis for voltages u (m,); its memory moves on."""
+    r, slope, moment = bank
+    count, end, x, d, below = plays
+    v[:] = 0.0
+    for k in range(u.shape[0]):
+        if r[k, 0] == np.inf:
+            continue
+        move(k, u[k], r, slope, moment, count, end, x, d, below, v)
+
+
+@njit(cache=True, nogil=True)
+def _linear_step(rows, x, v, z, new, both):  # type: ignore[no-untyped-def]
+    """One sample of a linear block, given by the non-zero entries of [[A, B], [C, D]]."""
+    start, column, value = rows
+    n = x.shape[0]
+    for i in range(n):
+        z[i] = x[i]
+    for i in range(v.shape[0]):
+        z[n + i] = v[i]
+    for i in range(n + both.shape[0]):
+        total = 0.0
+        for e in range(start[i], start[i + 1]):
+            total += value[e] * z[column[e]]
+        if i < n:
+            new[i] = total
+        else:
+            both[i - n] = total
+    for i in range(n):
+        x[i] = new[i]

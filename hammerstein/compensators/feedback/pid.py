@@ -1,0 +1,254 @@
+"""Feedback of the sensor: what sensorless compensation must stand against, alone or beside a feedforward."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hammerstein.blocks import Array, Law, checked_reference
+from hammerstein.compensators.feedback.tuning import POINTS, Gains, tuned
+from hammerstein.dynamics import LinearBlock, StaticDynamics, discretise
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.instruments import Drive, Sensor
+from hammerstein.model import HammersteinModel
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerState:
+    """Memory of the controller, a row an output: see the columns of ``feedback_kernel``."""
+
+    memory: Array
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain lists."""
+        return {"memory": self.memory.tolist()}
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """One run of a closed loop; rows are axes, columns samples.
+
+    requested_v, drive_v : (m, N) before and behind the drive [V]; hysteresis_um, position_um, reading_um :
+    (p, N) [um]; saturated : (m, N) where the range cut the voltage
+    """
+
+    requested_v: Array
+    drive_v: Array
+    hysteresis_um: Array
+    position_um: Array
+    reading_um: Array
+    saturated: NDArray[np.bool_]
+
+
+class Feedback:
+    """A discrete PI(D) controller of each output, decoupled by the gain matrix, with or without feedforward.
+
+        e[k] = (what the sensor would read if the position were Y_r)[k] - reading[k]
+        c[k] = kp e[k] + ki T (e[0] + ... + e[k]) + kd (e[k] - e[k-1]) / T
+        U[k+1] = U_ff[k+1] + G^+ c[k]
+
+    The reading of a sample acts on the drive of the next one: the computer needs that time. G is the gain
+    matrix of the settled loops; what the range cuts off the drive is taken out of the sum at once
+    (back-calculation), so that the controller leaves the range as soon as the reference does.
+
+    Without gains they are computed from the model (``tuning``): the largest integral gain that keeps the
+    sensitivity below 1.6 for every slope of the hysteresis.
+
+    Parameters
+    ----------
+    model : m inputs, p outputs; its dynamics count for the gains
+    range_v : range of the drive [V]
+    sample_time_s : time between samples [s]
+    sensor_bandwidth_hz : -3 dB of the sensor [Hz]; inf: none
+    gains : the gains; None: computed
+    derivative : compute a derivative gain too (PID), which damps a resonance and passes more noise
+    feedforward : law whose drive is added; None: feedback alone
+
+    Raises
+    ------
+    InputError : gains that do not fit the model, or none to compute from a model without dynamics
+    SimulationError : no stable gain
+
+    Examples
+    --------
+    >>> from hammerstein.dynamics.models import (AxesDynamics, Axis)
+    >>> from hammerstein.hysteresis import Pair
+    >>> plant = PrandtlIshlinskii([[Pair([0.0, 1.0], [4.0, 2.0])]])
+    >>> axis = AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12),))
+    >>> model = HammersteinModel("one axis", plant, axis, 10.0, ("u",), ("y",))
+    >>> law = Feedback(model, 10.0, 50e-6, sensor_bandwidth_hz=2000.0)
+    >>> block = discretise(axis, 50e-6, 2000.0)
+    >>> path_um, quiet = np.full((1, 4000), 20.0), np.zeros((1, 4000))
+    >>> run = closed_loop(law, path_um, plant, block, Drive(), Sensor(), quiet)
+    >>> bool(abs(run.position_um[0, -1] - 20.0) < 0.05)
+    True
+    """
+
+    def __init__(
+        self,
+        model: HammersteinModel,
+        range_v: float,
+        sample_time_s: float,
+        sensor_bandwidth_hz: float = math.inf,
+        gains: Gains | None = None,
+        derivative: bool = False,
+        feedforward: Law[Any] | None = None,
+    ):
+        hysteresis = model.hysteresis
+        self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
+        self.range_v, self.sample_time_s, self.feedforward = range_v, sample_time_s, feedforward
+        self.gain_um_per_v = hysteresis.gain(model.amplitude_v)
+        self.inverse_gain_v_per_um = np.ascontiguousarray(np.linalg.pinv(self.gain_um_per_v))
+        self.gains = gains or _computed(model, sample_time_s, sensor_bandwidth_hz, derivative)
+        self._settings = self._new_settings(sensor_bandwidth_hz)
+
+    def _new_settings(self, sensor_bandwidth_hz: float) -> Array:
+        """Lag of the sensor for a reference that is straight between samples, and gains for one sample."""
+        p, step = self.n_outputs, self.sample_time_s
+        gains = (self.gains.proportional, self.gains.integral_per_s, self.gains.derivative_s)
+        if any(np.shape(gain) != (p,) or not np.isfinite(gain).all() for gain in gains):
+            raise InputError("gains", f"give {p} finite values for each gain, one an output")
+        a = 2.0 * math.pi * sensor_bandwidth_hz * step
+        pole = math.exp(-a)
+        ramp = (1.0 - pole) / a if math.isfinite(a) else 0.0
+        lag = [pole, ramp - pole, 1.0 - ramp]
+        rows = [[*lag, kp, ki * step, kd / step] for kp, ki, kd in zip(*gains, strict=True)]
+        return np.array(rows, dtype=np.float64)
+
+    def statement(self) -> str:
+        """Say what the gains are."""
+        return self.gains.statement()
+
+    def rest(self) -> ControllerState:
+        """Actuator at rest, reference and readings at zero."""
+        return ControllerState(np.zeros((self.n_outputs, 5)))
+
+    def restore(self, data: dict[str, Any]) -> ControllerState:
+        """State from what ``as_dict`` gave."""
+        return ControllerState(np.array(data["memory"], dtype=np.float64))
+
+    def step(
+        self,
+        reference_um: ArrayLike,
+        reading_um: ArrayLike,
+        state: ControllerState,
+        feedforward_v: ArrayLike | None = None,
+    ) -> tuple[Array, ControllerState]:
+        """Voltages (m,) for the next sample, from reference and reading (p,) of this one.
+
+        feedforward_v : (m,) feedforward for the next sample; zero if not given
+
+        Equal to ``closed_loop`` to the last bit. What is asked may lie beyond the range; the drive cuts it.
+        """
+        from hammerstein.compensators.feedback.kernel import correct, request
+
+        memory = state.memory.copy()
+        ahead = np.zeros(self.n_inputs) if feedforward_v is None else feedforward_v
+        signals = (reference_um, reading_um, ahead)
+        reference, reading, forward = (np.ascontiguousarray(x, dtype=np.float64) for x in signals)
+        asked = np.empty(self.n_inputs)
+        correct(reference, reading, self._settings, memory)
+        request(forward, self.inverse_gain_v_per_um, self.gain_um_per_v, self.range_v, memory, asked)
+        return asked, ControllerState(memory)
+
+
+def closed_loop(
+    law: Feedback,
+    reference_um: ArrayLike,
+    hysteresis: PrandtlIshlinskii,
+    block: LinearBlock,
+    drive: Drive,
+    sensor: Sensor,
+    noise: Array,
+) -> ClosedLoop:
+    """Run a controller on an actuator, from rest.
+
+    Parameters
+    ----------
+    law : the controller
+    reference_um : (p, N) path [um]; the feedforward, if there is one, knows it ahead, or the position follows
+        it by the delay that the feedforward states
+    hysteresis, block : the actuator; the block's outputs are the positions, then those that the sensor's lag
+        lets through (``discretise`` with the sensor's bandwidth)
+    drive, sensor : they clip and round exactly as ``Drive.apply`` and ``Sensor.read`` do
+    noise : (p, N) standard normal numbers, drawn beforehand; times ``sensor.noise_um`` they are the noise
+
+    Raises
+    ------
+    InputError : shapes that do not fit
+    SimulationError : the loop diverges
+    """
+    from hammerstein.compensators.feedback.kernel import run_closed_loop
+
+    reference = checked_reference(reference_um, law.n_outputs)
+    m, (p, samples) = law.n_inputs, reference.shape
+    if noise.shape != reference.shape or block.n_outputs != 2 * p or hysteresis.n_inputs != m:
+        raise InputError(
+            "closed loop", "noise, reference, hysteresis and linear block must have the same axes"
+        )
+    forward = np.zeros((m, samples)) if law.feedforward is None else law.feedforward.drive_for(reference)
+    late = int(getattr(law.feedforward, "delay_samples", 0))
+    reference = np.ascontiguousarray(np.pad(reference, ((0, 0), (late, 0)))[:, :samples])
+    bank, state = hysteresis.bank, hysteresis.rest().copy()
+    plays = (state.count, state.end, state.x, state.d, state.below)
+    effects = (drive.range_v, drive.resolution_v, sensor.range_um, sensor.resolution_um, sensor.noise_um)
+    requested, driven = np.empty((m, samples)), np.empty((m, samples))
+    static, position, reading = np.empty((p, samples)), np.empty((p, samples)), np.empty((p, samples))
+    run_closed_loop(
+        reference,
+        np.ascontiguousarray(forward),
+        np.ascontiguousarray(noise, dtype=np.float64),
+        law._settings,
+        law.inverse_gain_v_per_um,
+        law.gain_um_per_v,
+        law.range_v,
+        law.rest().memory,
+        np.array(effects),
+        (bank.r, bank.slope, bank.moment),
+        plays,
+        block.rows,
+        block.rest(),
+        (requested, driven, static, position, reading),
+    )
+    if not np.isfinite(position).all():
+        raise SimulationError("The closed loop diverges: its gains are too high for this actuator.")
+    saturated = np.abs(requested) > drive.range_v
+    return ClosedLoop(requested, driven, static, position, reading, saturated)
+
+
+def _computed(
+    model: HammersteinModel, sample_time_s: float, sensor_bandwidth_hz: float, derivative: bool
+) -> Gains:
+    """Gains from the model's dynamics, the sensor's lag and one sample of delay, for the extreme slopes."""
+    if isinstance(model.dynamics, StaticDynamics):
+        raise InputError(
+            "feedback",
+            "the model has no dynamics, so no gain can be computed from it that is known to be stable; "
+            'identify the dynamics too (method = "hammerstein"), or give the gains',
+        )
+    block = discretise(model.dynamics, sample_time_s, sensor_bandwidth_hz)
+    p = model.hysteresis.n_outputs
+    highest = 0.5 / sample_time_s
+    frequency = np.geomspace(1e-5 * highest, highest, POINTS)[:-1]
+    reading = block.response(frequency)[:, p:, :]
+    delayed = reading * np.exp(-2j * np.pi * frequency * sample_time_s)[:, None, None]
+    loops = [np.diagonal(delayed @ slopes, axis1=1, axis2=2) for slopes in _extreme_slopes(model)]
+    return tuned(np.array(loops), frequency, sample_time_s, derivative)
+
+
+def _extreme_slopes(model: HammersteinModel) -> list[Array]:
+    """Decoupled slope matrices J G^+ (p, p) of the least and the greatest slope of each input."""
+    hysteresis = model.hysteresis
+    inverse = np.linalg.pinv(hysteresis.gain(model.amplitude_v))
+    ends = []
+    for k in range(hysteresis.n_inputs):
+        columns = hysteresis.slope_columns(k)
+        size = columns @ np.linalg.pinv(inverse[[k]])[:, 0] if len(columns) else np.zeros(1)
+        ends.append([columns[int(np.argmin(size))], columns[int(np.argmax(size))]] if len(columns) else [])
+    return [np.stack(choice, axis=1) @ inverse for choice in itertools.product(*ends)]

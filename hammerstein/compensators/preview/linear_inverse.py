@@ -1,0 +1,240 @@
+"""The inverse of a linear block on its sample grid, for a reference that is known some samples ahead."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.blocks import Array
+from hammerstein.dynamics import AxesDynamics, LinearBlock, StateSpaceDynamics, StaticDynamics, discretise
+from hammerstein.errors import SimulationError
+
+Counts = NDArray[np.int64]
+
+TAIL = 1e-8
+LONGEST_PREVIEW = 20_000
+LARGE_GAIN = 10.0
+NEGLIGIBLE = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class LinearInverse:
+    """The input v of a block that makes its output equal to y on every sample of the grid.
+
+        x[k+1] = A_s x[k] + B_s y+[k]
+        v[k]   = C_s x[k] + sum over j of F_j y+[k+j],      y+_i[k] = y_i[k + ahead_i]
+
+    The block answers row i of its output ``ahead_i`` samples after its input: one for a resonant axis, whose
+    input is held. The zeros of the block are the modes of its inverse. Those inside the unit circle run
+    forward from the past (creep, and the sampling zero near -1 of a second-order axis); those outside run
+    backward from the future: that is what the taps F_j are, cut where they have died out.
+
+    A, B, C : forward modes; taps : (j, p, p); ahead : (p,)
+    lift : (n, n_s) block state of the forward modes; future : (j, n, p) block state of the backward modes
+    zeros : finite zeros of the block
+    delay_samples : input delay, which only adds to the preview
+    """
+
+    block: LinearBlock
+    A: Array
+    B: Array
+    C: Array
+    taps: Array
+    ahead: Counts
+    lift: Array
+    future: Array
+    zeros: NDArray[np.complex128]
+    delay_samples: int
+
+    @property
+    def preview_samples(self) -> int:
+        """Samples of reference that must be known ahead of the drive."""
+        return self.delay_samples + self.reach_samples
+
+    @property
+    def reach_samples(self) -> int:
+        """The same for the block without its input delay."""
+        return int(self.ahead.max()) + len(self.taps) - 1
+
+    def response(self, frequency_hz: Array) -> NDArray[np.complex128]:
+        """Frequency response (frequency, p, p) from y to v, preview taken off and input delay left out."""
+        z = np.exp(2j * np.pi * frequency_hz * self.block.sample_time_s)
+        resolvent = np.linalg.solve(z[:, None, None] * np.eye(len(self.A)) - self.A, self.B.astype(complex))
+        direct = np.einsum("jvy,fj->fvy", self.taps, z[:, None] ** np.arange(len(self.taps)))
+        return np.asarray((self.C @ resolvent + direct) * z[:, None, None] ** self.ahead)
+
+    @cached_property
+    def large_gain_hz(self) -> tuple[tuple[float, float], ...]:
+        """Bands [Hz] in which v must be more than ten times as large as y needs when it stands still."""
+        nyquist = 0.5 / self.block.sample_time_s
+        grid = np.linspace(0.0, nyquist, 4001)[1:-1]
+        gain = np.linalg.norm(np.linalg.inv(self.block.response(grid)), ord=2, axis=(1, 2))
+        still = np.linalg.norm(np.linalg.inv(self.block.response(0.0))[0], ord=2)
+        large = np.concatenate([[False], gain > LARGE_GAIN * still, [False]])
+        edges = np.flatnonzero(np.diff(large.astype(int)))
+        bands = zip(edges[::2], edges[1::2], strict=True)
+        return tuple((float(grid[a]), float(grid[b - 1])) for a, b in bands)
+
+    def statement(self) -> str:
+        """Say how far ahead it looks, and at which frequencies it asks for much drive."""
+        ahead = self.preview_samples
+        seconds = ahead * self.block.sample_time_s
+        samples = "1 sample" if ahead == 1 else f"{ahead} samples"
+        text = f"The inverse of the dynamics looks {samples} ahead ({seconds:.3g} s)"
+        outside = self.zeros[np.abs(self.zeros) > 1.0]
+        if len(outside):
+            slowest = float(np.abs(outside).min())
+            text += f", for {len(outside)} zeros outside the unit circle (the slowest at |z| = {slowest:.4g})"
+        bands = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in self.large_gain_hz)
+        if bands:
+            text += f"; it needs more than {LARGE_GAIN:g} times the drive of a slow path at {bands} Hz"
+        return text + "."
+
+
+def linear_inverse(
+    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics, sample_time_s: float
+) -> LinearInverse:
+    """Invert a linear block on a sample grid, exactly for an input held over each sample.
+
+    Row i of the output first hears of the input after d_i samples, by the row ``C_i A^(d_i - 1) B`` (D_i if
+    d_i = 0). Where these rows form a regular matrix E,
+
+        v[k] = E^-1 (y+[k] - L x[k]),    x[k+1] = (A - B E^-1 L) x[k] + B E^-1 y+[k],    L_i = C_i A^d_i
+
+    is the inverse. Its modes are split by an ordered real Schur form and a Sylvester equation.
+
+    Raises
+    ------
+    InputError : a delay or a discrete block that does not fit the sample time
+    SimulationError : an unstable block, a singular E, a zero on the unit circle or so near to it that the
+        preview would be too long
+
+    Source: Devasia, Chen and Paden, IEEE Transactions on Automatic Control 41 (1996) 930-942 (stable
+    inversion); Zou and Devasia, Journal of Dynamic Systems, Measurement, and Control
+    121 (1999) 625-630 (preview).
+
+    Examples
+    --------
+    >>> from hammerstein.dynamics.models import Axis
+    >>> axis = AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12),))
+    >>> linear_inverse(axis, 50e-6).preview_samples
+    1
+    """
+    plain = discretise(dynamics.model_copy(update={"input_delay_s": 0.0}), sample_time_s)
+    whole = discretise(dynamics, sample_time_s)
+    delay = (whole.A.shape[0] - plain.A.shape[0]) // plain.n_inputs
+    _require_stable(plain)
+    ahead, first, free = _first_reaction(plain)
+    gain = np.linalg.inv(first)
+    a, b = plain.A - plain.B @ gain @ free, plain.B @ gain
+    inner, outer, lift, lift_outer, zeros = _split(a, b)
+    c = -gain @ free
+    future = _backward(*outer, lift_outer, c, plain)
+    taps = np.einsum("vn,jny->jvy", c, future)
+    taps[0] += gain
+    # Copies in the order of rows: the compiled loop is then compiled once.
+    rows = (np.array(matrix, order="C") for matrix in (*inner, c @ lift, taps))
+    forward_a, forward_b, forward_c, near = rows
+    inverse = LinearInverse(plain, forward_a, forward_b, forward_c, near, ahead, lift, future, zeros, delay)
+    _require_accurate(inverse)
+    return inverse
+
+
+def _require_stable(block: LinearBlock) -> None:
+    poles = np.abs(np.linalg.eigvals(block.A)) if len(block.A) else np.zeros(1)
+    if poles.max() >= 1.0:
+        raise SimulationError(
+            f"The linear block is not stable (a pole at |z| = {poles.max():.6g}): no drive computed ahead "
+            "can hold it. Close a loop around it first, or identify it again."
+        )
+
+
+def _first_reaction(block: LinearBlock) -> tuple[Counts, Array, Array]:
+    """Samples after which each output first hears of the input, how, and what it does without input."""
+    p, n = block.n_outputs, len(block.A)
+    ahead, first = np.zeros(p, np.int64), block.D.copy()
+    free = block.C.copy()
+    reactions = [block.D]
+    row = block.C
+    for _ in range(n):
+        reactions.append(row @ block.B)
+        row = row @ block.A
+    sizes = np.abs(np.array(reactions)).max(axis=2)
+    for i in range(p):
+        heard = np.flatnonzero(sizes[:, i] > NEGLIGIBLE * max(float(sizes[:, i].max()), 1e-300))
+        if len(heard) == 0:
+            raise SimulationError(
+                f"Output {i + 1} of the linear block does not react to any input: no inverse."
+            )
+        ahead[i] = heard[0]
+        first[i] = reactions[heard[0]][i]
+        free[i] = block.C[i] @ np.linalg.matrix_power(block.A, int(heard[0]))
+    scaled = first / np.abs(first).max(axis=1, keepdims=True)
+    if np.linalg.cond(scaled) > 1.0 / NEGLIGIBLE:
+        delays = ", ".join(str(d) for d in ahead)
+        raise SimulationError(
+            f"The outputs of the linear block first react, after {delays} samples, to the same combination "
+            "of inputs: it has no inverse by simple advances. Identify one delay for all axes "
+            "(input_delay_s), or reduce the model's order."
+        )
+    return ahead, first, free
+
+
+def _split(
+    a: Array, b: Array
+) -> tuple[tuple[Array, Array], tuple[Array, Array], Array, Array, NDArray[np.complex128]]:
+    """Modes of x[k+1] = a x[k] + b y inside and outside the unit circle, and how to come back to x."""
+    from scipy.linalg import schur, solve_sylvester
+
+    n = len(a)
+    if n == 0:
+        return (a, b), (a, b), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0, complex)
+    t, q, inside = schur(a, output="real", sort=lambda re, im: math.hypot(re, im) < 1.0)
+    shear = solve_sylvester(t[:inside, :inside], -t[inside:, inside:], -t[:inside, inside:])
+    basis = q @ np.block([[np.eye(inside), shear], [np.zeros((n - inside, inside)), np.eye(n - inside)]])
+    modal = np.linalg.solve(basis, b)
+    forward = (t[:inside, :inside], modal[:inside])
+    backward = (t[inside:, inside:], modal[inside:])
+    return forward, backward, basis[:, :inside], basis[:, inside:], np.linalg.eigvals(a).astype(complex)
+
+
+def _backward(a: Array, b: Array, lift: Array, c: Array, block: LinearBlock) -> Array:
+    """Block state (j, n, p) that the backward modes take from each sample of the future, cut at its tail.
+
+    c : (p, n) what v takes from the block state; the tail that is cut adds less than TAIL um per um to v.
+    """
+    n, p = len(block.A), block.n_outputs
+    if len(a) == 0:
+        return np.zeros((1, n, p))
+    radius = float(np.abs(np.linalg.eigvals(a)).min())
+    rows: list[Array] = []
+    inverse = np.linalg.inv(a)
+    power = inverse @ b
+    # The rows die out like a geometric series of the slowest mode, whose sum this keeps below the tail.
+    enough = TAIL * (radius - 1.0) / radius
+    while len(rows) <= LONGEST_PREVIEW:
+        rows.append(-lift @ power)
+        if max(float(np.abs(rows[-1]).max()), float(np.abs(c @ rows[-1]).max())) < enough:
+            return np.array(rows)
+        power = inverse @ power
+    raise SimulationError(
+        f"The linear block has a zero at |z| = {radius:.9g}, on the unit circle or just outside: its inverse "
+        f"would need more than {LONGEST_PREVIEW * block.sample_time_s:.3g} s of preview. Reduce the order of "
+        "the model, or compensate without its dynamics."
+    )
+
+
+def _require_accurate(inverse: LinearInverse) -> None:
+    """Check that block and inverse cancel, which poor conditioning could prevent."""
+    frequency = np.linspace(0.0, 0.4, 9)[1:] / inverse.block.sample_time_s
+    both = inverse.block.response(frequency) @ inverse.response(frequency)
+    error = float(np.abs(both - np.eye(inverse.block.n_outputs)).max())
+    if not error < 1e-5:
+        raise SimulationError(
+            f"The inverse of the linear block loses itself in rounding (error {error:.2g}): the model's "
+            "matrices are badly scaled or its order is too high. Reduce the order."
+        )

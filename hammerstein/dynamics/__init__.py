@@ -1,0 +1,31 @@
+"""Linear dynamics of the actuator, and their exact discretisation."""
+
+from hammerstein.dynamics.models import (
+    AxesDynamics,
+    Axis,
+    CreepMode,
+    Dynamics,
+    LinearBlock,
+    StateSpaceDynamics,
+    StaticDynamics,
+    cantilever,
+    creep,
+    discretise,
+    low_pass,
+    natural_frequency_hz,
+)
+
+__all__ = [
+    "AxesDynamics",
+    "Axis",
+    "CreepMode",
+    "Dynamics",
+    "LinearBlock",
+    "StateSpaceDynamics",
+    "StaticDynamics",
+    "cantilever",
+    "creep",
+    "discretise",
+    "low_pass",
+    "natural_frequency_hz",
+]

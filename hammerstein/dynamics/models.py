@@ -1,0 +1,396 @@
+"""Linear dynamics of the actuator: the only door to python-control.
+
+Resonant axes, creep, state-space blocks, and their exact discretisation under a zero-order hold.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
+
+from hammerstein.errors import InputError
+
+if TYPE_CHECKING:
+    import control
+
+Array = NDArray[np.float64]
+
+
+def natural_frequency_hz(bandwidth_hz: float, damping_ratio: float) -> float:
+    """Undamped natural frequency [Hz] of a second-order axis whose gain is -3 dB at ``bandwidth_hz``.
+
+    From |G(jw)|^2 = 1 / ((1-q)^2 + 4 z^2 q) = 10^-0.3 with q = (w/w_n)^2.
+
+    >>> round(natural_frequency_hz(430.0, 0.12), 1)
+    279.7
+    """
+    a = 1.0 - 2.0 * damping_ratio**2
+    q = a + math.sqrt(a * a + 10.0**0.3 - 1.0)
+    return bandwidth_hz / math.sqrt(q)
+
+
+class CreepMode(BaseModel):
+    """One slow mode: adds ``gain / (1 + time_constant_s s)`` to the direct path of its axis."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    gain: float = Field(description="final creep of this mode, as a fraction of the fast displacement")
+    time_constant_s: PositiveFloat
+
+
+class Axis(BaseModel):
+    """One resonant axis of unit static gain before creep.
+
+    G(s) = w_n^2 / (s^2 + 2 z w_n s + w_n^2) * (1 + sum of g_i / (1 + T_i s))
+
+    w_n = 2 pi resonance_hz is the undamped natural frequency, z the damping ratio.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    resonance_hz: PositiveFloat = Field(description="undamped natural frequency")
+    damping_ratio: PositiveFloat
+    creep: tuple[CreepMode, ...] = ()
+
+
+class AxesDynamics(BaseModel):
+    """One resonant axis for each output, not coupled with each other."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: Literal["axes"] = "axes"
+    axes: tuple[Axis, ...] = Field(min_length=1)
+    input_delay_s: float = Field(default=0.0, ge=0.0)
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return len(self.axes)
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        axes = ", ".join(f"{a.resonance_hz:.4g} Hz (damping {a.damping_ratio:.3g})" for a in self.axes)
+        return f"resonant axes: {axes}" + (", with creep" if any(a.creep for a in self.axes) else "")
+
+    def system(self) -> control.StateSpace:
+        """Give the block as a continuous ``control.StateSpace``."""
+        import control
+
+        blocks = [
+            creep([c.gain for c in a.creep], [c.time_constant_s for c in a.creep])
+            * cantilever(resonance_hz=a.resonance_hz, damping_ratio=a.damping_ratio)
+            for a in self.axes
+        ]
+        return control.append(*blocks)
+
+
+class StaticDynamics(BaseModel):
+    """No dynamics: the displacement follows the hysteresis block at once."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: Literal["static"] = "static"
+    n_outputs: int = Field(ge=1)
+    input_delay_s: float = Field(default=0.0, ge=0.0)
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        return "none"
+
+    def system(self) -> control.StateSpace:
+        """Give the block as a ``control.StateSpace`` without states."""
+        import control
+
+        return control.ss([], [], [], np.eye(self.n_outputs))
+
+
+class StateSpaceDynamics(BaseModel):
+    """Any linear block x' = A x + B v, y = C x + D v, continuous or on a fixed sample time."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: Literal["state_space"] = "state_space"
+    A: tuple[tuple[float, ...], ...]
+    B: tuple[tuple[float, ...], ...]
+    C: tuple[tuple[float, ...], ...]
+    D: tuple[tuple[float, ...], ...]
+    sample_time_s: PositiveFloat | None = Field(default=None, description="absent: continuous time")
+    input_delay_s: float = Field(default=0.0, ge=0.0)
+
+    @model_validator(mode="after")
+    def _shapes_fit(self) -> Self:
+        n, m, p = len(self.A), len(self.D[0]) if self.D else 0, len(self.D)
+        shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+        for name, (rows, columns) in shapes.items():
+            matrix = getattr(self, name)
+            if len(matrix) != rows or any(len(row) != columns for row in matrix):
+                raise ValueError(f"{name} must be {rows} x {columns}")
+            if not np.isfinite(np.asarray(matrix, dtype=np.float64)).all():
+                raise ValueError(f"{name} holds a value that is not finite")
+        if p == 0 or m == 0:
+            raise ValueError("D must have at least one row and one column")
+        return self
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        kind = "continuous" if self.sample_time_s is None else f"at {self.sample_time_s:g} s a sample"
+        return f"state space of order {len(self.A)}, {kind}"
+
+    @classmethod
+    def of(cls, system: control.StateSpace, input_delay_s: float = 0.0) -> StateSpaceDynamics:
+        """Keep a ``control.StateSpace`` of the user's."""
+        matrices = {k: tuple(map(tuple, np.asarray(getattr(system, k)).tolist())) for k in "ABCD"}
+        dt = float(system.dt) if system.isdtime(strict=True) else None
+        return cls(**matrices, sample_time_s=dt, input_delay_s=input_delay_s)
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return len(self.D)
+
+    def system(self) -> control.StateSpace:
+        """Give the block as a ``control.StateSpace``."""
+        import control
+
+        n, m, p = len(self.A), len(self.D[0]), len(self.D)
+        a, b = np.reshape(self.A, (n, n)), np.reshape(self.B, (n, m))
+        c, d = np.reshape(self.C, (p, n)), np.reshape(self.D, (p, m))
+        return control.ss(a, b, c, d, self.sample_time_s or 0)
+
+
+Dynamics = Annotated[AxesDynamics | StaticDynamics | StateSpaceDynamics, Field(discriminator="kind")]
+
+
+def cantilever(
+    bandwidth_hz: ArrayLike | None = None,
+    damping_ratio: ArrayLike = 0.12,
+    *,
+    resonance_hz: ArrayLike | None = None,
+) -> control.StateSpace:
+    """Cantilever bending modes, one second-order axis of unit static gain an output.
+
+        G(s) = w_n^2 / (s^2 + 2 z w_n s + w_n^2)
+
+    Parameters
+    ----------
+    bandwidth_hz : (axis,) frequency [Hz] at which ``control.bandwidth`` finds -3 dB
+    damping_ratio : (axis,) or one value for all, positive
+    resonance_hz : (axis,) undamped natural frequency [Hz], instead of the bandwidth
+
+    Raises
+    ------
+    InputError : both or none of bandwidth and resonance, or a value that is not positive
+
+    Examples
+    --------
+    >>> import control
+    >>> round(float(control.bandwidth(cantilever(430.0, 0.12))) / 6.283185307, 3)
+    430.0
+    """
+    import control
+
+    if (bandwidth_hz is None) == (resonance_hz is None):
+        raise InputError("cantilever", "give either bandwidth_hz or resonance_hz")
+    given = np.atleast_1d(np.asarray(resonance_hz if bandwidth_hz is None else bandwidth_hz, dtype=float))
+    zeta = np.broadcast_to(np.asarray(damping_ratio, dtype=float), given.shape)
+    if not (np.isfinite(given) & (given > 0) & np.isfinite(zeta) & (zeta > 0)).all():
+        raise InputError("cantilever", "frequencies and damping ratios must be positive and finite")
+    axes = []
+    for f, z in zip(given.tolist(), zeta.tolist(), strict=True):
+        w = 2.0 * math.pi * (f if bandwidth_hz is None else natural_frequency_hz(f, z))
+        # Balanced states (x, x'/w): entries of one magnitude discretise without loss.
+        axes.append(control.ss([[0.0, w], [-w, -2.0 * z * w]], [[0.0], [w]], [[1.0, 0.0]], [[0.0]]))
+    return control.append(*axes)
+
+
+def creep(gains: Sequence[float], time_constants_s: Sequence[float]) -> control.StateSpace:
+    """Creep of one axis as slow linear modes: 1 + sum of g_i / (1 + T_i s).
+
+    Source: Croft, Shed and Devasia (paper, reference 7).
+    """
+    import control
+
+    n = len(gains)
+    slow = np.reciprocal(np.asarray(time_constants_s, dtype=float).reshape(n))
+    return control.ss(
+        -np.diag(slow), slow.reshape(n, 1), np.asarray(gains, dtype=float).reshape(1, n), [[1.0]]
+    )
+
+
+def low_pass(bandwidth_hz: float, n: int) -> control.StateSpace:
+    """First-order low-pass of n channels, -3 dB at ``bandwidth_hz``; infinite bandwidth passes all."""
+    import control
+
+    if math.isinf(bandwidth_hz):
+        return control.ss([], [], [], np.eye(n))
+    w = 2.0 * math.pi * bandwidth_hz
+    return control.ss(-w * np.eye(n), w * np.eye(n), np.eye(n), np.zeros((n, n)))
+
+
+@dataclass(frozen=True, eq=False)
+class LinearBlock:
+    """A discrete linear block on one sample grid: x[k+1] = A x[k] + B v[k], y[k] = C x[k] + D v[k].
+
+    A : (n, n), B : (n, m), C : (p, n), D : (p, m)
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    sample_time_s: float
+
+    def __post_init__(self) -> None:
+        for name in "ABCD":
+            matrix = np.array(getattr(self, name), dtype=np.float64)
+            matrix.flags.writeable = False
+            object.__setattr__(self, name, matrix)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return int(self.D.shape[1])
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return int(self.D.shape[0])
+
+    def rest(self) -> Array:
+        """State (n,) of a block that was never driven."""
+        return np.zeros(self.A.shape[0])
+
+    def respond(
+        self, v_um: ArrayLike, start: Array | None = None, *, sample_time_s: float | None = None
+    ) -> tuple[Array, Array]:
+        """Outputs (p, sample) for a held input (m, sample), and the state (n,) after it.
+
+        Raises InputError where ``sample_time_s`` of the signal is not the block's own, or shapes differ.
+        """
+        from hammerstein.dynamics.linear_kernel import respond_linear
+
+        if sample_time_s is not None and not math.isclose(sample_time_s, self.sample_time_s, rel_tol=1e-9):
+            raise InputError(
+                "signal",
+                f"its sample time is {sample_time_s:g} s, the block was discretised for "
+                f"{self.sample_time_s:g} s; resample one or the other",
+            )
+        v = np.ascontiguousarray(np.atleast_2d(np.asarray(v_um, dtype=np.float64)))
+        if v.shape[0] != self.n_inputs:
+            raise InputError("signal", f"has {v.shape[0]} axes, the block wants {self.n_inputs}")
+        x = self.rest() if start is None else np.array(start, dtype=np.float64)
+        y = np.empty((self.n_outputs, v.shape[1]))
+        respond_linear(*self.rows, x, v, y)
+        return y, x
+
+    def step(self, v_um: ArrayLike, state: Array) -> tuple[Array, Array]:
+        """Output (p,) for one sample (m,), and the state after it; equal to ``respond`` to the last bit."""
+        y, after = self.respond(np.reshape(np.asarray(v_um, dtype=np.float64), (-1, 1)), state)
+        return y[:, 0], after
+
+    @cached_property
+    def rows(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Non-zero entries of [[A, B], [C, D]] row by row: axes that do not couple cost nothing."""
+        full = np.block([[self.A, self.B], [self.C, self.D]])
+        filled = full != 0.0
+        start = np.concatenate([[0], np.cumsum(filled.sum(axis=1))]).astype(np.int64)
+        return start, np.nonzero(filled)[1].astype(np.int64), full[filled]
+
+    def response(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
+        """Frequency response (frequency, p, m) of the block on its grid."""
+        z = np.exp(2j * np.pi * np.atleast_1d(np.asarray(frequency_hz)) * self.sample_time_s)
+        n = self.A.shape[0]
+        resolvent = np.linalg.solve(
+            z[:, None, None] * np.eye(n) - self.A, np.broadcast_to(self.B, (len(z), *self.B.shape))
+        )
+        return np.asarray(self.C @ resolvent + self.D)
+
+    def observed_by(self, sensor: LinearBlock) -> LinearBlock:
+        """Series with a sensor; the outputs are first this block's own, then the sensor's."""
+        n, s = self.A.shape[0], sensor.A.shape[0]
+        a = np.block([[self.A, np.zeros((n, s))], [sensor.B @ self.C, sensor.A]])
+        b = np.vstack([self.B, sensor.B @ self.D])
+        p = self.n_outputs
+        c = np.block([[self.C, np.zeros((p, s))], [sensor.D @ self.C, sensor.C]])
+        return LinearBlock(a, b, c, np.vstack([self.D, sensor.D @ self.D]), self.sample_time_s)
+
+    def delayed(self, samples: int) -> LinearBlock:
+        """Delay the input by whole samples (a shift register in front)."""
+        if samples == 0:
+            return self
+        m, n = self.n_inputs, self.A.shape[0]
+        shift = np.eye(m * samples, k=-m)
+        last = np.zeros((m, m * samples))
+        last[:, -m:] = np.eye(m)
+        a = np.block([[shift, np.zeros((m * samples, n))], [self.B @ last, self.A]])
+        b = np.vstack([np.eye(m * samples, m), np.zeros((n, m))])
+        c = np.hstack([self.D @ last, self.C])
+        return LinearBlock(a, b, c, np.zeros((self.n_outputs, m)), self.sample_time_s)
+
+
+def discretise(
+    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
+    sample_time_s: float,
+    sensor_bandwidth_hz: float | None = None,
+) -> LinearBlock:
+    """Put the block on a sample grid, exactly for an input held over each sample.
+
+    Parameters
+    ----------
+    dynamics : the linear block
+    sample_time_s : the grid [s]
+    sensor_bandwidth_hz : if given, the outputs are the true positions followed by those behind a
+        first-order sensor, whose input is not held: both are discretised together
+
+    Raises
+    ------
+    InputError : a discrete block on another sample time, or a delay that is no whole number of samples
+    """
+    import control
+
+    system = dynamics.system()
+    if isinstance(dynamics, StateSpaceDynamics) and dynamics.sample_time_s is not None:
+        if not math.isclose(dynamics.sample_time_s, sample_time_s, rel_tol=1e-9):
+            raise InputError(
+                "dynamics",
+                f"the model was identified at {dynamics.sample_time_s:g} s a sample and cannot run at "
+                f"{sample_time_s:g} s; set the drive's sample_time_s to the model's",
+            )
+        block = _on_grid(system, sample_time_s)
+        if sensor_bandwidth_hz is not None:
+            sensor = control.c2d(low_pass(sensor_bandwidth_hz, block.n_outputs), sample_time_s, "zoh")
+            block = block.observed_by(_on_grid(sensor, sample_time_s))
+    else:
+        if sensor_bandwidth_hz is not None:
+            plant, sensor = (
+                _on_grid(system, 0.0),
+                _on_grid(low_pass(sensor_bandwidth_hz, system.noutputs), 0.0),
+            )
+            both = plant.observed_by(sensor)
+            system = control.ss(both.A, both.B, both.C, both.D)
+        block = _on_grid(control.c2d(system, sample_time_s, "zoh"), sample_time_s)
+    return block.delayed(_whole_samples(dynamics.input_delay_s, sample_time_s))
+
+
+def _on_grid(system: control.StateSpace, sample_time_s: float) -> LinearBlock:
+    n, m, p = system.nstates, system.ninputs, system.noutputs
+    shaped = (np.reshape(system.A, (n, n)), np.reshape(system.B, (n, m)), np.reshape(system.C, (p, n)))
+    return LinearBlock(*shaped, np.reshape(system.D, (p, m)), sample_time_s)
+
+
+def _whole_samples(delay_s: float, sample_time_s: float) -> int:
+    samples = round(delay_s / sample_time_s)
+    if abs(samples * sample_time_s - delay_s) > 1e-6 * sample_time_s:
+        raise InputError(
+            "dynamics",
+            f"the input delay of {delay_s:g} s is no whole number of samples of {sample_time_s:g} s; "
+            "choose a sample time that divides it",
+        )
+    return samples

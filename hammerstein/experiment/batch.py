@@ -1,0 +1,148 @@
+"""Run many scenario files: find them, load them all first, run them side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from hammerstein.errors import HammersteinError, InputError, LostProcessError, Mistake
+from hammerstein.experiment.prepare import Progress
+from hammerstein.experiment.report import Report
+from hammerstein.experiment.run import run
+from hammerstein.reporting.folder import ALWAYS, REPORT, TraceFormat, write_report
+from hammerstein.runtime.workers import side_by_side
+from hammerstein.scenario import Scenario, load_scenario
+from hammerstein.storage.manifest import refuse_name
+from hammerstein.storage.staging import prepare
+
+WHY_LOST = ". The system does so when the memory is full: run fewer side by side (--jobs 1), or less at once."
+Finish = Callable[[Report], tuple[Path, ...]]
+"""What is done with each report; it gives the places of files that were kept under another name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of one scenario file: its report, or the error that stopped it.
+
+    kept : files in its folder that a person had changed, under their new names
+    """
+
+    name: str
+    report: Report | None
+    error: HammersteinError | None = None
+    kept: tuple[Path, ...] = ()
+
+
+def find_scenarios(paths: Sequence[Path]) -> list[Path]:
+    """Scenario files named, or found in the folders named, in order of their names.
+
+    Raises InputError where a path does not exist, a folder holds none, or two have one name.
+    """
+    found: list[Path] = []
+    for path in paths:
+        inside = sorted(path.glob("*.toml")) if path.is_dir() else [path]
+        if not inside:
+            raise InputError(str(path), "holds no scenario (*.toml)")
+        if not inside[0].exists():
+            raise InputError(str(path), "does not exist; give scenario files or folders")
+        found += [file for file in inside if file not in found]
+    for file in found:
+        refuse_name(file)
+    names = [file.stem.casefold() for file in found]  # many systems do not tell capital letters apart
+    for file in found:
+        if names.count(file.stem.casefold()) > 1:
+            raise InputError(
+                file.stem, "two scenarios have this name, and their reports would overwrite each other"
+            )
+    return found
+
+
+def load_all(paths: Sequence[Path]) -> dict[str, Scenario]:
+    """Scenarios by name; every file is checked before any is run, and all mistakes are told at once."""
+    scenarios, errors = {}, []
+    for path in find_scenarios(paths):
+        try:
+            scenarios[path.stem] = load_scenario(path)
+        except InputError as error:
+            errors.append(error)
+    if len(errors) == 1:
+        raise errors[0]
+    if errors:
+        mistakes = [Mistake(f"{e.source} {m.where}".strip(), m.what) for e in errors for m in e.mistakes]
+        raise InputError(f"{len(errors)} scenario files", mistakes)
+    return scenarios
+
+
+def run_all(
+    scenarios: dict[str, Scenario],
+    finish: Finish,
+    jobs: int,
+    progress: Progress | None = None,
+) -> Iterator[Outcome]:
+    """Run scenarios and hand each report to ``finish`` as soon as it is there.
+
+    With several scenarios and jobs, each scenario runs in a process of its own; a single one uses threads.
+    The numbers depend on neither. Outcomes come in the order in which the scenarios finish.
+    """
+    if jobs == 1 or len(scenarios) == 1:
+        for name, scenario in scenarios.items():
+            yield _outcome(name, scenario, finish, jobs, progress)
+        return
+    # Long ones first, so that none is left alone at the end.
+    by_size = sorted(scenarios.items(), key=lambda item: -_size(item[1]))
+    tasks = [partial(_outcome, name, scenario, finish, 1, None) for name, scenario in by_size]
+
+    def lost(number: int, how: str) -> Outcome:
+        name = by_size[number][0]
+        return Outcome(name, None, LostProcessError(f"{name}: its process {how}, twice{WHY_LOST}"))
+
+    yield from side_by_side(tasks, min(jobs, len(scenarios)), lost)
+
+
+def _size(scenario: Scenario) -> int:
+    return len(list(scenario.signals())) * max(1, len(scenario.compensators) + len(scenario.models))
+
+
+def _outcome(
+    name: str,
+    scenario: Scenario,
+    finish: Finish,
+    jobs: int,
+    progress: Progress | None,
+) -> Outcome:
+    try:
+        report = run(scenario, name, jobs, progress)
+        kept = finish(report)
+    except HammersteinError as error:
+        return Outcome(name, None, _of(name, error))
+    return Outcome(name, report.without_traces(), kept=kept)
+
+
+def _of(name: str, error: HammersteinError) -> HammersteinError:
+    """The error with the name of its scenario."""
+    if str(error).startswith(name):
+        return error
+    if isinstance(error, InputError):
+        return InputError(f"{name}: {error.source}", error.mistakes)
+    return type(error)(f"{name}: {error}")
+
+
+@dataclass(frozen=True)
+class Writer:
+    """Write each report into its folder below ``out``."""
+
+    out: Path
+    figures: bool = True
+    traces: TraceFormat | None = None
+
+    def prepare(self, names: Iterable[str]) -> None:
+        """Refuse folders that cannot take a report, before the work; InputError says why."""
+        for name in names:
+            prepare(self.out / name, REPORT, ALWAYS)
+
+    def __call__(self, report: Report) -> tuple[Path, ...]:
+        """Write one report; give the places of files that were kept."""
+        folder = self.out / report.name
+        return write_report(report, folder, figures=self.figures, traces=self.traces).kept

@@ -1,0 +1,294 @@
+"""From a scenario to its report: simulate every case, measure it, gather the rows.
+
+reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one Response, every wire kept
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.blocks import Law
+from hammerstein.compensators.feedback.pid import Feedback, closed_loop
+from hammerstein.compensators.specs import Compensator
+from hammerstein.errors import InputError, Mistake, SimulationError
+from hammerstein.identification.source import ModelSource
+from hammerstein.instruments import Instruments, standard_noise
+from hammerstein.model import HammersteinModel
+from hammerstein.runtime.memory import refuse_too_long
+from hammerstein.scenario import Scenario
+from hammerstein.signals import Excitation, FromFile, OnAxes, Reference
+from hammerstein.simulation import Plant, Response
+
+Array = NDArray[np.float64]
+AnyLaw = Law[Any] | Feedback
+Progress = Callable[[str, int, int], None]
+Experiment = Callable[[Plant, int], Response]
+"""From an actuator and a seed to its response, from rest."""
+
+REACH_POINTS = 5000  # enough to find the largest value of a path
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One run of a scenario: a signal, the axis it excites (None: all), and the label of what is tested."""
+
+    signal: Reference | Excitation
+    axis: int | None
+    label: str
+
+    def seed(self, scenario_seed: int) -> list[int]:
+        """Seed of the case: does not depend on the other cases of the scenario."""
+        return [scenario_seed, zlib.crc32(f"{self.signal!r} {self.axis} {self.label}".encode())]
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Samples of a run: from ``first`` on they are measured."""
+
+    first: int
+    total: int
+    settle_cycles: int
+
+    @classmethod
+    def of(cls, scenario: Scenario, signal: Reference | Excitation, sample_time_s: float) -> Window:
+        """Whole cycles before the measurement, then the measured ones."""
+        measure, period = scenario.measure, signal.period_s
+        if not signal.periodic:
+            return cls(0, round(period / sample_time_s) + 1, 0)
+        waited = max(measure.settle_cycles * period, measure.settle_s, signal.smooth_start_s)
+        settle = math.ceil(waited / period - 1e-9)
+        total = math.ceil((settle + measure.measured_cycles) * period / sample_time_s - 1e-9)
+        return cls(math.ceil(settle * period / sample_time_s - 1e-9), total, settle)
+
+
+@dataclass(frozen=True, eq=False)
+class SetUp:
+    """Everything a scenario needs before its first case: the plant, the models and the laws."""
+
+    scenario: Scenario
+    plant: Plant
+    models: dict[str, HammersteinModel]
+    laws: dict[str, AnyLaw]
+
+    def cases(self) -> Iterator[Case]:
+        """Every case, in the order of the report."""
+        scenario = self.scenario
+        axes = driven_axes(scenario, len(scenario_axes(scenario, self.plant.model)))
+        for signal in scenario.signals():
+            tested = [c.label for c in scenario.compensators if c.is_tested_at(signal.highest_frequency_hz)]
+            for label in [""] if scenario.drive is not None else tested:
+                for axis in axes:
+                    yield Case(signal, axis, label)
+
+    def simulate(self, case: Case) -> Response:
+        """Response of one case.
+
+        Raises SimulationError where it does not fit the memory.
+        """
+        return self.experiment(case)(self.plant, self.scenario.seed)
+
+    def experiment(self, case: Case) -> Experiment:
+        """What is done to an actuator in one case.
+
+        The voltages of a law without feedback are worked out once, for any number of actuators.
+        """
+        scenario, plant = self.scenario, self.plant
+        window = Window.of(scenario, case.signal, plant.sample_time_s)
+        hysteresis = plant.model.hysteresis
+        refuse_too_long(window.total, hysteresis.n_inputs, hysteresis.n_outputs)
+        values = self._values(case, 0, window.total)
+        if scenario.drive is not None:
+            return lambda tested, seed: tested.respond(values, case.seed(seed))
+        law = self.laws[case.label]
+        if isinstance(law, Feedback):
+            return lambda tested, seed: _closed(tested, law, values, case.seed(seed))
+        voltages = law.drive_for(values)
+        return lambda tested, seed: tested.respond(voltages, case.seed(seed), reference_um=values)
+
+    def stretches(self, case: Case, samples: int) -> Iterator[Response]:
+        """Response of one case, stretch by stretch: for runs that do not fit the memory.
+
+        Raises InputError where the law knows the reference ahead or reads the sensor.
+        """
+        scenario, plant = self.scenario, self.plant
+        total = Window.of(scenario, case.signal, plant.sample_time_s).total
+        law = None if scenario.drive is not None else self.laws[case.label]
+        if isinstance(law, Feedback) or (law is not None and law.preview_samples):
+            raise InputError(
+                f"compensator {case.label!r}",
+                "works on the whole path, not on stretches; use a law that neither looks ahead nor feeds "
+                "back",
+            )
+        state, memory = plant.rest(case.seed(scenario.seed)), None if law is None else law.rest()
+        for first in range(0, total, samples):
+            values = self._values(case, first, min(first + samples, total))
+            reference, voltages = (None, values) if law is None else (values, values)
+            if law is not None:
+                voltages, memory = law.respond(values, memory)
+            response, state = plant.carry_on(voltages, state, reference)
+            yield response
+            del response, values, reference, voltages  # the next stretch needs the memory
+
+    def _values(self, case: Case, first: int, stop: int) -> Array:
+        """Values (axis, sample) of the signal of a case from one sample to before another."""
+        time_s = self.plant.sample_time_s * np.arange(first, stop, dtype=np.float64)
+        return values_of(case, time_s, len(scenario_axes(self.scenario, self.plant.model)))
+
+
+def _closed(plant: Plant, law: Feedback, reference_um: Array, seed: list[int]) -> Response:
+    """Response of an actuator whose voltages depend on what the sensor reads, from rest."""
+    noise = standard_noise(np.random.default_rng(seed), *reference_um.shape)
+    instruments = plant.instruments
+    wires = closed_loop(
+        law,
+        reference_um,
+        plant.model.hysteresis,
+        plant.block,
+        instruments.drive,
+        instruments.sensor,
+        noise,
+    )
+    return Response(
+        sample_time_s=plant.sample_time_s,
+        reference_um=reference_um,
+        requested_v=wires.requested_v,
+        drive_v=wires.drive_v,
+        hysteresis_um=wires.hysteresis_um,
+        position_um=wires.position_um,
+        reading_um=wires.reading_um,
+        saturated=wires.saturated,
+    )
+
+
+def scenario_axes(scenario: Scenario, model: HammersteinModel) -> tuple[str, ...]:
+    """Names of the axes that the scenario's signal has."""
+    return model.inputs if scenario.drive is not None else model.outputs
+
+
+def driven_axes(scenario: Scenario, n_axes: int) -> Sequence[int | None]:
+    """Axis of each case: every one in turn, the one that is named, or None for all together."""
+    signal = scenario.signal
+    if not isinstance(signal, OnAxes) or signal.axis == "all":
+        return [None]
+    return range(n_axes) if signal.axis == "each" else [signal.axis - 1]
+
+
+def values_of(case: Case, time_s: Array, n_axes: int) -> Array:
+    """Values (axis, sample) of the case's signal."""
+    signal = case.signal
+    if case.axis is not None:
+        signal = signal.model_copy(update={"axis": case.axis + 1})
+    return signal.sample(time_s, n_axes)
+
+
+def prepare(scenario: Scenario, source: str = "scenario", progress: Progress | None = None) -> SetUp:
+    """Load the actuator, identify every model, build every law.
+
+    Raises
+    ------
+    InputError : a file is wrong, or the signal does not fit the actuator or the sample time
+    SimulationError : a reference is out of reach, or a law cannot converge
+    IdentificationError : a model cannot be identified
+    """
+    model = HammersteinModel.load(scenario.actuator)
+    own = model.instruments.model_dump()
+    given = scenario.instruments.model_dump(exclude_unset=True)
+    merged = {name: {**own[name], **given.get(name, {})} for name in own}
+    plant = Plant(model, Instruments.model_validate(merged))
+    _check_signal(scenario, plant, source)
+    models = _models(scenario, plant, progress)
+    laws: dict[str, AnyLaw] = {}
+    for compensator in scenario.compensators:
+        laws[compensator.label] = _law(compensator, models[compensator.label], plant)
+    return SetUp(scenario, plant, models, laws)
+
+
+def _law(compensator: Compensator, model: HammersteinModel, plant: Plant) -> AnyLaw:
+    try:
+        return compensator.build(model, plant.instruments.drive.range_v, plant.sample_time_s)
+    except (InputError, SimulationError) as error:
+        raise type(error)(*_labelled(compensator.label, error)) from None
+
+
+def _labelled(label: str, error: InputError | SimulationError) -> tuple[Any, ...]:
+    if isinstance(error, InputError):
+        return f"compensator {label!r}: {error.source}", error.mistakes
+    return (f"compensator {label!r}: {error}",)
+
+
+def _models(scenario: Scenario, plant: Plant, progress: Progress | None) -> dict[str, HammersteinModel]:
+    """Models by label; one that several compensators share is identified once."""
+    from hammerstein.experiment.simulated_identification import identify_by_experiment
+
+    found: dict[Any, HammersteinModel] = {}
+    models = {}
+    sources: tuple[ModelSource, ...] = (*scenario.compensators, *scenario.models)
+    for i, source in enumerate(sources):
+        if progress:
+            progress("identifying", i, len(sources))
+        key = source.identification or source.model
+        if key not in found:
+            found[key] = (
+                HammersteinModel.load(str(source.model))
+                if source.identification is None
+                else identify_by_experiment(plant, source.identification, scenario.seed)
+            )
+        models[source.label] = found[key]
+    return models
+
+
+def _check_signal(scenario: Scenario, plant: Plant, source: str) -> None:
+    """Refuse what no run could answer: too fast for the sample time, wrong axes, out of reach."""
+    n_axes = len(scenario_axes(scenario, plant.model))
+    nyquist = 0.5 / plant.sample_time_s
+    kind = "sweep" if scenario.sweep.frequency_hz else "drive" if scenario.reference is None else "reference"
+    mistakes = []
+    for signal in scenario.signals():
+        if signal.highest_frequency_hz >= nyquist:
+            message = f"{signal.highest_frequency_hz:g} Hz is not below half the sample rate, {nyquist:g} Hz"
+            mistakes.append(Mistake(f"{kind}.frequency_hz", message))
+        if isinstance(signal, OnAxes) and isinstance(signal.axis, int) and not 1 <= signal.axis <= n_axes:
+            mistakes.append(Mistake("axis", f"{signal.axis} does not exist; the actuator has {n_axes}"))
+        if isinstance(signal, FromFile):
+            _check_order(signal, scenario_axes(scenario, plant.model))
+    if mistakes:
+        raise InputError(source, list(dict.fromkeys(mistakes)))
+    if scenario.reference is not None:
+        _check_reach(scenario, plant, source)
+
+
+def _check_order(signal: FromFile, axes: tuple[str, ...]) -> None:
+    """Refuse a file whose columns are the actuator's axes in another order."""
+    names = signal.table()[2]
+    if set(names) == set(axes) and names != list(axes):
+        raise InputError(
+            signal.path,
+            f"has its columns in the order {', '.join(names)}; put them in the order {', '.join(axes)}",
+        )
+
+
+def _check_reach(scenario: Scenario, plant: Plant, source: str) -> None:
+    """Refuse a reference that no voltage within the drive's range could reach, whatever the phase."""
+    range_v = plant.instruments.drive.range_v
+    if math.isinf(range_v):
+        return
+    model = plant.model
+    reach = np.abs(model.hysteresis.amplitude(range_v)).sum(axis=1)
+    for signal in scenario.signals():
+        window = Window.of(scenario, signal, plant.sample_time_s)
+        time_s = np.linspace(0.0, window.total * plant.sample_time_s, REACH_POINTS)
+        for axis in driven_axes(scenario, len(reach)):
+            largest = np.abs(values_of(Case(signal, axis, ""), time_s, len(reach))).max(axis=1)
+            for name, wanted, most in zip(model.outputs, largest, reach, strict=True):
+                if wanted > most:
+                    raise SimulationError(
+                        f"{source}: the reference asks for {wanted:.4g} um on {name}; the actuator reaches "
+                        f"{most:.4g} um with {range_v:g} V. Use a smaller reference or a larger drive range."
+                    )

@@ -1,0 +1,128 @@
+"""What a run found: rows of numbers, statements, and the traces that figures draw."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.instruments import Instruments
+from hammerstein.rows import Row
+from hammerstein.scenario import Scenario
+from hammerstein.scenario.claims import Verdict
+from hammerstein.signals import Excitation, Reference
+from hammerstein.simulation import Response
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+FORMAT = "hammerstein-report/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a model says of a run in volts, over the measured window (axis, sample) [um]."""
+
+    label: str
+    reading_um: Array
+    position_um: Array
+
+
+@dataclass(frozen=True)
+class Band:
+    """Median and 5-95 % band of one metric of one row over the draws of an uncertain actuator."""
+
+    compensator: str
+    excited_axis: str
+    measured_axis: str
+    frequency_hz: float
+    amplitude_v: float | None
+    amplitude_um: float | None
+    metric: str
+    p5_um: float
+    median_um: float
+    p95_um: float
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """The measured window of one case, for figures and for ``--traces``."""
+
+    label: str
+    signal: Reference | Excitation
+    excited_axis: str
+    response: Response
+    first_sample: int
+    predictions: tuple[Prediction, ...] = ()
+
+    @property
+    def time_s(self) -> Array:
+        """Time of each sample since the start of the run [s]."""
+        return self.response.time_s + self.first_sample * self.response.sample_time_s
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """Result of one scenario.
+
+    rows : figures, one row for each case and measured axis
+    statements : what a reader must know of convergence, saturation and settling
+    verdicts : the scenario's claims and what was found
+    bands : spread over the draws of an uncertain actuator; empty without uncertainty
+    traces : measured windows; they are not written into the report file
+    """
+
+    name: str
+    scenario: Scenario
+    actuator: str
+    digest: str
+    model_digest: str
+    instruments: Instruments
+    inputs: tuple[str, ...]
+    axes: tuple[str, ...]
+    rows: tuple[Row, ...]
+    statements: tuple[str, ...]
+    verdicts: tuple[Verdict, ...] = ()
+    bands: tuple[Band, ...] = ()
+    traces: tuple[Trace, ...] = ()
+
+    def without_traces(self) -> Report:
+        """Give the report without its traces, as small as its file."""
+        return replace(self, traces=())
+
+    def to_frame(self) -> pd.DataFrame:
+        """Rows as a pandas table; a figure without meaning is NaN."""
+        import pandas as pd
+
+        return pd.DataFrame([asdict(row) for row in self.rows])
+
+    def to_json(self) -> str:
+        """Text of ``report.json``: full precision, sorted keys, no clock and no host."""
+        content = {
+            "format": FORMAT,
+            "name": self.name,
+            "actuator": self.actuator,
+            "scenario": self.scenario.portable(),
+            "scenario_digest": self.digest,
+            "model_digest": self.model_digest,
+            "statements": list(self.statements),
+            "claims": [verdict.as_dict() for verdict in self.verdicts],
+            "bands": [{k: v for k, v in asdict(band).items() if v is not None} for band in self.bands],
+            "rows": [row.key() | row.numbers() for row in self.rows],
+        }
+        return json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n"
+
+    def bands_to_csv(self) -> str:
+        """Text of ``bands.csv``: one line for each row and metric."""
+        import pandas as pd
+
+        table = pd.DataFrame([asdict(band) for band in self.bands])
+        return str(table.to_csv(index=False, lineterminator="\n"))
+
+    def to_csv(self) -> str:
+        """Text of ``rms.csv``: one line a row, figures without meaning left empty."""
+        return str(self.to_frame().to_csv(index=False, lineterminator="\n"))

@@ -1,0 +1,168 @@
+"""From a scenario to its report: simulate every case, measure it, gather the rows.
+
+reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one Response, every wire kept
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from hammerstein.errors import InputError
+from hammerstein.experiment.measure import rows_of, statements_of
+from hammerstein.experiment.prepare import Case, Progress, SetUp, prepare, scenario_axes
+from hammerstein.experiment.report import Report
+from hammerstein.experiment.uncertainty_bands import bands_of
+from hammerstein.rows import Row
+from hammerstein.scenario import Scenario
+from hammerstein.scenario.claims import verdicts
+from hammerstein.simulation import Response
+
+
+def simulate(
+    scenario: Scenario, compensator: str | None = None, excited_axis: str | None = None, **values: float
+) -> Response:
+    """Simulate one case of a scenario and keep every wire.
+
+    Parameters
+    ----------
+    scenario : what to run
+    compensator : label of the compensator; the first one if not given
+    excited_axis : name of the axis, where each is driven in turn; the first one if not given
+    values : values of the sweep, such as ``frequency_hz=50.0``; the first ones if not given
+
+    Returns
+    -------
+    the response, from rest, settling included
+
+    Raises
+    ------
+    InputError : no such case
+
+    Examples
+    --------
+    >>> scenario = Scenario.model_validate({
+    ...     "question": "How large is a loop?", "actuator": "duo_bimorph_static",
+    ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}})
+    >>> response = simulate(scenario)
+    >>> response.position_um.shape
+    (2, 2000)
+    """
+    setup, case = _chosen(scenario, compensator, excited_axis, values)
+    return setup.simulate(case)
+
+
+def simulate_in_stretches(
+    scenario: Scenario,
+    samples: int = 1_000_000,
+    compensator: str | None = None,
+    excited_axis: str | None = None,
+    **values: float,
+) -> Iterator[Response]:
+    """Simulate one case of a scenario stretch by stretch, for runs that do not fit the memory.
+
+    The state is carried over: the stretches, one after the other, are what ``simulate`` gives in one piece,
+    to the last bit. Drop each response before the next, and memory stays that of one stretch.
+
+    Parameters
+    ----------
+    scenario, compensator, excited_axis, values : as for ``simulate``
+    samples : length of a stretch
+
+    Raises
+    ------
+    InputError : no such case, or a law that knows the whole path ahead or reads the sensor
+
+    Examples
+    --------
+    >>> scenario = Scenario.model_validate({
+    ...     "question": "How far does it get?", "actuator": "duo_bimorph_static",
+    ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}})
+    >>> stretches = simulate_in_stretches(scenario, 600)
+    >>> round(max(float(abs(part.position_um).max()) for part in stretches), 2)
+    58.4
+    """
+    setup, case = _chosen(scenario, compensator, excited_axis, values)
+    return setup.stretches(case, samples)
+
+
+def _chosen(
+    scenario: Scenario, compensator: str | None, excited_axis: str | None, values: Mapping[str, float]
+) -> tuple[SetUp, Case]:
+    swept = {key: (value,) for key, value in values.items()}
+    chosen = scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update=swept)})
+    setup = prepare(chosen)
+    names = scenario_axes(scenario, setup.plant.model)
+    for case in setup.cases():
+        right_axis = excited_axis is None or case.axis is None or names[case.axis] == excited_axis
+        if right_axis and (compensator is None or case.label == compensator):
+            return setup, case
+    raise InputError("simulate", f"the scenario has no case {compensator!r} on axis {excited_axis!r}")
+
+
+def run(
+    scenario: Scenario, name: str = "scenario", jobs: int = 1, progress: Progress | None = None
+) -> Report:
+    """Run every case of a scenario and measure it.
+
+    Parameters
+    ----------
+    scenario : what to run
+    name : what the report is called
+    jobs : threads; the numbers do not depend on it
+    progress : called with what is done, how much of it, and of how much
+
+    Returns
+    -------
+    the report, with one row for each case and measured axis
+
+    Raises
+    ------
+    the errors of ``prepare``, and SimulationError where a run diverges
+    """
+    from joblib import Parallel, delayed
+
+    setup = prepare(scenario, name, progress)
+    cases = list(setup.cases())
+    results = []
+    parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")
+    for i, result in enumerate(parallel(delayed(rows_of)(setup, case) for case in cases)):
+        results.append(result)
+        if progress:
+            progress("simulating", i + 1, len(cases))
+    rows = tuple(row for result in results for row in result.rows)
+    answers = {setup.plant.model.name: rows} | _other_answers(scenario, name, jobs, progress)
+    traces = tuple(result.trace for result in results)
+    return Report(
+        name=name,
+        scenario=scenario,
+        actuator=setup.plant.model.name,
+        digest=scenario.digest(),
+        model_digest=setup.plant.model.digest(),
+        instruments=setup.plant.instruments,
+        inputs=setup.plant.model.inputs,
+        axes=setup.plant.model.outputs,
+        rows=rows,
+        statements=statements_of(setup, results),
+        verdicts=verdicts(scenario.claims, answers),
+        bands=bands_of(setup, cases, jobs, progress),
+        traces=traces,
+    )
+
+
+def _other_answers(
+    scenario: Scenario, name: str, jobs: int, progress: Progress | None
+) -> dict[str, tuple[Row, ...]]:
+    """Rows of the same experiment on the other actuators that the claims are put to; traces are not kept."""
+    from joblib import Parallel, delayed
+
+    answers = {}
+    for actuator in scenario.claims_also_on if scenario.claims else ():
+        setup = prepare(scenario.model_copy(update={"actuator": actuator}), name, progress)
+        parallel = Parallel(n_jobs=jobs, prefer="threads")
+        rows = parallel(delayed(_rows_alone)(setup, case) for case in setup.cases())
+        answers[setup.plant.model.name] = tuple(row for some in rows for row in some)
+    return answers
+
+
+def _rows_alone(setup: SetUp, case: Case) -> tuple[Row, ...]:
+    return rows_of(setup, case).rows

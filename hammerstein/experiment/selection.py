@@ -1,0 +1,122 @@
+"""What tells the rows of a report apart, for the tables and sentences that people read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from hammerstein.experiment.report import Report
+from hammerstein.rows import Row
+
+TINY = 1e-6  # um; smaller values are rounding errors
+
+
+@dataclass(frozen=True, order=True)
+class Condition:
+    """Frequency and amplitude of one run; the amplitude is None for a signal that names none."""
+
+    frequency_hz: float
+    amplitude: float | None
+    unit: str
+
+    @classmethod
+    def of(cls, row: Row) -> Condition:
+        """Condition of a row."""
+        if row.amplitude_um is not None:
+            return cls(row.frequency_hz, row.amplitude_um, "um")
+        return cls(row.frequency_hz, row.amplitude_v, "V")
+
+    def words(self) -> str:
+        """Say it: ``50 Hz, 10 V``."""
+        frequency = [f"{self.frequency_hz:g} Hz"] if self.frequency_hz else []
+        return ", ".join(frequency + ([] if self.amplitude is None else [f"{self.amplitude:g} {self.unit}"]))
+
+
+def conditions_of(rows: Iterable[Row]) -> list[Condition]:
+    """Every condition once, in the order of the report."""
+    return list(dict.fromkeys(Condition.of(row) for row in rows))
+
+
+def told_apart(conditions: Sequence[Condition]) -> dict[Condition, str]:
+    """Words for each condition, without what is the same in all of them.
+
+    >>> list(told_apart([Condition(50.0, 10.0, "V"), Condition(50.0, 5.0, "V")]).values())
+    ['10 V', '5 V']
+    """
+    one_frequency = len({condition.frequency_hz for condition in conditions}) == 1
+    one_amplitude = len({condition.amplitude for condition in conditions}) == 1
+    if one_frequency and one_amplitude:
+        return {condition: condition.words() for condition in conditions}
+    return {
+        condition: Condition(
+            0.0 if one_frequency else condition.frequency_hz,
+            None if one_amplitude else condition.amplitude,
+            condition.unit,
+        ).words()
+        for condition in conditions
+    }
+
+
+def labels_of(rows: Iterable[Row]) -> list[str]:
+    """Every compensator or model once, in the order of the report."""
+    return list(dict.fromkeys(row.compensator for row in rows))
+
+
+def is_path(report: Report) -> bool:
+    """Whether all axes were driven together."""
+    return all(row.excited_axis == "all" for row in report.rows)
+
+
+def is_direct(report: Report, row: Row) -> bool:
+    """Whether a row is of an axis that was driven itself."""
+    if row.excited_axis == "all":
+        return True
+    driven = report.inputs if report.scenario.drive is not None else report.axes
+    return driven.index(row.excited_axis) == report.axes.index(row.measured_axis)
+
+
+def identified_at(report: Report) -> dict[str, float]:
+    """Frequency at which each compensator's or model's hysteresis was identified, where there is one."""
+    sources = (*report.scenario.compensators, *report.scenario.models)
+    found = {source.label: getattr(source.identification, "frequency_hz", None) for source in sources}
+    return {label: frequency for label, frequency in found.items() if frequency is not None}
+
+
+def largest(rows: Iterable[Row], name: str) -> float | None:
+    """Largest value of a figure; None where no row has it."""
+    values = [value for row in rows if (value := getattr(row, name)) is not None]
+    return max(values) if values else None
+
+
+def significant(value: float) -> str:
+    """Write a number with three digits that count, trailing zeros included.
+
+    >>> significant(8.0), significant(0.04567), significant(1234.4), significant(1.11e-16)
+    ('8.00', '0.0457', '1234', '1.1e-16')
+    """
+    if value == 0.0:
+        return "0"
+    if abs(value) < TINY:
+        return f"{value:.2g}"
+    return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+
+
+def number(value: float | None) -> str:
+    """Three digits that count; empty without a value."""
+    return "" if value is None or math.isnan(value) else significant(value)
+
+
+def selected_frequencies(frequencies: Sequence[float], marked: Iterable[float], most: int) -> list[float]:
+    """At most so many frequencies: the ends, those marked, and others spread evenly between them.
+
+    >>> selected_frequencies([10, 20, 30, 40, 50, 60, 70, 80], [50], 4)
+    [10, 30, 50, 80]
+    """
+    ordered = sorted(set(frequencies))
+    kept = {ordered[0], ordered[-1], *(f for f in marked if f in ordered)}
+    spread = [ordered[round(i * (len(ordered) - 1) / (most - 1))] for i in range(most)]
+    for frequency in spread:
+        if len(kept) < most:
+            kept.add(frequency)
+    return sorted(kept)

@@ -1,0 +1,194 @@
+"""Identification experiments on a simulated actuator: what a person would do at the bench.
+
+The model that comes out has seen the actuator only through its drive and its sensor.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import JsonValue, TypeAdapter
+
+from hammerstein.cycles import settled_cycle
+from hammerstein.dynamics import AxesDynamics, StaticDynamics
+from hammerstein.errors import IdentificationError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.identification.linear.creep import fit_creep
+from hammerstein.identification.source import ClosedFormSpec, IdentificationSpec, JointFitSpec
+from hammerstein.identification.static.closed_form import closed_form
+from hammerstein.instruments import Drive
+from hammerstein.model import HammersteinModel
+from hammerstein.records.record import Record
+from hammerstein.runtime.cache import kept
+from hammerstein.signals import Multisine, Sine
+from hammerstein.simulation import Plant
+
+Array = NDArray[np.float64]
+
+CREEP_SAMPLES = 12_000
+CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
+"""Slow steps of the creep record, in parts of the amplitude; each lasts a sixth of it."""
+
+
+def identify_by_experiment(plant: Plant, spec: ClosedFormSpec | JointFitSpec, seed: int) -> HammersteinModel:
+    """Model of a simulated actuator, found by driving it one input at a time (paper, section 3.3).
+
+    The result is kept on disk (``cache``): the same experiment on the same actuator is not done twice.
+
+    Parameters
+    ----------
+    plant : the actuator on its bench
+    spec : the experiment and the method
+    seed : of the sensor's noise; the experiment's own settings are mixed in
+
+    Raises
+    ------
+    IdentificationError : the data do not determine the model, or the drive cuts the voltage
+    """
+    actuator = replace(plant.model, instruments=plant.instruments)
+    return HammersteinModel.from_json(kept(_identified)(actuator.to_json(), spec.model_dump_json(), seed))
+
+
+def _identified(actuator_json: str, spec_json: str, seed: int) -> str:
+    """Text of the model file that comes out; texts in and out, so that it can be kept."""
+    actuator = HammersteinModel.from_json(actuator_json)
+    plant = Plant(actuator, actuator.instruments)
+    spec: ClosedFormSpec | JointFitSpec = TypeAdapter(IdentificationSpec).validate_json(spec_json)
+    seeds = [seed, zlib.crc32(spec_json.encode())]
+    if isinstance(spec, JointFitSpec):
+        return _joint_fit(_at_sample_time(plant, spec.sample_time_s), spec, seeds).to_json()
+    return _closed_form(plant, spec, seeds).to_json()
+
+
+def _closed_form(plant: Plant, spec: ClosedFormSpec, seeds: list[int]) -> HammersteinModel:
+    """Equations 14-17 on the settled loop of each input (steps 1-4 of section 3.3)."""
+    bench = _at_sample_time(plant, spec.sample_time_s)
+    _refuse_cut_voltage(bench, spec.amplitude_v)
+    columns: list[list[Pair]] = []
+    for k in range(plant.model.hysteresis.n_inputs):
+        u, y = _settled_loop(bench, spec, k, seeds)
+        columns.append(closed_form(u, y, spec.operators))
+    rows = tuple(tuple(column[o] for column in columns) for o in range(plant.model.hysteresis.n_outputs))
+    return HammersteinModel(
+        name=f"closed form at {spec.frequency_hz:g} Hz",
+        hysteresis=PrandtlIshlinskii(rows),
+        dynamics=StaticDynamics(n_outputs=len(rows)),
+        amplitude_v=spec.amplitude_v,
+        inputs=plant.model.inputs,
+        outputs=plant.model.outputs,
+        instruments=plant.instruments,
+        provenance={"actuator": plant.model.name, "identification": spec.model_dump(mode="json")},
+    )
+
+
+def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> HammersteinModel:
+    """Hysteresis and axes together, from sines and a multisine on each input in turn."""
+    from hammerstein.identification.identify import identify
+    from hammerstein.identification.settings import Settings
+
+    _refuse_cut_voltage(plant, spec.amplitude_v)
+    settings = Settings(
+        operators=spec.operators,
+        partition=spec.partition,
+        dynamics="second_order",
+        sensor_bandwidth_hz=_finite(plant.instruments.sensor.bandwidth_hz),
+        error_curve=False,
+    )
+    name = f"joint fit, {spec.operators} operators"
+    model, _ = identify(_records(plant, spec, seeds), settings, name=name, instruments=plant.instruments)
+    provenance: JsonValue = {
+        "actuator": plant.model.name,
+        "identification": spec.model_dump(mode="json"),
+    }
+    named = replace(model, inputs=plant.model.inputs, outputs=plant.model.outputs, provenance=provenance)
+    return _with_creep(plant, spec, named, seeds) if spec.creep_modes else named
+
+
+def _with_creep(
+    plant: Plant, spec: JointFitSpec, model: HammersteinModel, seeds: list[int]
+) -> HammersteinModel:
+    """Add the creep of every axis, from one slow record of slow steps on all inputs.
+
+    The resonances are far above the slow record's sample rate: the static block stands for them.
+    """
+    bench = _at_sample_time(plant, spec.creep_record_s / CREEP_SAMPLES)
+    steps = np.repeat(CREEP_LEVELS, CREEP_SAMPLES // len(CREEP_LEVELS))
+    m = plant.model.hysteresis.n_inputs
+    voltage = spec.amplitude_v * np.stack([np.roll(steps, k * len(steps) // (3 * m)) for k in range(m)])
+    response = bench.respond(voltage, [*seeds, m])
+    v, _ = model.hysteresis.respond(response.drive_v)
+    dynamics = model.dynamics
+    assert isinstance(dynamics, AxesDynamics)  # what a joint fit gives
+    axes = []
+    for axis, said, read in zip(dynamics.axes, v, response.reading_um, strict=True):
+        modes = fit_creep(said, read, bench.sample_time_s, spec.creep_modes)
+        axes.append(axis.model_copy(update={"creep": modes}))
+    return replace(model, dynamics=dynamics.model_copy(update={"axes": tuple(axes)}))
+
+
+def _records(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> list[Record]:
+    """One record an input; the inputs are driven one after the other, and the actuator keeps its memory."""
+    bursts = [
+        Sine(amplitude=spec.amplitude_v, frequency_hz=f, axis=1) for f in sorted(spec.frequencies_hz)
+    ] + [
+        Multisine(
+            amplitude=spec.amplitude_v, lowest_hz=5.0, highest_hz=max(spec.frequencies_hz), seed=seeds[0]
+        )
+    ]
+    samples = round(spec.record_s / plant.sample_time_s)
+    time_s = np.linspace(0.0, (samples - 1) * plant.sample_time_s, samples)
+    one = np.concatenate([np.zeros(20), *(burst.sample(time_s, 1)[0] for burst in bursts)])
+    m = plant.model.hysteresis.n_inputs
+    voltage = np.kron(np.eye(m), one)
+    response = plant.respond(voltage, seeds)
+    parts = [slice(k * len(one), (k + 1) * len(one)) for k in range(m)]
+    return [
+        Record(
+            response.drive_v[:, part],
+            response.reading_um[:, part],
+            plant.sample_time_s,
+            inputs=plant.model.inputs,
+            outputs=plant.model.outputs,
+            source=f"simulated, input {k + 1}",
+        )
+        for k, part in enumerate(parts)
+    ]
+
+
+def _finite(bandwidth_hz: float) -> float | None:
+    return None if math.isinf(bandwidth_hz) else bandwidth_hz
+
+
+def _settled_loop(bench: Plant, spec: ClosedFormSpec, k: int, seeds: list[int]) -> tuple[Array, Array]:
+    """Mean settled cycle of the driven voltage (phase,) and of the readings (output, phase)."""
+    period = 1.0 / spec.frequency_hz
+    settle = max(spec.settle_cycles, math.ceil(0.05 / period))
+    samples = round((settle + spec.measured_cycles) * period / bench.sample_time_s)
+    voltage = np.zeros((bench.model.hysteresis.n_inputs, samples))
+    time_s = np.arange(samples) * bench.sample_time_s
+    voltage[k] = spec.amplitude_v * np.sin(2.0 * np.pi * spec.frequency_hz * time_s)
+    response = bench.respond(voltage, [*seeds, k])
+    phases = 2 * max(1, round(0.5 * period / bench.sample_time_s))
+    both = np.vstack([response.drive_v[k], response.reading_um])
+    cycle = settled_cycle(both, spec.frequency_hz, bench.sample_time_s, phases, skip_cycles=settle)
+    return cycle[0], cycle[1:]
+
+
+def _at_sample_time(plant: Plant, sample_time_s: float | None) -> Plant:
+    if sample_time_s is None:
+        return plant
+    drive = plant.instruments.drive.model_copy(update={"sample_time_s": sample_time_s})
+    return Plant(plant.model, plant.instruments.model_copy(update={"drive": drive}))
+
+
+def _refuse_cut_voltage(plant: Plant, amplitude_v: float) -> None:
+    drive: Drive = plant.instruments.drive
+    if amplitude_v > drive.range_v:
+        raise IdentificationError(
+            f"the identification asks for {amplitude_v:g} V, the drive gives {drive.range_v:g} V; "
+            "lower amplitude_v"
+        )

@@ -1,0 +1,1 @@
+"""Linear dynamics from records: resonances, state space, delay, creep."""

@@ -1,0 +1,237 @@
+"""Linear blocks that couple the outputs: a state-space model, and the static block in front of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from hammerstein.dynamics import LinearBlock
+from hammerstein.errors import IdentificationError
+from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.identification.linear.frequency_response import FrequencyResponse, frequency_response
+from hammerstein.identification.linear.state_space import fit_state_space
+from hammerstein.identification.static.normal_equations import Bounds, Moments, moments_of, pooled, solve
+from hammerstein.identification.static.regressors import Start, regressor_blocks
+from hammerstein.identification.static.static_block import (
+    Layout,
+    StaticFit,
+    Thresholds,
+    Weighting,
+    bounds_of,
+    gains_of,
+    pairs_of,
+    refuse_unreached,
+    ridge_of,
+)
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+Modes = NDArray[np.complex128]
+
+
+def measured_response(records: Sequence[Record], v_um: Sequence[Array] | None = None) -> FrequencyResponse:
+    """Frequency response from the voltages, or from what stands behind the static block, to the readings."""
+    period = records[0].period_samples
+    same = all(record.period_samples == period for record in records)
+    return frequency_response(
+        [record.u_v for record in records] if v_um is None else list(v_um),
+        [record.y_um for record in records],
+        records[0].sample_time_s,
+        period_samples=period if same else None,
+    )
+
+
+def fit_linear(
+    records: Sequence[Record], order: int, progress: Callable[[str], None] | None = None
+) -> tuple[LinearBlock, Array]:
+    """State-space model (p inputs, p outputs) and the gain matrix (output, input) in front of it.
+
+    The gain is that of the model at its lowest line, so that the block itself has unit gain there.
+
+    Raises
+    ------
+    IdentificationError : more inputs than outputs, or an excitation that does not tell the response
+    """
+    m, p = len(records[0].u_v), len(records[0].y_um)
+    if m > p:
+        raise IdentificationError(
+            f"a state-space block behind a static one with {p} outputs cannot hear {m} inputs; "
+            "use second_order dynamics, or measure more outputs"
+        )
+    response = measured_response(records)
+    block = fit_state_space(response, order, progress=progress)
+    gain = block.response(response.frequency_hz[:1])[0].real
+    return behind_gain(block, gain), gain
+
+
+def behind_gain(block: LinearBlock, gain: Array) -> LinearBlock:
+    """Split a block in a gain (p, m) and what must stand behind it."""
+    inverse = np.linalg.pinv(gain)
+    return LinearBlock(block.A, block.B @ inverse, block.C, block.D @ inverse, block.sample_time_s)
+
+
+def refit_linear(
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    hysteresis: PrandtlIshlinskii,
+    order: int,
+    progress: Callable[[str], None] | None = None,
+) -> LinearBlock:
+    """State-space model behind a static block that is known."""
+    outputs = []
+    for record, start in zip(records, starts, strict=True):
+        v, memory = hysteresis.respond(record.u_v)
+        outputs.append(hysteresis.respond(record.u_v, memory)[0] if start.kind == "repeated" else v)
+    return fit_state_space(measured_response(records, outputs), order, progress=progress)
+
+
+@dataclass(frozen=True, eq=False)
+class ModalCopies:
+    """Copies of a path with one input and one output, one for each column, mode by mode.
+
+    poles, residues_in, residues_out : (mode,) one of each conjugate pair; through : direct gain
+    """
+
+    poles: Modes
+    residues_in: Modes
+    residues_out: Modes
+    through: float
+    copies: int
+
+    @classmethod
+    def of(cls, block: LinearBlock, output: int, input_: int, copies: int) -> ModalCopies:
+        """Path of a block from one input to one output."""
+        poles, vectors = (part.astype(np.complex128) for part in np.linalg.eig(block.A))
+        b = np.linalg.solve(vectors, block.B[:, input_])
+        c = block.C[output] @ vectors
+        upper = poles.imag >= 0.0
+        twice = np.where(poles.imag > 0.0, 2.0, 1.0)
+        return cls(poles[upper], b[upper], (twice * c)[upper], float(block.D[output, input_]), copies)
+
+    def rest(self) -> Modes:
+        """State (copy, mode) of paths that were never driven."""
+        return np.zeros((self.copies, len(self.poles)), dtype=np.complex128)
+
+    def respond(self, columns: Array, start: Modes) -> tuple[Array, Modes]:
+        """Outputs (copy, sample) and the state after them."""
+        from hammerstein.dynamics.path_kernel import respond_modes
+
+        state, passed = start.copy(), np.empty_like(columns)
+        respond_modes(self.poles, self.residues_in, self.residues_out, self.through, state, columns, passed)
+        return passed, state
+
+
+def fit_static_coupled(
+    records: Sequence[Record],
+    thresholds_v: Thresholds,
+    through: LinearBlock,
+    starts: Sequence[Start],
+    *,
+    method: Weighting = "invertible",
+    ridge: float = 0.0,
+) -> StaticFit:
+    """Weights behind a linear block that couples the outputs: all of them are unknowns of one problem.
+
+    Every output counts in parts of its own power. See ``fit_static`` for the arguments.
+    """
+    layout = Layout.of(thresholds_v)
+    refuse_unreached(records, layout.grids)
+    outputs = _moments(records, starts, layout, through)
+    joint = _Joint.of(layout, outputs)
+    penalty = joint.ridge(ridge) if ridge > 0.0 else None
+    free = found = solve(joint.gram, joint.cross, float(len(outputs)), joint.freedom, penalty=penalty)
+    if method != "least_squares":
+        gains = gains_of(records, thresholds_v, layout, [free.coefficients[s] for s in joint.own])
+        each = [bounds_of(method, layout, o, gains) for o in range(len(outputs))]
+        bounds = Bounds(
+            _block_diagonal([b.basis for b in each]),
+            np.concatenate([b.side for b in each]),
+            np.concatenate([b.bound for b in each]),
+        )
+        found = solve(
+            joint.gram, joint.cross, float(len(outputs)), joint.freedom, bounds=bounds, penalty=penalty
+        )
+    rows = [
+        pairs_of(row, layout, o, found.coefficients[s], found.covariance[s, s])
+        for o, (row, s) in enumerate(zip(thresholds_v, joint.own, strict=True))
+    ]
+    c = joint.merge @ found.coefficients
+    left = [(m.power[0] - 2.0 * m.cross[:, 0] @ c + c @ m.gram @ c) / m.freedom for m in outputs]
+    return StaticFit(
+        hysteresis=PrandtlIshlinskii(tuple(rows)),
+        offsets_um=np.column_stack([m.means[:, -1] - m.means[:, :-1] @ c for m in outputs]),
+        rms_um=np.sqrt(np.maximum(left, 0.0)),
+        samples=outputs[0].samples,
+        bounded=tuple(
+            (o, k, int(j)) for o, k, part in joint.pairs for j in np.flatnonzero(found.at_bound[part])
+        ),
+        open=tuple((o, k) for o, k, part in joint.pairs if free.dependent[part].any()),
+    )
+
+
+class _Joint(NamedTuple):
+    """One problem for the slopes of all outputs.
+
+    ``own[o]`` are the unknowns of output o, ``pairs`` the unknowns of each pair (output, input).
+    """
+
+    layout: Layout
+    merge: Array
+    gram: Array
+    cross: Array
+    freedom: int
+    own: tuple[slice, ...]
+    pairs: tuple[tuple[int, int, slice], ...]
+
+    @classmethod
+    def of(cls, layout: Layout, outputs: Sequence[Moments]) -> _Joint:
+        merge = _block_diagonal(layout.merge)
+        weight = [1.0 / max(float(moment.power[0]), np.finfo(float).tiny) for moment in outputs]
+        gram = np.sum([w * m.gram for w, m in zip(weight, outputs, strict=True)], axis=0)
+        cross = np.sum([w * m.cross[:, 0] for w, m in zip(weight, outputs, strict=True)], axis=0)
+        ends = np.cumsum([merged.shape[1] for merged in layout.merge]).tolist()
+        own = tuple(slice(e - merged.shape[1], e) for e, merged in zip(ends, layout.merge, strict=True))
+        pairs = tuple(
+            (o, k, slice(s.start + part.start, s.start + part.stop))
+            for o, s in enumerate(own)
+            for k, part in enumerate(layout.parts[o])
+        )
+        freedom = sum(moment.freedom for moment in outputs)
+        return cls(layout, merge, merge.T @ gram @ merge, merge.T @ cross, freedom, own, pairs)
+
+    def ridge(self, ridge: float) -> Array:
+        """Penalty of the weights of all outputs."""
+        parts = self.layout.parts
+        return _block_diagonal([ridge_of(parts[o], self.gram[s, s], ridge) for o, s in enumerate(self.own)])
+
+
+def _moments(
+    records: Sequence[Record], starts: Sequence[Start], layout: Layout, through: LinearBlock
+) -> list[Moments]:
+    """Moments of each output with the columns of all outputs of the static block."""
+    p, columns = len(records[0].y_um), sum(map(len, layout.grids))
+    moments = []
+    for o in range(p):
+        filters = [ModalCopies.of(through, o, k, columns) for k in range(p)]
+        parts = [
+            moments_of(_blocks(record, start, layout, filters, o), p * columns, 1)
+            for record, start in zip(records, starts, strict=True)
+        ]
+        moments.append(pooled(parts))
+    return moments
+
+
+def _blocks(
+    record: Record, start: Start, layout: Layout, filters: Sequence[ModalCopies], o: int
+) -> Iterator[tuple[Array, Array]]:
+    for k, x in regressor_blocks(record.u_v, start, layout.grids, filters):
+        yield x, record.y_um[[o], k : k + x.shape[1]]
+
+
+def _block_diagonal(matrices: Sequence[Array]) -> Array:
+    return np.asarray(block_diag(*matrices))

@@ -1,0 +1,159 @@
+"""A linear state-space model of stated order from a measured frequency response."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import LinearBlock
+from hammerstein.errors import IdentificationError, InputError
+from hammerstein.identification.linear.frequency_response import FrequencyResponse
+from hammerstein.identification.linear.refinement import refine
+from hammerstein.identification.linear.subspace import subspace
+from hammerstein.identification.linear.weighted_lines import Matrices, WeightedLines, Weighting, weigh
+
+Array = NDArray[np.float64]
+
+TRIAL = 3
+"""Steps that each start is given before only the best one goes on."""
+
+
+def fit_state_space(
+    response: FrequencyResponse,
+    order: int,
+    *,
+    weighting: Weighting = "power",
+    max_iterations: int = 60,
+    tolerance: float = 1e-4,
+    progress: Callable[[str], None] | None = None,
+) -> LinearBlock:
+    """Fit a stable discrete-time model of n states, m inputs and p outputs.
+
+        x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k],   G(z) = C (z - A)^-1 B + D
+
+        minimise over A, B, C, D:   sum over lines f of | W(f) (G(e^(2 pi i f T)) - G_measured(f)) R(f) |^2
+
+    R R^H is the power of the inputs, so with the weighting ``power`` (W = 1 / rms of each output) the sum is
+    that of the squared output errors in the experiments: the best simulation of signals like these, where
+    noise is white or the order is too small for the actuator. With ``variance`` W is the inverse standard
+    deviation of the output at each line: the most likely model where the order is large enough and some
+    lines are noisier than others. Two subspace starts are refined by Levenberg-Marquardt steps. Like
+    every nonlinear fit it ends at a minimum near its start, which need not be the lowest of all.
+
+    Parameters
+    ----------
+    response : measured response, from ``frequency_response``
+    order : number of states n
+    weighting : ``power`` or ``variance``
+    max_iterations : steps at most, of the best start
+    tolerance : stop when a step lowers the sum of squares by less than this part of it
+    progress : called with one line of text at every start and step
+
+    Returns
+    -------
+    LinearBlock on the sample time of the records
+
+    Raises
+    ------
+    InputError : an order below 1, or an unknown weighting
+    IdentificationError : too few lines for the order; an output that never responds; ``variance`` asked where
+        the response has none
+
+    References
+    ----------
+    McKelvey, Akcay, Ljung, IEEE Trans. Automatic Control 41 (1996) 960-979 (start); Pintelon and Schoukens,
+    System Identification, 2nd ed., chapter 9 (criterion).
+
+    Examples
+    --------
+    One resonance, excited by noise of period 256 and measured in steady state:
+
+    >>> from scipy.signal import lfilter
+    >>> u = np.tile(np.random.default_rng(1).standard_normal((1, 256)), 6)
+    >>> y = lfilter([0.0, 0.4], [1.0, -1.2, 0.8], u)
+    >>> from hammerstein.identification.linear.frequency_response import frequency_response
+    >>> g = frequency_response(u, y, 1e-3, period_samples=256, settle_periods=5)
+    >>> block = fit_state_space(g, 2)
+    >>> np.poly(block.A).round(6).tolist()
+    [1.0, -1.2, 0.8]
+    """
+    if order < 1:
+        raise InputError("order", f"is {order}; a state-space model needs at least 1 state")
+    if weighting not in ("power", "variance"):
+        raise InputError("weighting", f"{weighting!r} is not known; choose 'power' or 'variance'")
+    lines = weigh(response, weighting)
+    report = progress or (lambda text: None)
+    trial = min(TRIAL, max_iterations)
+    trials = [_refine(lines, start, trial, tolerance, report) for start in _starts(lines, order, report)]
+    model = _refine(lines, min(trials, key=lines.cost), max_iterations, tolerance, report, done=trial)
+    return LinearBlock(*lines.physical(model), response.sample_time_s)
+
+
+def output_error_percent(block: LinearBlock, response: FrequencyResponse) -> Array:
+    """Error rms over output rms of a model in the experiments behind a response, noise included.
+
+        100 sqrt( sum of (G - G_measured) S_uu (G - G_measured)^H + residue  /  sum of output power )
+
+    Parameters
+    ----------
+    block : any model on the same inputs and outputs
+    response : measured response
+
+    Returns
+    -------
+    (p,) one figure an output [%]
+
+    Examples
+    --------
+    >>> g = FrequencyResponse(
+    ...     frequency_hz=np.array([100.0]), response=np.full((1, 1, 1), 2.0 + 0j), coherence=np.ones((1, 1)),
+    ...     input_power=np.ones((1, 1, 1), complex), residual_power=np.zeros((1, 1)), sample_time_s=1e-3)
+    >>> none = np.empty((0, 0))
+    >>> gain = LinearBlock(none, np.empty((0, 1)), np.empty((1, 0)), np.array([[1.9]]), 1e-3)
+    >>> output_error_percent(gain, g).round(6).tolist()
+    [5.0]
+    """
+    z = np.exp(2j * np.pi * response.frequency_hz * block.sample_time_s)
+    error = Matrices(block.A, block.B, block.C, block.D).at(z).transpose(1, 2, 0) - response.response
+    power = np.einsum("ijf,jkf,ikf->if", error, response.input_power, error.conj()).real
+    left = np.sum(power + response.residual_power, axis=1)
+    return np.asarray(100.0 * np.sqrt(left / response.output_power.sum(axis=1)))
+
+
+def _starts(lines: WeightedLines, order: int, report: Callable[[str], None]) -> list[Matrices]:
+    """Subspace models with few block rows (best for large orders) and with many (best for small ones)."""
+    F, p, m = lines.target.shape
+    fewest = math.ceil(order / p) + 1
+    most = 2 * F * m // (m + p)
+    if most < fewest:
+        needed = math.ceil(fewest * (m + p) / (2 * m))
+        raise IdentificationError(
+            f"a model of order {order} with {m} inputs and {p} outputs needs at least {needed} lines and the "
+            f"response has {F}: choose a smaller order, or excite more lines"
+        )
+    models = []
+    for block_rows in sorted({max(fewest, min(q, most)) for q in (order + 1, order + 8)}):
+        models.append(subspace(lines, order, block_rows))
+        report(f"start with {block_rows} block rows: {_left(lines, lines.cost(models[-1]))}")
+    return models
+
+
+def _refine(
+    lines: WeightedLines,
+    start: Matrices,
+    steps: int,
+    tolerance: float,
+    report: Callable[[str], None],
+    done: int = 0,
+) -> Matrices:
+    def step(count: int, cost: float) -> None:
+        report(f"step {done + count}: {_left(lines, cost)}")
+
+    return refine(lines, start, steps - done, tolerance, step)
+
+
+def _left(lines: WeightedLines, cost: float) -> str:
+    return f"{lines.percent(cost):.4g} % of the output not explained"

@@ -1,0 +1,82 @@
+"""What a model says to a record, and how far it is off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
+from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.identification.static.regressors import Start
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A model under judgement: static block, linear block, and the sensor that stands behind them."""
+
+    hysteresis: PrandtlIshlinskii
+    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics
+    sensor_bandwidth_hz: float | None = None
+
+    def predict(self, record: Record, start: Start) -> Array:
+        """Readings (output, sample) to the voltages of a record, without offset [um]."""
+        block = discretise(self.dynamics, record.sample_time_s, self.sensor_bandwidth_hz)
+        v, memory = self.hysteresis.respond(record.u_v)
+        if start.kind == "repeated":
+            v, _ = self.hysteresis.respond(record.u_v, memory)
+        y, state = block.respond(v)
+        if start.kind == "repeated":
+            y, _ = block.respond(v, state)
+        return np.asarray(y[-len(record.y_um) :])
+
+    def residual(self, record: Record, start: Start) -> Array:
+        """Reading less prediction (output, sample) over the samples that count, each about its mean [um]."""
+        error = (record.y_um - self.predict(record, start))[:, start.first :]
+        return np.asarray(error - error.mean(axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class Score:
+    """How far a model is off, one number an output.
+
+    Parameters
+    ----------
+    nrmse_percent : rms error in percent of the range of the readings
+    rms_um : rms error about its mean in each record [um]
+    output_percent : rms error in percent of the rms of the readings about their mean
+    """
+
+    nrmse_percent: tuple[float, ...]
+    rms_um: tuple[float, ...]
+    output_percent: tuple[float, ...]
+
+    @property
+    def mean_percent(self) -> float:
+        """Mean over the outputs."""
+        return float(np.mean(self.nrmse_percent))
+
+
+def score(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Score:
+    """Errors of a model on records, all together."""
+    squares, power, samples = np.zeros(len(records[0].y_um)), np.zeros(len(records[0].y_um)), 0
+    for record, start in zip(records, starts, strict=True):
+        residual = candidate.residual(record, start)
+        squares += np.sum(residual**2, axis=1)
+        samples += residual.shape[1]
+        power += np.var(record.y_um[:, start.first :], axis=1) * residual.shape[1]
+    rms = np.sqrt(squares / samples)
+    percent = 100.0 * rms / ranges(records, starts)
+    relative = 100.0 * np.sqrt(squares / np.maximum(power, np.finfo(float).tiny))
+    return Score(tuple(percent.tolist()), tuple(rms.tolist()), tuple(relative.tolist()))
+
+
+def ranges(records: Sequence[Record], starts: Sequence[Start]) -> Array:
+    """Largest range of each output (output,) in one record, over the samples that count [um]."""
+    spans = [np.ptp(r.y_um[:, s.first :], axis=1) for r, s in zip(records, starts, strict=True)]
+    return np.asarray(np.maximum(np.max(spans, axis=0), np.finfo(float).tiny))

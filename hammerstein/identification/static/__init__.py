@@ -1,0 +1,1 @@
+"""The static block: thresholds and weights."""

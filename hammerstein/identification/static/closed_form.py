@@ -1,0 +1,138 @@
+"""Weights of a Prandtl-Ishlinskii model from one settled loop, in closed form (paper, appendix)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
+
+from hammerstein.errors import IdentificationError
+from hammerstein.hysteresis import Pair
+from hammerstein.identification.static.partition import nodes_uniform_in_time
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+def closed_form(
+    u_cycle_v: ArrayLike,
+    y_cycle_um: ArrayLike,
+    operators: int | Sequence[int] = 15,
+    *,
+    thresholds_v: Array | Sequence[ArrayLike] | None = None,
+) -> list[Pair]:
+    """Thresholds and weights between one driven input and every output.
+
+    From the lower tip of the settled loop, the rising branch of n operators is
+
+        y(b) = sum over i of w_i max(0, b - 2 r_i),     b = u - u_tip        (paper, eq. 14)
+
+    so that its values at n points, one between each threshold and the next, make a lower triangular system
+    for the weights (eq. 15-17).
+
+    Parameters
+    ----------
+    u_cycle_v : (sample,) one settled cycle of the driven input [V], evenly sampled, starting anywhere, with
+        one rise and one fall
+    y_cycle_um : (output, sample) the outputs over the same cycle [um]
+    operators : number of operators, one for all outputs or one an output; the thresholds are then uniform in
+        time and the points are samples of the record, as in the paper
+    thresholds_v : (operator,) thresholds [V], or one array an output, instead of their number
+
+    Returns
+    -------
+    one pair for every output
+
+    Raises
+    ------
+    IdentificationError : too few samples for so many operators, a threshold that the loop does not reach or
+        that no sample separates from the next, an input without a swing
+
+    Examples
+    --------
+    >>> from hammerstein.hysteresis import PrandtlIshlinskii
+    >>> u = 4.0 * np.sin(2.0 * np.pi * np.arange(200) / 100)
+    >>> y, _ = PrandtlIshlinskii([[Pair([0.5, 2.0], [3.0, 1.0])]]).respond([u])
+    >>> pair = closed_form(u[100:], y[:, 100:], thresholds_v=[0.5, 2.0])[0]
+    >>> bool(np.allclose(pair.weights_um_per_v, [3.0, 1.0], atol=1e-12))
+    True
+    """
+    u, y = rising_branch(u_cycle_v, y_cycle_um)
+    p = len(y)
+    half = 0.5 * np.size(u_cycle_v)
+    if thresholds_v is None:
+        counts = [operators] * p if isinstance(operators, int) else list(operators)
+        _refuse_lengths("operators", len(counts), p)
+        return [_at_nodes(u, row, nodes_uniform_in_time(n, half)) for n, row in zip(counts, y, strict=True)]
+    grids = _one_each(thresholds_v, p)
+    return [_at_thresholds(u, row, r) for r, row in zip(grids, y, strict=True)]
+
+
+def rising_branch(u_cycle_v: ArrayLike, y_cycle_um: ArrayLike) -> tuple[Array, Array]:
+    """Rise of the input above its lower tip (sample,) [V] and of the outputs (output, sample) [um]."""
+    u = np.asarray(u_cycle_v, dtype=np.float64)
+    y = np.atleast_2d(np.asarray(y_cycle_um, dtype=np.float64))
+    if u.ndim != 1 or y.shape[1:] != u.shape:
+        raise IdentificationError(
+            f"a cycle needs one input and outputs of its length; got shapes {u.shape} and {y.shape}"
+        )
+    start = int(np.argmin(u))
+    u, y = np.roll(u, -start), np.roll(y, -start, axis=1)
+    stop = int(np.argmax(u)) + 1
+    if stop == 1:
+        raise IdentificationError("the input does not move in this cycle; choose the driven input")
+    return u[:stop] - u[0], y[:, :stop] - y[:, :1]
+
+
+def _at_nodes(u: Array, y: Array, nodes: Indices) -> Pair:
+    """Thresholds at half the rise of the input at the nodes (paper, eq. 16)."""
+    if nodes[-1] >= len(u):
+        raise IdentificationError(
+            f"the input rises for {len(u)} samples only, but the partition needs {nodes[-1] + 1}: the cycle "
+            "is not a symmetric one; give thresholds instead of their number"
+        )
+    thresholds = 0.5 * u[nodes[:-1]]
+    if np.any(np.diff(u[nodes]) <= 0):
+        raise IdentificationError(
+            "the input does not rise steadily from its lower tip; give thresholds instead"
+        )
+    return _solved(thresholds, u[nodes[1:]], y[nodes[1:]])
+
+
+def _at_thresholds(u: Array, y: Array, r: Array) -> Pair:
+    """One sample for each threshold: the last one before the next threshold engages."""
+    Pair(r, np.zeros_like(r))  # refuses thresholds that are negative or not increasing
+    highest = np.maximum.accumulate(u)
+    nodes = np.searchsorted(highest, np.append(2.0 * r[1:], highest[-1]), side="right") - 1
+    lonely = np.flatnonzero(u[nodes] <= 2.0 * r)
+    if lonely.size:
+        j = int(lonely[0])
+        raise IdentificationError(
+            f"no sample tells the weight of threshold {r[j]:g} V: the input must pass {2.0 * r[j]:g} V above "
+            "its lower tip, at a sample before the next threshold engages; use fewer thresholds or a larger "
+            "amplitude"
+        )
+    return _solved(r, u[nodes], y[nodes])
+
+
+def _solved(r: Array, b: Array, y: Array) -> Pair:
+    matrix = np.maximum(b[:, None] - 2.0 * r, 0.0)
+    return Pair(r, solve_triangular(matrix, y, lower=True))
+
+
+def _one_each(thresholds_v: Array | Sequence[ArrayLike], p: int) -> list[Array]:
+    """Thresholds of every output, from one array for all or one for each."""
+    grids = [np.asarray(r, dtype=np.float64) for r in thresholds_v]
+    if all(grid.ndim == 0 for grid in grids):
+        return [np.array(grids)] * p
+    _refuse_lengths("thresholds_v", len(grids), p)
+    return grids
+
+
+def _refuse_lengths(name: str, given: int, wanted: int) -> None:
+    if given != wanted:
+        raise IdentificationError(
+            f"{name} has {given} entries for {wanted} outputs; give one for all or one each"
+        )

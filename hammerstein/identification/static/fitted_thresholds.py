@@ -1,0 +1,106 @@
+"""Thresholds of all inputs fitted to records: exchanges and steps downhill in turn, and what is gained."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.identification.static.static_block import StaticFit
+from hammerstein.identification.static.threshold_exchange import exchanged, finer
+from hammerstein.identification.static.threshold_search import (
+    LEAST_GAP,
+    Grids,
+    ThresholdTask,
+    place_at,
+    search_near,
+)
+
+Array = NDArray[np.float64]
+
+MOST_ROUNDS = 6
+"""Most times that exchanges and steps follow each other."""
+WORTHWHILE = 1e-3
+"""What a round must gain of the criterion, about the part of the squared error that it takes away."""
+
+
+def fit_thresholds(task: ThresholdTask, grids: Sequence[Array], rounds: int = MOST_ROUNDS) -> Grids:
+    """Thresholds of each input that leave the least squared error of all outputs.
+
+    Thresholds that the noise leaves open are left out, and neighbours that end within a thousandth of the
+    largest half swing are merged into one.
+
+    Parameters
+    ----------
+    task : records and the path behind the static block
+    grids : thresholds of each input to begin with [V], sorted, below the largest half swing; their number is
+        the most that are fitted
+    rounds : most times that exchanges and steps follow each other
+
+    Returns
+    -------
+    Grids : thresholds of each input [V], sorted, from 0 to below the largest half swing
+
+    Examples
+    --------
+    >>> from hammerstein.hysteresis import (Pair, PrandtlIshlinskii)
+    >>> from hammerstein.records.record import Record
+    >>> from hammerstein.identification.static.regressors import Start
+    >>> u = 4.0 * np.sin(np.linspace(0.0, 20.0, 2000))
+    >>> truth = PrandtlIshlinskii([[Pair([0.3, 1.7], [3.0, 1.0])]])
+    >>> record = Record([u], truth.respond([u])[0], 1e-3)
+    >>> fit_thresholds(ThresholdTask([record], [Start("rest")]), [np.array([1.0, 2.0])])[0].round(6)
+    array([0.3, 1.7])
+    """
+    here = place_at(task, tuple(grids))
+    reach = task.reach_v
+    for _ in range(rounds if any(grid.size for grid in grids) else 0):
+        fine = [finer(grid, float(top)) for grid, top in zip(here.grids, reach, strict=True)]
+        moments = task.moments(fine, with_derivatives=False)
+        there = search_near(task, exchanged(moments, fine, here.grids, here.unit), here.unit)
+        gain = here.criterion - there.criterion
+        here = there if gain > 0.0 else here
+        if gain < WORTHWHILE:
+            break
+    return tuple(merged(grid, LEAST_GAP * top) for grid, top in zip(here.grids, reach, strict=True))
+
+
+def merged(grid: Array, least_gap_v: float) -> Array:
+    """Thresholds with each run of neighbours nearer than a least distance [V] replaced by its mean.
+
+    Examples
+    --------
+    >>> merged(np.array([1.0, 2.0, 2.002, 3.0]), 0.01)
+    array([1.   , 2.001, 3.   ])
+    """
+    runs = np.split(grid, np.flatnonzero(np.diff(grid) >= least_gap_v) + 1)
+    return np.array([run.mean() for run in runs if run.size])
+
+
+def gained(start: StaticFit, fitted: StaticFit) -> bool:
+    """Whether fitted thresholds lower the error by more than their number would by chance.
+
+    The thresholds begun with are not free, their weights are.
+
+    Parameters
+    ----------
+    start, fitted : static blocks with the thresholds begun with and the fitted ones, by the same method
+    """
+    p = len(start.rms_um)
+    return criterion(fitted, 1 + p) < criterion(start, p)
+
+
+def criterion(fit: StaticFit, parameters: int) -> float:
+    """Criterion of Schwarz (Ann. Stat. 6 (1978) 461-464): the less, the better.
+
+    Parameters
+    ----------
+    fit : static block whose outputs share their thresholds
+    parameters : free ones of each threshold: the weights of all outputs, and itself if it was fitted
+    """
+    readings = len(fit.rms_um) * fit.samples
+    thresholds = sum(len(pair.thresholds_v) for pair in fit.hysteresis.pairs[0])
+    errors = np.log(np.maximum(fit.rms_um, np.finfo(float).tiny))
+    return float(2.0 * fit.samples * errors.sum() + parameters * thresholds * math.log(readings))

@@ -1,0 +1,182 @@
+"""From a record to regressors: plays, differences of neighbouring plays, and both behind a linear block.
+
+With the slopes c_j = w_1 + ... + w_j of a pair, the response of its operators is
+
+    sum of w_j p_j = sum of c_j s_j,     s_j = p_j - p_{j+1},   s_n = p_n
+
+The differences s_j hardly overlap in what they do, so that they are well-conditioned regressors, and bounds
+on the slopes are bounds on single unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import LinearBlock
+from hammerstein.hysteresis import play
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+
+BLOCK = 8192
+"""Samples handled at once: large enough for BLAS, small enough for the cache."""
+
+
+class Filter(Protocol):
+    """A linear block that columns pass, with its memory outside."""
+
+    def rest(self) -> NDArray[Any]:
+        """State of a block that was never driven."""
+
+    def respond(self, columns: Array, start: NDArray[Any], /) -> tuple[Array, NDArray[Any]]:
+        """Outputs (row, sample) and the state after them."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """What is known of the actuator before the first sample.
+
+    Parameters
+    ----------
+    kind : ``rest`` if it was never driven, ``repeated`` if the record is what went before, too
+    first : first sample that counts; earlier ones only fill the memory
+    """
+
+    kind: Literal["rest", "repeated"]
+    first: int = 0
+
+
+def delayed(record: Record, start: Start, samples: int) -> Array:
+    """Voltages (input, sample) late by whole samples; before the record the actuator is as ``start`` says."""
+    if samples == 0:
+        return record.u_v
+    u = np.roll(record.u_v, samples, axis=1)
+    if start.kind == "rest":
+        u[:, :samples] = 0.0
+    return u
+
+
+def regressor_blocks(
+    u_v: Array,
+    start: Start,
+    grids: Sequence[Array],
+    filters: Sequence[Filter] = (),
+    *,
+    with_derivatives: bool = False,
+) -> Iterator[tuple[int, Array]]:
+    """First sample and regressors (column, sample) of each block of a record, from ``start.first`` on.
+
+    Parameters
+    ----------
+    u_v : (input, sample) voltages [V]
+    start : what went before
+    grids : thresholds of each input [V]; the columns follow them, input by input
+    filters : linear blocks that hear all columns; their outputs, one block below the other, take the
+        place of the columns
+    with_derivatives : whether the derivatives of the plays by their thresholds follow as further columns,
+        input by input: -1 after a play was last moved upwards, 1 after downwards, 0 before it was moved
+    """
+    plays = [np.zeros(len(grid)) for grid in grids]
+    signs = [np.zeros(len(grid)) for grid in grids] if with_derivatives else None
+    states = [block.rest() for block in filters]
+    if start.kind == "repeated":
+        for _, columns in _blocks(u_v, grids, plays, signs):
+            _filtered(columns, filters, states)
+    for k, columns in _blocks(u_v, grids, plays, signs):
+        passed = _filtered(columns, filters, states)
+        skip = max(start.first - k, 0)
+        if skip < columns.shape[1]:
+            yield k + skip, passed[:, skip:]
+
+
+def _filtered(columns: Array, filters: Sequence[Filter], states: list[NDArray[Any]]) -> Array:
+    """Columns behind the filters, whose states are carried on."""
+    if not filters:
+        return columns
+    rows = []
+    for i, block in enumerate(filters):
+        passed, states[i] = block.respond(columns, states[i])
+        rows.append(passed)
+    return np.vstack(rows)
+
+
+def _blocks(
+    u_v: Array, grids: Sequence[Array], plays: list[Array], signs: list[Array] | None
+) -> Iterator[tuple[int, Array]]:
+    """Differences of neighbouring plays, and the derivatives if ``signs`` are given.
+
+    ``plays`` and ``signs`` hold the memory from block to block.
+    """
+    for k in range(0, u_v.shape[1], BLOCK):
+        rows, moved = [], []
+        for i, grid in enumerate(grids):
+            outputs = play(u_v[i, k : k + BLOCK], grid, plays[i])
+            if signs is not None:
+                moved.append(_derivatives(outputs, plays[i], signs[i]))
+            plays[i] = outputs[:, -1].copy()
+            outputs[:-1] -= outputs[1:]
+            rows.append(outputs)
+        yield k, np.vstack(rows + moved)
+
+
+def _derivatives(outputs: Array, before: Array, signs: Array) -> Array:
+    """Derivatives (operator, sample) of plays by their thresholds; ``signs`` is carried on."""
+    from hammerstein.hysteresis.motion_kernel import threshold_derivatives
+
+    derivatives = np.empty_like(outputs)
+    threshold_derivatives(outputs, before, signs, derivatives)
+    return derivatives
+
+
+def channel(block: LinearBlock, output: int, input_: int) -> LinearBlock | None:
+    """Path of a block from one input to one output, with the states it needs; None if there is none."""
+    edges = block.A != 0.0
+    reached = _closure(edges, block.B[:, input_] != 0.0)
+    seen = _closure(edges.T, block.C[output] != 0.0)
+    states = np.flatnonzero(reached & seen)
+    through = block.D[output, input_]
+    if states.size == 0 and through == 0.0:
+        return None
+    return LinearBlock(
+        block.A[np.ix_(states, states)],
+        block.B[states][:, [input_]],
+        block.C[[output]][:, states],
+        np.array([[through]]),
+        block.sample_time_s,
+    )
+
+
+def _closure(edges: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """States reached from a set of states, where edges[i, j] leads from j to i."""
+    reached = start
+    for _ in range(len(edges)):
+        further = reached | (edges @ reached)
+        if (further == reached).all():
+            break
+        reached = further
+    return reached
+
+
+@dataclass(frozen=True, eq=False)
+class SideBySide:
+    """Copies of a path with one input and one output, one for each column."""
+
+    path: LinearBlock
+    copies: int
+
+    def rest(self) -> Array:
+        """State (copy, state) of paths that were never driven."""
+        return np.zeros((self.copies, len(self.path.A)))
+
+    def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
+        """Outputs (copy, sample) and the state after them."""
+        from hammerstein.dynamics.path_kernel import respond_copies
+
+        path, state, passed = self.path, start.copy(), np.empty_like(columns)
+        respond_copies(path.A, path.B[:, 0], path.C[0], path.D[0, 0], state, columns, passed)
+        return passed, state

@@ -1,0 +1,361 @@
+"""Weights of the static block from records of any kind, by linear least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from hammerstein.dynamics import LinearBlock
+from hammerstein.errors import IdentificationError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.identification.static.normal_equations import (
+    Bounds,
+    Moments,
+    Solution,
+    moments_of,
+    pooled,
+    solve,
+)
+from hammerstein.identification.static.regressors import (
+    Filter,
+    SideBySide,
+    Start,
+    channel,
+    delayed,
+    regressor_blocks,
+)
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+Thresholds = Sequence[Sequence[Array]]
+Weighting = Literal["least_squares", "nonnegative", "invertible"]
+
+LEAST_SLOPE = 0.05
+"""Bound of the slopes of a direct pair, in parts of its mean slope."""
+
+
+@dataclass(frozen=True, eq=False)
+class StaticFit:
+    """A static block found by regression, and how well it fits the records it was found from.
+
+    Parameters
+    ----------
+    hysteresis : thresholds, weights and their standard errors
+    offsets_um : (record, output) readings that belong to an output of zero [um]
+    rms_um : (output,) rms of what is left [um]
+    samples : samples used
+    bounded : slopes (output, input, operator) that stand on their bound, counted from 0
+    open : pairs (output, input) whose weights the records do not determine one by one
+    """
+
+    hysteresis: PrandtlIshlinskii
+    offsets_um: Array
+    rms_um: Array
+    samples: int
+    bounded: tuple[tuple[int, int, int], ...]
+    open: tuple[tuple[int, int], ...]
+
+
+class Layout(NamedTuple):
+    """Where the slopes of each pair stand among the columns of one output.
+
+    ``merge[o]`` (column, slope) sums the columns of the merged threshold grids into those of the pairs;
+    ``parts[o][k]`` are the slopes of the pair of input k.
+    """
+
+    grids: tuple[Array, ...]
+    merge: tuple[Array, ...]
+    parts: tuple[tuple[slice, ...], ...]
+
+    @classmethod
+    def of(cls, thresholds_v: Thresholds) -> Layout:
+        """Lay out the pairs with thresholds (output, input)."""
+        m = len(thresholds_v[0])
+        grids = tuple(np.unique(np.concatenate([row[k] for row in thresholds_v])) for k in range(m))
+        merge, parts = [], []
+        for row in thresholds_v:
+            ends = np.cumsum([len(r) for r in row])
+            parts.append(tuple(slice(int(e) - len(r), int(e)) for e, r in zip(ends, row, strict=True)))
+            sums = np.zeros((sum(map(len, grids)), int(ends[-1])))
+            first = 0
+            for k, r in enumerate(row):
+                owner = np.searchsorted(r, grids[k], side="right") - 1
+                held = np.flatnonzero(owner >= 0)
+                sums[first + held, parts[-1][k].start + owner[held]] = 1.0
+                first += len(grids[k])
+            merge.append(sums)
+        return cls(grids, tuple(merge), tuple(parts))
+
+
+def fit_static(
+    records: Sequence[Record],
+    thresholds_v: Thresholds,
+    *,
+    method: Weighting = "invertible",
+    starts: Sequence[Start] = (),
+    delay_samples: int = 0,
+    through: LinearBlock | Sequence[LinearBlock] | None = None,
+    ridge: float = 0.0,
+) -> StaticFit:
+    """Weights between all inputs and outputs from several records together.
+
+        y_l = offset_l + sum over k, i of w_lki play(u_k; r_lki)         (paper, eq. 4)
+
+    The weights are linear in the plays, so that records with any excitation of one or several inputs at a
+    time serve. Behind a linear block they are linear in the plays that have passed it, too.
+
+    Parameters
+    ----------
+    records : at least one, all with the same axes
+    thresholds_v : (output, input) arrays of thresholds [V]; an empty one leaves the pair out
+    method : ``least_squares``; ``nonnegative``: all weights of a pair have the sign of its gain;
+        ``invertible``: all slopes (partial sums of weights) of the direct pairs stay above a twentieth of
+        the pair's mean slope, weights may be negative
+    starts : what went before each record; rest if not given
+    delay_samples : samples by which the outputs come late
+    through : linear block behind the static one with p inputs, one for all records or one each; its last p
+        outputs are what was recorded
+    ridge : penalty of the weights but the first, relative to the power of the plays
+
+    Raises
+    ------
+    IdentificationError : inputs that never move, or never independently of each other
+
+    Examples
+    --------
+    >>> u = 4.0 * np.sin(np.linspace(0.0, 20.0, 2000))
+    >>> truth = PrandtlIshlinskii([[Pair([0.5, 2.0], [3.0, -1.0])]])
+    >>> record = Record([u], truth.respond([u])[0] - 7.0, 1e-3)
+    >>> fit = fit_static([record], [[np.array([0.5, 2.0])]], method="least_squares")
+    >>> fit.hysteresis.pairs[0][0].weights_um_per_v.round(9), fit.offsets_um.round(9)
+    (array([ 3., -1.]), array([[-7.]]))
+    """
+    layout = Layout.of(thresholds_v)
+    refuse_unreached(records, layout.grids)
+    begun = tuple(starts) or (Start("rest"),) * len(records)
+    moments = static_moments(records, layout.grids, begun, delay_samples, through)
+    return solve_static(records, thresholds_v, layout, moments, method, ridge)
+
+
+def static_moments(
+    records: Sequence[Record],
+    grids: Sequence[Array],
+    starts: Sequence[Start],
+    delay_samples: int = 0,
+    through: LinearBlock | Sequence[LinearBlock] | None = None,
+    *,
+    with_derivatives: bool = False,
+) -> list[Moments]:
+    """Moments of each output with the slope columns of all inputs, over all records.
+
+    ``with_derivatives`` adds as many columns again: the derivatives of the plays by their thresholds.
+    """
+    p = len(records[0].y_um)
+    columns = sum(map(len, grids)) * (1 + with_derivatives)
+    each = list(zip(records, starts, strict=True))
+    if through is None:
+        parts = [_record_moments(*one, grids, delay_samples, (), range(p), with_derivatives) for one in each]
+        return [pooled(parts).of_output(o) for o in range(p)]
+    blocks = [through] * len(records) if isinstance(through, LinearBlock) else through
+    moments = []
+    for o in range(p):
+        parts = [
+            _record_moments(
+                *one, grids, delay_samples, path_filters(blocks, i, o, columns, p), [o], with_derivatives
+            )
+            for i, one in enumerate(each)
+        ]
+        moments.append(pooled(parts))
+    return moments
+
+
+def path_filters(blocks: Sequence[LinearBlock], record: int, o: int, columns: int, p: int) -> list[Filter]:
+    """Path of one of p outputs in the block of a record; the block must not couple the outputs."""
+    if not blocks:
+        return []
+    block = blocks[record]
+    first = block.n_outputs - p
+    paths = [channel(block, first + o, k) for k in range(p)]
+    own = paths.pop(o)
+    if own is None or any(path is not None for path in paths):
+        raise IdentificationError("the linear block couples the outputs; give one that acts on each alone")
+    return [SideBySide(own, columns)]
+
+
+def _record_moments(
+    record: Record,
+    start: Start,
+    grids: Sequence[Array],
+    delay_samples: int,
+    filters: Sequence[Filter],
+    outputs: Sequence[int],
+    with_derivatives: bool,
+) -> Moments:
+    u, y = delayed(record, start, delay_samples), record.y_um[list(outputs)]
+    blocks = regressor_blocks(u, start, grids, filters, with_derivatives=with_derivatives)
+    pairs = ((x, y[:, k : k + x.shape[1]]) for k, x in blocks)
+    return moments_of(pairs, sum(map(len, grids)) * (1 + with_derivatives), len(y))
+
+
+def solve_static(
+    records: Sequence[Record],
+    thresholds_v: Thresholds,
+    layout: Layout,
+    moments: Sequence[Moments],
+    method: Weighting = "invertible",
+    ridge: float = 0.0,
+) -> StaticFit:
+    """Weights from the moments of each output; see ``fit_static``."""
+    free = [_solve_output(layout, o, moment, ridge) for o, moment in enumerate(moments)]
+    refuse_inseparable(records[0], layout, free)
+    solutions = free
+    if method != "least_squares":
+        gains = gains_of(records, thresholds_v, layout, [solution.coefficients for solution in free])
+        solutions = [
+            _solve_output(layout, o, moment, ridge, bounds_of(method, layout, o, gains))
+            for o, moment in enumerate(moments)
+        ]
+    rows = [
+        pairs_of(row, layout, o, solution.coefficients, solution.covariance)
+        for o, (row, solution) in enumerate(zip(thresholds_v, solutions, strict=True))
+    ]
+    parts = [(o, k, part) for o, row in enumerate(layout.parts) for k, part in enumerate(row)]
+    return StaticFit(
+        hysteresis=PrandtlIshlinskii(tuple(rows)),
+        offsets_um=_offsets(layout, moments, solutions),
+        rms_um=np.array([solution.residual_rms for solution in solutions]),
+        samples=moments[0].samples,
+        bounded=tuple(
+            (o, k, int(j)) for o, k, part in parts for j in np.flatnonzero(solutions[o].at_bound[part])
+        ),
+        open=tuple((o, k) for o, k, part in parts if free[o].dependent[part].any()),
+    )
+
+
+def _solve_output(
+    layout: Layout, o: int, moment: Moments, ridge: float, bounds: Bounds | None = None
+) -> Solution:
+    merge = layout.merge[o]
+    gram = merge.T @ moment.gram @ merge
+    penalty = ridge_of(layout.parts[o], gram, ridge) if ridge > 0.0 else None
+    cross = merge.T @ moment.cross[:, 0]
+    return solve(gram, cross, float(moment.power[0]), moment.freedom, bounds=bounds, penalty=penalty)
+
+
+def _differences(parts: Sequence[slice]) -> Array:
+    """Matrix from the slopes to the weights of all pairs of one output."""
+    size = parts[-1].stop
+    matrix = np.eye(size) - np.eye(size, k=-1)
+    for part in parts:
+        if 0 < part.start < size:
+            matrix[part.start, part.start - 1] = 0.0
+    return matrix
+
+
+def ridge_of(parts: Sequence[slice], gram: Array, ridge: float) -> Array:
+    """Penalty of all weights but the first of each pair, in terms of the slopes."""
+    differences = _differences(parts)
+    sums = np.linalg.inv(differences)
+    strength = np.full(len(gram), ridge * float(np.diag(sums.T @ gram @ sums).max()))
+    strength[[part.start for part in parts if part.stop > part.start]] = 0.0
+    return differences.T @ (strength[:, None] * differences)
+
+
+def gains_of(
+    records: Sequence[Record], thresholds_v: Thresholds, layout: Layout, slopes: Sequence[Array]
+) -> Array:
+    """Gain of every pair (output, input) at the amplitude of the records [um/V], from slopes an output."""
+    reach = half_swing(records)
+    gains = np.zeros((len(thresholds_v), len(reach)))
+    for o, row in enumerate(thresholds_v):
+        for k, r in enumerate(row):
+            if r.size:
+                weights = np.diff(slopes[o][layout.parts[o][k]], prepend=0.0)
+                gains[o, k] = weights @ (reach[k] - r) / reach[k]
+    return gains
+
+
+def bounds_of(method: Weighting, layout: Layout, o: int, gains: Array) -> Bounds:
+    """Bounds of the slopes of one output under a method."""
+    return _nonnegative(layout, o, gains) if method == "nonnegative" else _invertible(layout, o, gains)
+
+
+def _nonnegative(layout: Layout, o: int, gains: Array) -> Bounds:
+    """All weights of a pair have the sign of its gain."""
+    side = np.zeros(layout.parts[o][-1].stop)
+    for part, gain in zip(layout.parts[o], gains[o], strict=True):
+        side[part] = 1.0 if gain >= 0.0 else -1.0
+    sums = np.asarray(np.linalg.inv(_differences(layout.parts[o])))
+    return Bounds(sums, side, np.zeros_like(side))
+
+
+def _invertible(layout: Layout, o: int, gains: Array) -> Bounds:
+    """Slopes of the direct pair keep its sign and stay away from zero."""
+    size = layout.parts[o][-1].stop
+    side, bound = np.zeros(size), np.zeros(size)
+    for output, k in direct_pairs(gains):
+        if output == o:
+            side[layout.parts[o][k]] = 1.0 if gains[o, k] > 0.0 else -1.0
+            bound[layout.parts[o][k]] = LEAST_SLOPE * gains[o, k]
+    return Bounds(np.eye(size), side, bound)
+
+
+def direct_pairs(gains: Array) -> list[tuple[int, int]]:
+    """Each output with the input that drives it most, no input twice: pairs (output, input)."""
+    share = np.abs(gains) / np.maximum(np.abs(gains).max(axis=1, keepdims=True), np.finfo(float).tiny)
+    outputs, inputs = linear_sum_assignment(share, maximize=True)
+    return list(zip(outputs.tolist(), inputs.tolist(), strict=True))
+
+
+def pairs_of(
+    row: Sequence[Array], layout: Layout, o: int, slopes: Array, covariance: Array
+) -> tuple[Pair, ...]:
+    """Pairs of one output with weights and standard errors, from its slopes."""
+    differences = _differences(layout.parts[o])
+    weights = differences @ slopes
+    errors = np.sqrt(np.maximum(np.diag(differences @ covariance @ differences.T), 0.0))
+    return tuple(Pair(r, weights[part], errors[part]) for r, part in zip(row, layout.parts[o], strict=True))
+
+
+def _offsets(layout: Layout, moments: Sequence[Moments], solutions: Sequence[Solution]) -> Array:
+    """Readings (record, output) that belong to an output of zero."""
+    columns = [
+        moment.means[:, -1] - moment.means[:, :-1] @ (layout.merge[o] @ solution.coefficients)
+        for o, (moment, solution) in enumerate(zip(moments, solutions, strict=True))
+    ]
+    return np.column_stack(columns)
+
+
+def half_swing(records: Sequence[Record]) -> Array:
+    """Largest half swing of each input (input,) [V]: thresholds above it are never engaged both ways."""
+    return np.asarray(np.max([0.5 * np.ptp(record.u_v, axis=1) for record in records], axis=0))
+
+
+def refuse_unreached(records: Sequence[Record], grids: Sequence[Array]) -> None:
+    """Refuse thresholds that no record engages, and inputs that never move."""
+    for name, reach, grid in zip(records[0].inputs, half_swing(records), grids, strict=True):
+        if grid.size and reach <= 0.0:
+            raise IdentificationError(
+                f"input {name} is never driven, so that nothing can be told of it; record it too"
+            )
+        if grid.size and grid[-1] >= reach:
+            raise IdentificationError(
+                f"the threshold {grid[-1]:g} V of input {name} is never engaged, its largest half swing is "
+                f"{reach:g} V; leave the thresholds from there on out, or record a larger amplitude"
+            )
+
+
+def refuse_inseparable(record: Record, layout: Layout, free: Sequence[Solution]) -> None:
+    """Refuse records in which several inputs never move independently."""
+    for parts, solution in zip(layout.parts, free, strict=True):
+        names = [record.inputs[k] for k, part in enumerate(parts) if solution.dependent[part].any()]
+        if len(names) > 1:
+            raise IdentificationError(
+                f"the records do not tell inputs {' and '.join(names)} apart: they never move independently; "
+                "add records in which one input is driven at a time"
+            )

@@ -1,0 +1,204 @@
+"""Thresholds near the best ones, by Levenberg-Marquardt steps with the weights projected out.
+
+Once the thresholds r are fixed, the weights w of each output follow by linear least squares. So only the
+thresholds are searched (variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432). Each
+step solves the linearised problem for new slopes c and a change of r together,
+
+    y ~ offset + G S c + sum over j of dr_j w_j G dp_j/dr_j
+
+with S the differences of the plays p and G the path behind the static block. The derivative dp/dr is -1 after
+a play was last moved upwards, 1 after downwards and 0 before it was moved; it passes G as the plays do. All
+outputs share the thresholds, so that their normal equations are summed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import LinearBlock
+from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import half_swing, static_moments
+from hammerstein.identification.static.threshold_exchange import price
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+Grids = tuple[Array, ...]
+
+LEAST_GAP = 1e-3
+"""Least distance of the last threshold from the largest half swing, in parts of it."""
+LARGEST_STEP = 0.4
+"""Part of the distance to its neighbour that a threshold moves at most in one step: the order stays."""
+MOST_STEPS = 60
+ENOUGH, ARRIVED_AFTER = 1e-3, 2
+"""Relative gain of a step that counts as none, and how many such steps in a row end the search."""
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e3
+ROUNDING = 1e-15
+"""Part of an output's power under which its squared errors are rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class ThresholdTask:
+    """What stays fixed while the thresholds are fitted.
+
+    Parameters
+    ----------
+    records, starts : what is fitted, and what went before each record
+    delay_samples : whole samples by which the outputs come late
+    through : linear block of each record behind the static one, without coupling; empty if there is none
+    """
+
+    records: Sequence[Record]
+    starts: Sequence[Start]
+    delay_samples: int = 0
+    through: Sequence[LinearBlock] = ()
+
+    @property
+    def reach_v(self) -> Array:
+        """Largest half swing of each input (input,) [V]."""
+        return half_swing(self.records)
+
+    def moments(self, grids: Sequence[Array], *, with_derivatives: bool) -> list[Moments]:
+        """Moments of each output with the differences of the plays, and their derivatives if asked for.
+
+        Plays of inputs that rest in a record are left out of its sums.
+        """
+        driven = [tuple(bool(u.any()) for u in record.u_v) for record in self.records]
+        parts = [self._of_driven(grids, kind, driven, with_derivatives) for kind in dict.fromkeys(driven)]
+        return [pooled(part) for part in zip(*parts, strict=True)]
+
+    def _of_driven(
+        self, grids: Sequence[Array], kind: tuple[bool, ...], driven: list[tuple[bool, ...]], both: bool
+    ) -> list[Moments]:
+        """Moments of the records in which certain inputs are driven."""
+        own = [i for i, each in enumerate(driven) if each == kind]
+        parts = static_moments(
+            [self.records[i] for i in own],
+            [grid if moves else grid[:0] for grid, moves in zip(grids, kind, strict=True)],
+            [self.starts[i] for i in own],
+            self.delay_samples,
+            [self.through[i] for i in own] if self.through else None,
+            with_derivatives=both,
+        )
+        held = np.repeat(kind, [len(grid) for grid in grids])
+        return [_spread(part, np.tile(held, 1 + both)) for part in parts]
+
+
+def _spread(moment: Moments, held: NDArray[np.bool_]) -> Moments:
+    """Moments of one output with columns of zeros where none was held."""
+    n = len(held)
+    gram, cross = np.zeros((n, n)), np.zeros((n, 1))
+    means = np.zeros((len(moment.means), n + 1))
+    gram[np.ix_(held, held)], cross[held] = moment.gram, moment.cross
+    means[:, np.append(held, True)] = moment.means
+    return Moments(gram, cross, moment.power, moment.samples, means)
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """The search at one place: the error there, and the problem linearised about it.
+
+    Parameters
+    ----------
+    grids : thresholds of each input [V]
+    unit : (output,) squared error [um^2] that counts as one
+    cost : sum of the squared errors of all outputs, each in its unit
+    curvature, pull : (threshold, threshold) and (threshold,) normal equations of a change of the
+        thresholds, with the weights eliminated
+    price : part of the cost that a threshold must earn
+    """
+
+    grids: Grids
+    unit: Array
+    cost: float
+    curvature: Array
+    pull: Array
+    price: float
+
+    @property
+    def criterion(self) -> float:
+        """Logarithm of the cost, and the price of the thresholds: the less, the better."""
+        return math.log(max(self.cost, np.finfo(float).tiny)) + self.price * sum(map(len, self.grids))
+
+    def step(self, damping: float, reach_v: Array) -> Grids:
+        """Thresholds after a damped step that keeps their order and their range."""
+        r = np.concatenate(self.grids)
+        lowest, highest = _room(self.grids, reach_v)
+        stuck = ((r <= lowest) & (self.pull < 0.0)) | ((r >= highest) & (self.pull > 0.0))
+        free = np.flatnonzero(~stuck)
+        curvature = self.curvature[np.ix_(free, free)]
+        diagonal = np.diag(self.curvature)
+        floor = 1e-12 * diagonal.max() + np.finfo(float).tiny
+        scale = np.sqrt(np.maximum(diagonal[free], floor))
+        scaled = curvature / np.outer(scale, scale) + damping * np.eye(len(free))
+        moved = r.copy()
+        moved[free] += np.linalg.lstsq(scaled, self.pull[free] / scale, rcond=1e-14)[0] / scale
+        return split(np.clip(moved, lowest, highest), self.grids)
+
+
+def place_at(task: ThresholdTask, grids: Grids, unit: Array | None = None) -> Place:
+    """Error and linearised problem at given thresholds; ``unit`` is the error there if not given."""
+    moments = task.moments(grids, with_derivatives=True)
+    each = [_projected(moment, grids) for moment in moments]
+    squares = np.array([left for left, _, _ in each])
+    if unit is None:
+        least = ROUNDING * np.array([float(moment.power[0]) for moment in moments])
+        unit = np.maximum(squares, np.maximum(least, np.finfo(float).tiny))
+    return Place(
+        grids=grids,
+        unit=unit,
+        cost=float(np.sum(squares / unit)),
+        curvature=np.sum([h / u for (_, h, _), u in zip(each, unit, strict=True)], axis=0),
+        pull=np.sum([g / u for (_, _, g), u in zip(each, unit, strict=True)], axis=0),
+        price=price(len(moments), moments[0].freedom),
+    )
+
+
+def search_near(task: ThresholdTask, grids: Grids, unit: Array | None = None) -> Place:
+    """Levenberg-Marquardt steps from given thresholds until nothing is gained; never worse than there."""
+    reach = task.reach_v
+    here = place_at(task, grids, unit)
+    damping, idle = FIRST_DAMPING, 0
+    for _ in range(MOST_STEPS):
+        there = place_at(task, here.step(damping, reach), here.unit)
+        if there.cost < here.cost:
+            idle = idle + 1 if there.cost > (1.0 - ENOUGH) * here.cost else 0
+            here, damping = there, max(0.1 * damping, LEAST_DAMPING)
+        else:
+            damping *= 10.0
+        if idle >= ARRIVED_AFTER or damping > MOST_DAMPING:
+            break
+    return here
+
+
+def split(r: Array, grids: Sequence[Array]) -> Grids:
+    """Thresholds of all inputs, one after the other, as a grid of each input."""
+    return tuple(np.split(r, np.cumsum([len(grid) for grid in grids])[:-1]))
+
+
+def _projected(moment: Moments, grids: Grids) -> tuple[float, Array, Array]:
+    """Squared error of one output, curvature and pull of the thresholds with its weights eliminated."""
+    n = len(moment.gram) // 2
+    gram, mixed, cross = moment.gram[:n, :n], moment.gram[:n, n:], moment.cross[:, 0]
+    both = coefficients(gram, np.column_stack([cross[:n], mixed]))
+    slopes, drag = both[:, 0], both[:, 1:]
+    weights = np.concatenate([np.diff(part, prepend=0.0) for part in split(slopes, grids)])
+    curvature = (moment.gram[n:, n:] - mixed.T @ drag) * np.outer(weights, weights)
+    pull = (cross[n:] - mixed.T @ slopes) * weights
+    return squares_left(gram, cross[:n], float(moment.power[0]), slopes), curvature, pull
+
+
+def _room(grids: Grids, reach_v: Array) -> tuple[Array, Array]:
+    """Lowest and highest value (threshold,) that each threshold may take in one step [V]."""
+    lowest, highest = [], []
+    for r, reach in zip(grids, reach_v, strict=True):
+        gaps = LARGEST_STEP * np.diff(r)
+        top = max((1.0 - LEAST_GAP) * reach, float(r[-1])) if r.size else 0.0
+        lowest += [0.0, *(r[1:] - gaps)][: r.size]
+        highest += [*(r[:-1] + gaps), top][: r.size]
+    return np.array(lowest), np.array(highest)

@@ -1,0 +1,1 @@
+"""Measured records: reading, checking, preparing, and their loops."""

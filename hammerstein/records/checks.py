@@ -1,0 +1,206 @@
+"""What can be wrong with a measured record, each mistake with its column and row and what to do.
+
+All functions return mistakes instead of raising them, so that one message can tell all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import Mistake
+from hammerstein.records.noise import quantum
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+FEWEST_SAMPLES = 20
+CLIPPED_RUN = 4
+"""Equal extreme samples in a row that make a suspicion of clipping."""
+SHOWN = 5
+"""Places of one kind of mistake that are listed; the rest is counted."""
+VOLTAGE_RANGE = 1e-4, 1e4
+DISPLACEMENT_RANGE = 1e-3, 1e5
+"""Ranges that a record in V and um can have; anything else is a matter of units."""
+
+
+def where(name: str, rows: Rows | None = None, start: int = 0, stop: int = 0) -> str:
+    """``column x, row 5`` or ``column x, rows 5 to 9`` for the samples start..stop (both included)."""
+    if rows is None:
+        return f"column {name}"
+    if start == stop:
+        return f"column {name}, row {rows[start]}"
+    return f"column {name}, rows {rows[start]} to {rows[stop]}"
+
+
+def runs(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """First and last index of every run of True: (run, 2)."""
+    edges = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
+    return np.column_stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1])
+
+
+def gap_mistakes(names: Sequence[str], values: Array, rows: Rows) -> Iterator[Mistake]:
+    """Samples without a number, in runs; values (column, sample)."""
+    for name, column in zip(names, values, strict=True):
+        gaps = runs(~np.isfinite(column))
+        for start, stop in gaps[:SHOWN]:
+            count = stop - start + 1
+            what = "holds no finite number" if count == 1 else f"gap of {count} samples without a number"
+            yield Mistake(where(name, rows, start, stop), f"{what}; mend the record or cut it before the gap")
+        if len(gaps) > SHOWN:
+            yield Mistake(where(name), f"{len(gaps) - SHOWN} more gaps further down")
+
+
+def length_mistakes(samples: int) -> Iterator[Mistake]:
+    """Too few samples to identify anything."""
+    if samples < FEWEST_SAMPLES:
+        yield Mistake(
+            "length",
+            f"{samples} samples are too short; give {FEWEST_SAMPLES} or more, at least one full cycle",
+        )
+
+
+def still_mistakes(names: Sequence[str], values: Array, rows: Rows, kind: str) -> Iterator[Mistake]:
+    """All columns of one kind stand still: values (column, sample)."""
+    if values.size == 0 or any(moves(column) for column in values):
+        return
+    for name, column in zip(names, values, strict=True):
+        yield still_mistake(where(name, rows, 0, len(column) - 1), column, kind)
+
+
+def still_mistake(place: str, column: Array, kind: str) -> Mistake:
+    """One column that never moves."""
+    remedy = (
+        "drive it, or leave it out of the inputs"
+        if kind == "input"
+        else "check the sensor and its cable, or leave it out of the outputs"
+    )
+    return Mistake(place, f"constant {kind}, always {column[0]:.9g}; {remedy}")
+
+
+def moves(column: Array) -> bool:
+    """Whether a column does more than repeat one number with rounding errors."""
+    return float(np.ptp(column)) > 1e-9 * float(np.abs(column).max())
+
+
+def unit_mistake(place: str, span: float, kind: str) -> Mistake | None:
+    """A range that no record in V or um can have, with the scale to try."""
+    low, high = VOLTAGE_RANGE if kind == "input" else DISPLACEMENT_RANGE
+    if low <= span <= high:
+        return None
+    unit = "V" if kind == "input" else "um"
+    small = {"kV": "1e3"} if kind == "input" else {"m": "1e6", "mm": "1e3"}
+    large = {"mV": "1e-3"} if kind == "input" else {"nm": "1e-3"}
+    typed = small if span < low else large
+    scales = " or ".join(f"--{kind}-scale {scale} if the file is in {name}" for name, scale in typed.items())
+    return Mistake(place, f"covers {span:.3g} {unit}, which cannot be; try {scales}")
+
+
+def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Rows) -> Iterator[Mistake]:
+    """Outputs that stand at one extreme value while the voltages would push them further.
+
+    A hysteretic output also stands still right after a reversal, but only while the voltage moves away
+    from the extreme; a quantised one stands still for about one step. Neither counts.
+    """
+    for name, column in zip(names, y, strict=True):
+        stretches = [*_clipped(u, column, 1.0), *_clipped(u, column, -1.0)]
+        if stretches:
+            start, stop = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+            times = f" ({len(stretches)} such stretches)" if len(stretches) > 1 else ""
+            yield Mistake(
+                where(name, rows, start, stop),
+                f"stands at {column[start]:.6g} while the voltage goes on{times}: the sensor or the drive is "
+                "clipped; lower the amplitude or use a larger range",
+            )
+
+
+def _clipped(u: Array, column: Array, side: float) -> list[tuple[int, int]]:
+    signed = side * column
+    stretches = runs(signed == signed.max())
+    stretches = stretches[stretches[:, 1] - stretches[:, 0] + 1 >= CLIPPED_RUN]
+    span = float(np.ptp(column))
+    if len(stretches) == 0 or span == 0.0:
+        return []
+    push = side * _straight_line(u, column)
+    limit = max(0.01 * span, 3.0 * quantum(column))
+    return [(int(a), int(b)) for a, b in stretches if push[a : b + 1].max() - push[a] > limit]
+
+
+def _straight_line(u: Array, column: Array) -> Array:
+    """Best linear function of the voltages: what the output would do without hysteresis or limits."""
+    centred = u - u.mean(axis=1, keepdims=True)
+    gain = np.linalg.lstsq(centred @ centred.T, centred @ (column - column.mean()), rcond=None)[0]
+    return np.asarray(gain @ centred)
+
+
+def time_mistakes(name: str, time_s: Array, rows: Rows) -> list[Mistake]:
+    """Where a time column is not a uniform grid: steps back, gaps, jitter."""
+    steps = np.diff(time_s)
+    typical = float(np.median(steps))
+    back = np.flatnonzero(steps <= 0)
+    if back.size:
+        k = int(back[0])
+        return [
+            Mistake(
+                where(name, rows, k, k + 1),
+                f"time does not increase ({time_s[k]:.9g} s, then {time_s[k + 1]:.9g} s; {back.size} such "
+                "steps); write it with more digits, or leave it out and give --rate",
+            )
+        ]
+    gaps = np.flatnonzero(steps > 1.5 * typical)
+    short = np.count_nonzero(steps < 0.5 * typical)
+    if gaps.size > 2 * short:  # else long and short steps make up for each other: jitter
+        return [_time_gap(name, time_s, rows, int(k), typical) for k in gaps[:SHOWN]] + _more(name, gaps.size)
+    deviation = np.abs(time_s - _grid(time_s))
+    if deviation.max() > time_tolerance(time_s):
+        k = int(np.argmax(deviation))
+        return [
+            Mistake(
+                where(name, rows, k, k),
+                f"non-uniform time: steps from {steps.min():.6g} to {steps.max():.6g} s; resample the record "
+                "onto one sample time, or give --rate if the sampling was uniform in truth",
+            )
+        ]
+    return []
+
+
+def _time_gap(name: str, time_s: Array, rows: Rows, k: int, typical: float) -> Mistake:
+    step = float(time_s[k + 1] - time_s[k])
+    missing = max(round(step / typical) - 1, 1)
+    return Mistake(
+        where(name, rows, k, k + 1),
+        f"gap of {step:.6g} s, about {missing} missing samples; cut the record there",
+    )
+
+
+def _more(name: str, count: int) -> list[Mistake]:
+    return [Mistake(where(name), f"{count - SHOWN} more gaps further down")] if count > SHOWN else []
+
+
+def _grid(time_s: Array) -> Array:
+    return np.linspace(time_s[0], time_s[-1], len(time_s))
+
+
+def time_tolerance(time_s: Array) -> float:
+    """Distance from the uniform grid that is allowed: a tenth of a sample, or the last digit written."""
+    step = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    return min(max(0.1 * step, 1.05 * _last_digit(time_s)), 0.6 * step)
+
+
+def _last_digit(time_s: Array) -> float:
+    """Decimal unit of which all instants are multiples; 0 beyond nine digits."""
+    for digits in range(10):
+        unit = 10.0**-digits
+        if np.all(np.abs(time_s / unit - np.round(time_s / unit)) < 1e-3):
+            return unit
+    return 0.0
+
+
+def sample_time(time_s: Array) -> float:
+    """Sample time of a uniform time column [s], at a whole rate [Hz] where the last digit allows one."""
+    step = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    rate = round(1.0 / step)
+    allowed = 2.0 * max(_last_digit(time_s), 1e-9 * step) / (len(time_s) - 1)
+    return 1.0 / rate if rate > 0 and abs(1.0 / rate - step) <= allowed else step

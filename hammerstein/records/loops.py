@@ -1,0 +1,334 @@
+"""Hysteresis loops in measured records: size, width, area, closure, drift, and whether they have settled.
+
+A loop runs from one turning point of a voltage to the next but one. Its lines are found on the voltage,
+which is commanded and clean, so that sensor noise opens no loop and closes none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import InputError, Mistake
+from hammerstein.records.noise import noise_rms, quantum
+from hammerstein.records.preparation import driven_inputs
+from hammerstein.records.record import Record
+from hammerstein.records.turning_points import Excursion, find_cycles
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+SMOOTHED = 10
+"""Most samples on each side that a noisy output is smoothed over."""
+AROUND_TIP = 5
+"""Most samples on each side of a tip that its closure is averaged over."""
+CLEAN = 1e-4
+"""Noise, in parts of the range, up to which nothing is smoothed."""
+GRID = 64
+"""Voltages on each branch at which two cycles are compared."""
+SETTLED_SHARE = 0.005
+"""Part of the height by which a settled cycle may differ from its neighbour, beside the noise."""
+SETTLED_NOISE = 3.0
+"""And the noise, times this: the rms difference of two equal cycles is 1.4 times the noise."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One loop of one pair of axes.
+
+    Parameters
+    ----------
+    input, output : names of the axes
+    start, turn, stop : samples at which it begins, turns, and is closed
+    minor : whether it is an excursion on the branch of a larger loop
+    amplitude_v : half the swing of the voltage [V]
+    mid_v : voltage in the middle of the swing [V]
+    height_um : peak to peak of the output [um]
+    width_um : falling minus rising branch at mid_v [um]; positive when the output lags
+    area_v_um : area inside, in shoelace form [V um]; positive when the output lags
+    closure_um : output at the end minus at the start [um], at the voltage of the start
+    drift_um : mean rise of the output to the next cycle of this amplitude [um], or from the one before;
+        the closure where there is neither
+    settled : whether it repeats in a neighbouring cycle within the noise; where no neighbour has its
+        amplitude, whether voltage and output are closed
+
+    Notes
+    -----
+    The width in percent is 100 h / H of the paper (section 5.2): the opening at mid voltage over the height.
+    """
+
+    input: str
+    output: str
+    start: int
+    turn: int
+    stop: int
+    minor: bool
+    amplitude_v: float
+    mid_v: float
+    height_um: float
+    width_um: float
+    area_v_um: float
+    closure_um: float
+    drift_um: float
+    settled: bool
+
+    @property
+    def width_percent(self) -> float:
+        """Opening at mid voltage in percent of the height; 0 for a loop without height."""
+        return 100.0 * self.width_um / self.height_um if self.height_um > 0 else 0.0
+
+    @property
+    def samples(self) -> int:
+        """Samples from the start to the close."""
+        return self.stop - self.start
+
+
+class Branches(NamedTuple):
+    """Both branches of a loop, each (sample,) in the order of time, tips included."""
+
+    rising_v: Array
+    rising_um: Array
+    falling_v: Array
+    falling_um: Array
+
+
+class _Path(NamedTuple):
+    """One excursion of a pair, minor loops left out.
+
+    ``tips`` are voltage and output at the start, then at the stop, averaged over the samples around them;
+    ``noise`` is that of the output [um].
+    """
+
+    excursion: Excursion
+    u: Array
+    y: Array
+    turn: int
+    tips: tuple[float, float, float, float]
+    noise: float
+
+
+def loop_table(record: Record) -> list[Loop]:
+    """All loops of a record, pair by pair (inputs that are driven, every output), in the order of time.
+
+    Sines, triangles, modulated amplitudes, nested loops; the period need not be known. The first stretch
+    from rest belongs to no loop. A record without a whole cycle gives an empty list.
+
+    Parameters
+    ----------
+    record : voltages and displacements
+
+    Examples
+    --------
+    >>> from hammerstein.hysteresis import play
+    >>> u = 10.0 * np.sin(2.0 * np.pi * np.arange(1200) / 400)
+    >>> loops = loop_table(Record([u], 5.0 * play(u, [2.0]), 5e-5))
+    >>> len(loops), loops[0].settled, round(loops[0].height_um, 3), round(loops[0].area_v_um, 1)
+    (2, True, 80.0, 320.0)
+    """
+    return [
+        loop
+        for k in driven_inputs(record)
+        for o in range(len(record.y_um))
+        for loop in pair_loops(record, k, o)
+    ]
+
+
+def pair_loops(record: Record, input_index: int, output_index: int) -> list[Loop]:
+    """Loops of one input and one output, both counted from 0."""
+    u, y = record.u_v[input_index], record.y_um[output_index]
+    cycles = find_cycles(u)
+    noise = max(noise_rms(y), 0.3 * quantum(y))  # rms error of rounding: 0.29 steps
+    noise = noise if noise > CLEAN * float(np.ptp(y)) else 0.0
+    minor = [excursion for excursion in cycles.excursions if excursion.minor]
+    paths = [_path(u, y, excursion, minor, noise) for excursion in cycles.excursions]
+    names = record.inputs[input_index], record.outputs[output_index]
+    loops = [_measured(path, *names) for path in paths]
+    return [_compared(k, loops, paths, cycles.band_v) for k in range(len(loops))]
+
+
+def settled_loop(record: Record, input_index: int = 0, output_index: int = 0) -> Loop:
+    """The last settled loop of the largest amplitude, no minor loop.
+
+    Raises
+    ------
+    InputError : the record holds no whole cycle, or ends before any cycle has settled
+    """
+    loops = [loop for loop in pair_loops(record, input_index, output_index) if not loop.minor]
+    settled = [loop for loop in loops if loop.settled]
+    if settled:
+        largest = max(loop.amplitude_v for loop in settled)
+        return [loop for loop in settled if loop.amplitude_v >= 0.99 * largest][-1]
+    pair = f"column {record.outputs[output_index]} over {record.inputs[input_index]}"
+    found = f"{len(loops) or 'no'} full cycle{'s' * (len(loops) != 1)} up to row {record.rows[-1]}"
+    moving = f", still moving by {loops[-1].drift_um:.3g} um" if loops else ""
+    what = f"too short to settle: {found}{moving}; record more cycles at one amplitude"
+    raise InputError(record.source, [Mistake(pair, what)])
+
+
+def branches(record: Record, loop: Loop) -> Branches:
+    """Rising and falling branch of a loop as measured, without the minor loops on them.
+
+    Parameters
+    ----------
+    record : the record in which the loop was found
+    loop : one of its loops
+
+    Examples
+    --------
+    >>> u = np.interp(np.arange(60.0), [0, 10, 30, 50, 59], [0, 1, -1, 1, 0.1])
+    >>> record = Record([u], [2.0 * u], 1e-3)
+    >>> branches(record, loop_table(record)[0]).rising_um[[0, -1]]
+    array([-2.,  2.])
+    """
+    u = record.u_v[record.inputs.index(loop.input)]
+    y = record.y_um[record.outputs.index(loop.output)]
+    excursion = Excursion(loop.start, loop.turn, loop.stop, loop.minor)
+    minor = [other for other in find_cycles(u).excursions if other.minor]
+    path = _path(u, y, excursion, minor, 0.0)
+    first = path.u[: path.turn + 1], path.y[: path.turn + 1]
+    second = path.u[path.turn :], path.y[path.turn :]
+    rising, falling = (first, second) if path.u[path.turn] > path.u[0] else (second, first)
+    return Branches(*rising, *falling)
+
+
+def _path(u: Array, y: Array, excursion: Excursion, minor: Sequence[Excursion], noise: float) -> _Path:
+    start, _, stop, _ = excursion
+    kept = np.ones(stop - start + 1, dtype=bool)
+    for other in minor:
+        if start < other.start and other.stop <= stop:
+            kept[other.start + 1 - start : other.stop - start] = False
+    samples = np.flatnonzero(kept) + start
+    turn = int(np.searchsorted(samples, excursion.turn))
+    # a few samples around both ends alike: less noise, and what the corner adds is the same at both
+    noisy = noise > 0.0 and not excursion.minor
+    reach = min(len(samples) // 200, AROUND_TIP, start, len(u) - 1 - stop) if noisy else 0
+    around = [slice(tip - reach, tip + reach + 1) for tip in (start, stop)]
+    u_start, y_start, u_stop, y_stop = (float(signal[near].mean()) for near in around for signal in (u, y))
+    return _Path(excursion, u[samples], y[samples], turn, (u_start, y_start, u_stop, y_stop), noise)
+
+
+def _measured(path: _Path, input_name: str, output_name: str) -> Loop:
+    """Everything that a loop tells without its neighbours."""
+    u, y = path.u, path.y
+    smooth = np.concatenate([_smooth(y[: path.turn], path.noise), _smooth(y[path.turn :], path.noise)])
+    low, high = float(u.min()), float(u.max())
+    mid = 0.5 * (low + high)
+    falling_first = u[path.turn] < u[0]
+    first, second = slice(0, path.turn + 1), slice(path.turn, None)
+    rising, falling = (second, first) if falling_first else (first, second)
+    width = _at(u[falling], y[falling], mid, path.noise) - _at(u[rising], y[rising], mid, path.noise)
+    u_start, y_start, u_stop, y_stop = path.tips
+    closure = y_stop - y_start + _end_slope(u, smooth, path.turn) * (u_start - u_stop)
+    excursion = path.excursion
+    return Loop(
+        input=input_name,
+        output=output_name,
+        start=excursion.start,
+        turn=excursion.turn,
+        stop=excursion.stop,
+        minor=excursion.minor,
+        amplitude_v=0.5 * (high - low),
+        mid_v=mid,
+        height_um=float(np.ptp(smooth)),
+        width_um=width,
+        area_v_um=_area(u, y),
+        closure_um=closure,
+        drift_um=closure,
+        settled=False,
+    )
+
+
+def _area(u: Array, y: Array) -> float:
+    """Shoelace formula; the loop is closed by the straight line from its end to its start."""
+    v, x = u - u[0], y - y[0]  # smaller numbers, smaller rounding errors
+    return 0.5 * float(v[:-1] @ x[1:] - v[1:] @ x[:-1])
+
+
+def _smooth(y: Array, noise: float) -> Array:
+    """One branch without noise: local parabolas, one-sided at the tips, for the branch has corners there."""
+    half = min(len(y) // 40, SMOOTHED)
+    if half < 2 or noise <= CLEAN * float(np.ptp(y)):
+        return y
+    fit = _local_parabola(half)
+    begin, end = fit[:half] @ y[: len(fit)], fit[half + 1 :] @ y[-len(fit) :]
+    return np.concatenate([begin, np.convolve(y, fit[half][::-1], mode="valid"), end])
+
+
+@cache
+def _local_parabola(half: int) -> Array:
+    """Matrix that turns 2 half + 1 samples into their least-squares parabola (Savitzky and Golay, 1964)."""
+    powers = np.vander(np.linspace(-1.0, 1.0, 2 * half + 1), 3)
+    return powers @ np.linalg.pinv(powers)
+
+
+def _at(u: Array, y: Array, level_v: float, noise: float) -> float:
+    """Output of a branch at a voltage: between two samples, or from a parabola through many noisy ones."""
+    swing = abs(float(u[-1] - u[0]))
+    near = np.abs(u - level_v) <= 0.075 * swing
+    if noise > CLEAN * float(np.ptp(y)) and np.count_nonzero(near) >= 8:
+        centred = (u[near] - level_v) / swing
+        return float(np.linalg.lstsq(np.vander(centred, 3), y[near], rcond=None)[0][-1])
+    return float(np.interp(level_v, *_increasing(u, y)))
+
+
+def _increasing(u: Array, y: Array) -> tuple[Array, Array]:
+    """A branch in the order of its voltage; voltages that step back in the noise are held."""
+    if u[-1] < u[0]:
+        u, y = u[::-1], y[::-1]
+    return np.maximum.accumulate(u), y
+
+
+def _end_slope(u: Array, y: Array, turn: int) -> float:
+    """Slope of the last branch [um/V] over the last tenth of its swing, towards its end."""
+    swing = float(u[-1] - u[turn])
+    back = turn + int(np.argmax(np.abs(u[turn:] - u[-1]) <= 0.1 * abs(swing)))
+    run = float(u[-1] - u[back])
+    return float(y[-1] - y[back]) / run if abs(run) > 0.02 * abs(swing) else 0.0
+
+
+def _compared(k: int, loops: Sequence[Loop], paths: Sequence[_Path], band_v: float) -> Loop:
+    """Drift and settling, from the next cycle of the same amplitude or, failing that, the one before."""
+    loop, path = loops[k], paths[k]
+    limit = SETTLED_NOISE * path.noise + SETTLED_SHARE * loop.height_um
+    same_v = max(band_v, SETTLED_SHARE * loop.amplitude_v, 0.5 * _tip_step(path))
+    after = next((i for i in range(k + 1, len(loops)) if loops[i].minor == loop.minor), None)
+    before = next((i for i in range(k - 1, -1, -1) if loops[i].minor == loop.minor), None)
+    for other, sign in ((after, 1.0), (before, -1.0)):
+        if other is None:
+            continue
+        apart_v = _apart(path, paths[other])
+        if apart_v <= same_v:
+            # where samples miss the tips, voltages differ a little: twice the mean slope of that is no drift
+            explained = apart_v * loop.height_um / loop.amplitude_v
+            difference = sign * (_profile(paths[other]) - _profile(path))
+            alike = float(np.sqrt(np.mean(difference**2))) <= limit + explained
+            # the first cycle from rest differs where it begins only, which shows in what does not close
+            settled = alike and abs(loop.closure_um) <= limit + explained
+            return replace(loop, drift_um=float(difference.mean()), settled=settled)
+    closed = abs(float(path.u[0] - path.u[-1])) <= max(same_v, 0.01 * loop.amplitude_v)
+    return replace(loop, settled=closed and abs(loop.closure_um) <= limit)
+
+
+def _apart(a: _Path, b: _Path) -> float:
+    """Largest distance between the voltages at which two cycles start, turn and stop."""
+    return max(abs(float(a.u[i] - b.u[j])) for i, j in ((0, 0), (a.turn, b.turn), (-1, -1)))
+
+
+def _tip_step(path: _Path) -> float:
+    """Largest step of the voltage beside a tip: sampling may cut off half of it."""
+    steps = np.abs(np.diff(path.u))
+    return float(max(steps[0], steps[path.turn - 1], steps[path.turn], steps[-1]))
+
+
+def _profile(path: _Path) -> Array:
+    """Output on a fixed grid of voltage, first branch then second; tips left out, where slopes are steep."""
+    low, high = float(path.u.min()), float(path.u.max())
+    grid = np.linspace(low, high, GRID + 2)[1:-1]
+    first = np.interp(grid, *_increasing(path.u[: path.turn + 1], path.y[: path.turn + 1]))
+    second = np.interp(grid, *_increasing(path.u[path.turn :], path.y[path.turn :]))
+    return np.concatenate([first, second])

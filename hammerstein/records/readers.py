@@ -1,0 +1,202 @@
+"""Columns of numbers out of files: text, NumPy, MATLAB and Parquet.
+
+How a column is named
+    by its name in the header or by its number from 1: text, Parquet and two-dimensional arrays;
+    ``NAME`` or ``NAME:3``: the only, or the third, column of the variable NAME in an ``.npz`` or ``.mat``
+    file; a field of a MATLAB structure has a dotted name, ``data.u:2``;
+    ``2:1:5`` or ``NAME:2:1:5``: an array of more than two axes, with one number from 1 for every axis but
+    that of time. The axis of time of an array is its longest one.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import InputError, Mistake
+from hammerstein.records.array_files import SUFFIXES, array_columns, whole_array
+from hammerstein.records.checks import gap_mistakes, where
+from hammerstein.records.text_files import find_layout, read_text
+
+TIME_NAMES = ("time_s", "time", "t_s", "t", "time [s]", "t [s]", "time (s)")
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns taken from one file.
+
+    Parameters
+    ----------
+    source : the file
+    names : name of each column
+    values : (column, sample), not finite where a number is missing
+    rows : (sample,) row of each sample in the file, from 1
+    mistakes : fields without a number
+    """
+
+    source: str
+    names: tuple[str, ...]
+    values: Array
+    rows: Rows
+    mistakes: tuple[Mistake, ...]
+
+
+def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
+    """Columns of one file; the end of its name tells the format.
+
+    Parameters
+    ----------
+    path : ``.npy``, ``.npz``, ``.mat``, ``.parquet``; anything else is read as text
+    wanted : columns by name or number, see the top of this module
+
+    Raises
+    ------
+    InputError : a missing, empty or unreadable file, unknown columns (with the names that exist)
+    """
+    path = Path(path)
+    _refuse_missing(path)
+    suffix = path.suffix.lower()
+    if suffix in SUFFIXES:
+        values = array_columns(path, wanted)
+        return _columns(path, tuple(wanted), values, np.arange(1, values.shape[1] + 1))
+    if suffix in (".parquet", ".pq"):
+        return _parquet_columns(path, wanted)
+    layout = find_layout(path)
+    indices = _choose(path, wanted, layout.names, layout.width)
+    names = tuple(_label(index, layout.names) for index in indices)
+    values, rows, text = read_text(path, layout, indices, names)
+    return _columns(path, names, values, rows, text)
+
+
+def named_time(path: str | Path) -> Columns | None:
+    """The column of a text or Parquet file that is called a time in seconds, if it has one that can be read.
+
+    Raises
+    ------
+    InputError : a missing, empty or unreadable file
+    """
+    path = Path(path)
+    if path.suffix.lower() in SUFFIXES:
+        return None
+    for name in TIME_NAMES:
+        try:
+            columns = read_columns(path, [name])
+        except InputError:
+            continue
+        return columns if np.isfinite(columns.values).all() and columns.rows.size > 1 else None
+    return None
+
+
+def read_array(path: str | Path, variable: str | None = None) -> Array:
+    """One numeric array of an ``.npy``, ``.npz`` or ``.mat`` file, with all its axes.
+
+    Parameters
+    ----------
+    path : file
+    variable : its name, where the file holds more than one
+
+    Raises
+    ------
+    InputError : a missing or unreadable file, an unknown variable (with the names that exist)
+    """
+    path = Path(path)
+    _refuse_missing(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(str(path), f"is no file of arrays; give one of {', '.join(SUFFIXES)}")
+    return whole_array(path, variable or "")
+
+
+def _refuse_missing(path: Path) -> None:
+    try:
+        if not path.is_file():
+            what = (
+                "is a folder; give a file" if path.is_dir() else "does not exist; check its name and folder"
+            )
+            raise InputError(str(path), what)
+        if path.stat().st_size == 0:
+            raise InputError(str(path), "is empty (0 bytes); record it again")
+        path.open("rb").close()
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read ({(error.strerror or str(error)).lower()})") from None
+
+
+def _columns(
+    path: Path, names: tuple[str, ...], values: Array, rows: Rows, text: Sequence[Mistake] = ()
+) -> Columns:
+    """Columns with a mistake for every gap, save the gaps that text has left."""
+    spoiled = {mistake.where for mistake in text}
+    gaps = [mistake for mistake in gap_mistakes(names, values, rows) if mistake.where not in spoiled]
+    return Columns(str(path), names, values, rows, (*text, *gaps))
+
+
+def _choose(path: Path, wanted: Sequence[str], names: Sequence[str], width: int) -> list[int]:
+    """Index of each wanted column: by name as written, then by number, then by name in any case."""
+    indices: list[int] = []
+    mistakes: list[Mistake] = []
+    for column in wanted:
+        found = [k for k, name in enumerate(names) if name == column]
+        if not found and column.isdecimal() and 1 <= int(column) <= width:
+            found = [int(column) - 1]
+        found = found or [k for k, name in enumerate(names) if name.lower() == column.lower()]
+        if len(found) == 1:
+            indices.append(found[0])
+        elif found:
+            numbers = " and ".join(str(k + 1) for k in found)
+            what = f"stands {len(found)} times in the header; give its number, {numbers}"
+            mistakes.append(Mistake(f"column {column}", what))
+        else:
+            mistakes.append(
+                Mistake(f"column {column}", "is not in the file; " + _known(column, names, width))
+            )
+    if len(set(indices)) < len(indices):
+        mistakes.append(Mistake("columns", "one column is named twice, by name and by number"))
+    if mistakes:
+        raise InputError(str(path), mistakes)
+    return indices
+
+
+def _known(column: str, names: Sequence[str], width: int) -> str:
+    if not any(names):
+        return f"it has no header: name columns by number, 1 to {width}"
+    near = difflib.get_close_matches(column, names, n=1)
+    suggestion = f"did you mean {near[0]}? " if near else ""
+    listed = ", ".join(f"{k + 1} {name}" for k, name in enumerate(names[:20]) if name)
+    return f"{suggestion}it has {listed}{', ...' if len(names) > 20 else ''}"
+
+
+def _label(index: int, names: Sequence[str]) -> str:
+    return names[index] if names and names[index] else str(index + 1)
+
+
+def _parquet_columns(path: Path, wanted: Sequence[str]) -> Columns:
+    try:
+        import pyarrow as arrow
+        from pyarrow import parquet
+    except ImportError:
+        what = "reading Parquet needs pyarrow: pip install pyarrow, or convert the file to CSV"
+        raise InputError(str(path), what) from None
+    try:
+        with parquet.ParquetFile(path) as file:
+            names = list(file.schema_arrow.names)
+            chosen = tuple(names[k] for k in _choose(path, wanted, names, len(names)))
+            table = file.read(columns=list(chosen))
+    except (OSError, arrow.ArrowException) as error:
+        raise InputError(str(path), f"is no Parquet file that can be read ({error})") from None
+    values = np.full((len(chosen), table.num_rows), np.nan)
+    rows = np.arange(1, table.num_rows + 1)
+    text = []
+    for k, name in enumerate(chosen):
+        try:
+            values[k] = table[name].cast(arrow.float64()).to_numpy()
+        except (arrow.ArrowException, TypeError):
+            what = f"holds {table[name].type}, not numbers; choose another column"
+            text.append(Mistake(where(name, rows, 0, table.num_rows - 1), what))
+    return _columns(path, chosen, values, rows, text)

@@ -1,0 +1,411 @@
+"""Measured records: what was fed in, what came out, on one uniform time grid."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import InitVar, dataclass, field
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hammerstein.errors import InputError, Mistake
+from hammerstein.records.checks import (
+    clipping_mistakes,
+    gap_mistakes,
+    length_mistakes,
+    moves,
+    sample_time,
+    still_mistake,
+    still_mistakes,
+    time_mistakes,
+    unit_mistake,
+    where,
+)
+from hammerstein.records.readers import Columns, named_time, read_array, read_columns
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+PathLike = str | Path
+
+OTHER_UNIT = re.compile(r"(^|[^a-z])(ms|us|µs|ns|min)\W*$", re.IGNORECASE)
+OTHER_RATE = 0.01
+"""Part by which a rate may differ from the one of the file's time column."""
+AXES = ("sample", "channel", "experiment", "period")
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One experiment on one actuator.
+
+    Parameters
+    ----------
+    u_v : (input, sample) voltages [V]
+    y_um : (output, sample) displacements [um]
+    sample_time_s : time between two samples [s]
+    inputs, outputs : names of the axes; ``u1``, ``u2``, ... and ``y1``, ``y2``, ... if not given
+    source : where the record comes from, named in every message
+    rows : (sample,) row of each sample in its file, from 1
+    period_samples : length of one period, where the experiment is known to be periodic
+    verified : True skips the search for mistakes, for a part of a record that has passed it
+
+    Raises
+    ------
+    InputError : gaps, too few samples, constant inputs or outputs, clipped sensor, impossible units
+
+    Examples
+    --------
+    >>> u = np.sin(np.linspace(0.0, 12.0, 300))
+    >>> record = Record([u], [5.0 * u], 1e-3)
+    >>> record.samples, record.inputs, record.outputs
+    (300, ('u1',), ('y1',))
+    """
+
+    u_v: Array
+    y_um: Array
+    sample_time_s: float
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    source: str = "record"
+    rows: Rows = field(default_factory=lambda: np.empty(0, dtype=np.int64), repr=False)
+    period_samples: int | None = None
+    verified: InitVar[bool] = False
+
+    def __post_init__(self, verified: bool) -> None:
+        u, y = _read_only(self.u_v), _read_only(self.y_um)
+        self._refuse_shapes(u, y)
+        rows = np.asarray(self.rows, dtype=np.int64)
+        rows = rows.copy() if rows.size else np.arange(1, u.shape[1] + 1)
+        rows.flags.writeable = False
+        for name, value in (
+            ("u_v", u),
+            ("y_um", y),
+            ("sample_time_s", float(self.sample_time_s)),
+            ("inputs", tuple(self.inputs) or tuple(f"u{k + 1}" for k in range(len(u)))),
+            ("outputs", tuple(self.outputs) or tuple(f"y{o + 1}" for o in range(len(y)))),
+            ("rows", rows),
+        ):
+            object.__setattr__(self, name, value)
+        self._refuse_names()
+        mistakes = [] if verified else list(self._mistakes())
+        if mistakes:
+            raise InputError(self.source, mistakes)
+
+    def _refuse_shapes(self, u: Array, y: Array) -> None:
+        if u.ndim != 2 or y.ndim != 2 or u.shape[1] != y.shape[1] or 0 in u.shape or 0 in y.shape:
+            raise InputError(
+                self.source,
+                f"u_v has shape {u.shape} and y_um {y.shape}; give (input, sample) and (output, sample)",
+            )
+        if not (np.isfinite(self.sample_time_s) and self.sample_time_s > 0):
+            raise InputError(self.source, f"sample_time_s is {self.sample_time_s:g}; it must be above 0")
+
+    def _refuse_names(self) -> None:
+        counts = len(self.inputs), len(self.outputs), len(self.rows)
+        wanted = len(self.u_v), len(self.y_um), self.samples
+        if counts != wanted:
+            raise InputError(
+                self.source,
+                f"has {wanted[0]} inputs, {wanted[1]} outputs and {wanted[2]} samples, but {counts[0]} input "
+                f"names, {counts[1]} output names and {counts[2]} row numbers",
+            )
+
+    def _mistakes(self) -> list[Mistake]:
+        u, y, rows = self.u_v, self.y_um, self.rows
+        gaps = [*gap_mistakes(self.inputs, u, rows), *gap_mistakes(self.outputs, y, rows)]
+        mistakes = [*gaps, *length_mistakes(self.samples)]
+        if mistakes:
+            return mistakes
+        mistakes += still_mistakes(self.inputs, u, rows, "input")
+        mistakes += still_mistakes(self.outputs, y, rows, "output")
+        if mistakes:
+            return mistakes
+        mistakes += _unit_mistakes(self.inputs, u, "input")
+        mistakes += _unit_mistakes(self.outputs, y, "output")
+        return [*mistakes, *clipping_mistakes(self.outputs, u, y, rows)]
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return int(self.u_v.shape[1])
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples a second [Hz]."""
+        return 1.0 / self.sample_time_s
+
+    def part(self, start: int, stop: int) -> Record:
+        """Samples start to stop - 1 as a record of their own; they keep their row numbers."""
+        return Record(
+            self.u_v[:, start:stop],
+            self.y_um[:, start:stop],
+            self.sample_time_s,
+            self.inputs,
+            self.outputs,
+            self.source,
+            self.rows[start:stop],
+            self.period_samples,
+            verified=True,
+        )
+
+
+def _read_only(values: ArrayLike) -> Array:
+    array = np.array(values, dtype=np.float64, order="C")
+    array.flags.writeable = False
+    return array
+
+
+def _unit_mistakes(names: Sequence[str], values: Array, kind: str) -> list[Mistake]:
+    """Units are judged by the column that moves most: a cross-coupling may be as small as it likes."""
+    spans = np.ptp(values, axis=1)
+    largest = int(np.argmax(spans))
+    mistake = unit_mistake(where(names[largest]), float(spans[largest]), kind)
+    return [mistake] if mistake else []
+
+
+def read_records(
+    paths: Sequence[PathLike],
+    *,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    rate_hz: float | None = None,
+    time: str | None = None,
+    input_scale: float = 1.0,
+    output_scale: float = 1.0,
+    all_driven: bool = True,
+) -> tuple[Record, ...]:
+    """Records of one actuator from files: CSV and other text, ``.npy``, ``.npz``, ``.mat``, Parquet.
+
+    Several files are several experiments. A column is named as in the file, or by its number from 1; see
+    `hammerstein.records.readers` for arrays with more than two axes and files with several variables.
+
+    Parameters
+    ----------
+    paths : files
+    inputs, outputs : columns with the voltages and the displacements
+    rate_hz : samples a second [Hz], or
+    time : column with the time [s]; one of the two
+    input_scale, output_scale : factors that turn the file's numbers into V and um
+    all_driven : whether every input must be driven in some record, as identification needs it
+
+    Raises
+    ------
+    InputError : every mistake of every file at once, with column and row
+    """
+    _refuse_arguments(paths, inputs, outputs, rate_hz, time, input_scale, output_scale)
+    records: list[Record] = []
+    failures: list[InputError] = []
+    for path in paths:
+        try:
+            wanted = [*inputs, *outputs, *([time] if time is not None else [])]
+            columns = read_columns(path, wanted)
+            records.append(_record(columns, len(inputs), len(outputs), rate_hz, input_scale, output_scale))
+            if rate_hz is not None:
+                _refuse_other_rate(path, rate_hz, wanted)
+        except InputError as error:
+            failures.append(error)
+    if failures:
+        raise _together(failures)
+    if all_driven:
+        _refuse_never_driven(records)
+    return tuple(records)
+
+
+def _refuse_arguments(
+    paths: Sequence[PathLike],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    rate_hz: float | None,
+    time: str | None,
+    input_scale: float,
+    output_scale: float,
+) -> None:
+    mistakes = []
+    if isinstance(paths, str | Path):
+        mistakes.append(Mistake("paths", "give a list of files"))
+    elif not paths:
+        mistakes.append(Mistake("paths", "no file was given"))
+    for kind, columns in (("inputs", inputs), ("outputs", outputs)):
+        if isinstance(columns, str) or not columns:
+            mistakes.append(Mistake(kind, "give a list of at least one column"))
+    chosen = [*inputs, *outputs, *([time] if time is not None else [])]
+    for column in sorted({column for column in chosen if chosen.count(column) > 1}):
+        mistakes.append(Mistake("columns", f"{column} is named twice; an input cannot be an output as well"))
+    if (rate_hz is None) == (time is None):
+        mistakes.append(
+            Mistake("rate or time", "give one of them: the rate in Hz (--rate) or a column (--time)")
+        )
+    if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
+        mistakes.append(Mistake("rate", f"is {rate_hz:g} Hz; it must be above 0"))
+    for name, scale in (("input scale", input_scale), ("output scale", output_scale)):
+        if not np.isfinite(scale) or scale == 0:
+            mistakes.append(Mistake(name, f"is {scale:g}; give a factor that is finite and not 0"))
+    if mistakes:
+        raise InputError("records", mistakes)
+
+
+def _record(
+    columns: Columns, m: int, p: int, rate_hz: float | None, input_scale: float, output_scale: float
+) -> Record:
+    mistakes = list(columns.mistakes)
+    step = 1.0 / rate_hz if rate_hz is not None else 1.0
+    if rate_hz is None:
+        found, step = _sample_time(columns)
+        mistakes += found
+    if mistakes:
+        raise InputError(columns.source, mistakes)
+    return Record(
+        input_scale * columns.values[:m],
+        output_scale * columns.values[m : m + p],
+        step,
+        columns.names[:m],
+        columns.names[m : m + p],
+        columns.source,
+        columns.rows,
+    )
+
+
+def _refuse_other_rate(path: PathLike, rate_hz: float, wanted: Sequence[str]) -> None:
+    """Refuse a rate that the file's own time column contradicts."""
+    time = named_time(path)
+    if time is None or time.names[0] in wanted:
+        return
+    step = float(np.median(np.diff(time.values[0])))
+    units = (1.0, 1e3, 1e6, rate_hz)  # s, ms, us, or samples that are counted
+    if step > 0.0 and all(abs(step * rate_hz / unit - 1.0) > OTHER_RATE for unit in units):
+        raise InputError(
+            str(path),
+            f"the rate given is {rate_hz:g} Hz, but its column {time.names[0]} goes on by {step:.6g}, which "
+            f"is {1.0 / step:.6g} Hz; give --time {time.names[0]} in place of --rate, or the right rate",
+        )
+
+
+def _sample_time(columns: Columns) -> tuple[list[Mistake], float]:
+    """Mistakes of the time column, which is the last one, and the sample time."""
+    name, time_s = columns.names[-1], columns.values[-1]
+    if OTHER_UNIT.search(name):
+        what = "is a time in another unit than s; give --rate in Hz instead of --time"
+        return [Mistake(where(name), what)], 1.0
+    if len(time_s) < 2 or not np.isfinite(time_s).all():
+        return [], 1.0  # told already, as too short or as gaps
+    mistakes = time_mistakes(name, time_s, columns.rows)
+    return mistakes, 1.0 if mistakes else sample_time(time_s)
+
+
+def _together(failures: Sequence[InputError]) -> InputError:
+    """One error for all files: the only one as it is, several with the file before each place."""
+    if len(failures) == 1:
+        return failures[0]
+    mistakes = [
+        Mistake(f"{error.source}, {m.where}" if m.where else error.source, m.what)
+        for error in failures
+        for m in error.mistakes
+    ]
+    return InputError(f"{len(failures)} records", mistakes)
+
+
+def _refuse_never_driven(records: Sequence[Record]) -> None:
+    """An axis may rest in one experiment, but not in all of them; nor may its unit be impossible."""
+    source = records[0].source if len(records) == 1 else f"{len(records)} records"
+    groups = (
+        ("input", records[0].inputs, [record.u_v for record in records]),
+        ("output", records[0].outputs, [record.y_um for record in records]),
+    )
+    mistakes = list(chain.from_iterable(_axis_mistakes(*group) for group in groups))
+    if mistakes:
+        raise InputError(source, mistakes)
+
+
+def _axis_mistakes(kind: str, names: Sequence[str], values: Sequence[Array]) -> list[Mistake]:
+    mistakes = []
+    for k, name in enumerate(names):
+        place = where(name)
+        if not any(moves(value[k]) for value in values):
+            mistakes.append(still_mistake(place, values[0][k], kind))
+            continue
+        span = max(float(np.ptp(value[k])) for value in values)
+        mistake = unit_mistake(place, span, kind)
+        mistakes += [mistake] if mistake else []
+    return mistakes
+
+
+def read_paired_records(
+    u_file: PathLike,
+    y_file: PathLike,
+    *,
+    axes: Sequence[str] = ("sample", "channel"),
+    rate_hz: float,
+    input_scale: float = 1.0,
+    output_scale: float = 1.0,
+    variables: tuple[str | None, str | None] = (None, None),
+) -> tuple[Record, ...]:
+    """Records whose voltages and displacements stand in two files of arrays, ``.npy``, ``.npz`` or ``.mat``.
+
+    One record for every experiment (realisation, repetition, column of nested loops); the periods of a
+    periodic experiment follow each other in time, and the record keeps their length.
+
+    Parameters
+    ----------
+    u_file, y_file : files with the voltages and the displacements; same axes, channels may differ in number
+    axes : what each axis of the arrays is, of ``sample``, ``channel``, ``experiment`` and ``period``;
+        ``("sample", "channel", "experiment", "period")`` reads an array of four axes,
+        ``("sample", "experiment")`` reads loops that stand side by side, one a column
+    rate_hz : samples a second [Hz]
+    input_scale, output_scale : factors that turn the files' numbers into V and um
+    variables : names of the two variables, where a file holds more than one
+
+    Raises
+    ------
+    InputError : every mistake of every experiment at once
+    """
+    _refuse_axes(axes)
+    _refuse_arguments([u_file], ["u"], ["y"], rate_hz, None, input_scale, output_scale)
+    u = _by_experiment(read_array(u_file, variables[0]), axes, str(u_file))
+    y = _by_experiment(read_array(y_file, variables[1]), axes, str(y_file))
+    source = f"{u_file} and {Path(y_file).name}"
+    if (len(u), *u.shape[2:]) != (len(y), *y.shape[2:]):
+        raise InputError(source, f"hold arrays of different size: {_sizes(u)} against {_sizes(y)}")
+    period = u.shape[3] if "period" in axes else None
+    records: list[Record] = []
+    failures: list[InputError] = []
+    for k in range(len(u)):
+        try:
+            records.append(
+                Record(
+                    input_scale * u[k].reshape(u.shape[1], -1),
+                    output_scale * y[k].reshape(y.shape[1], -1),
+                    1.0 / rate_hz,
+                    source=source if len(u) == 1 else f"{source}, experiment {k + 1}",
+                    period_samples=period,
+                )
+            )
+        except InputError as error:
+            failures.append(error)
+    if failures:
+        raise _together(failures)
+    return tuple(records)
+
+
+def _refuse_axes(axes: Sequence[str]) -> None:
+    unknown = [axis for axis in axes if axis not in AXES]
+    if unknown or len(set(axes)) != len(axes) or "sample" not in axes:
+        raise InputError(
+            "axes", f"are {', '.join(axes)}; name sample, and each of {', '.join(AXES[1:])} once"
+        )
+
+
+def _by_experiment(array: Array, axes: Sequence[str], source: str) -> Array:
+    """(experiment, channel, period, sample), with axes of length 1 for those that the file has not."""
+    if array.ndim != len(axes):
+        raise InputError(source, f"holds an array of shape {array.shape}, but the axes are {', '.join(axes)}")
+    order = ("experiment", "channel", "period", "sample")
+    present = [axes.index(axis) for axis in order if axis in axes]
+    missing = tuple(k for k, axis in enumerate(order) if axis not in axes)
+    return np.expand_dims(array.transpose(present), missing)
+
+
+def _sizes(array: Array) -> str:
+    experiments, _, periods, samples = array.shape
+    return f"{experiments} experiments, {periods} periods, {samples} samples"

@@ -1,0 +1,303 @@
+"""Numbers in text: any separator, with or without header, comments, byte order mark or decimal comma.
+
+The first part of the file tells its layout; pandas then reads the columns that are wanted.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import InputError, Mistake
+from hammerstein.records.checks import SHOWN, where
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+HEAD_BYTES = 1 << 18
+HEAD_LINES = 3000
+DIALECTS = ((",", "."), ("\t", "."), ("\t", ","), (";", "."), (";", ","), (" ", "."), (" ", ","))
+"""Separator and decimal sign; a blank stands for any white space."""
+COMMENTS = ("#", "%")
+BYTE_ORDER_MARKS = (
+    (b"\xef\xbb\xbf", "utf-8-sig"),
+    (b"\xff\xfe", "utf-16"),
+    (b"\xfe\xff", "utf-16"),
+)
+UNIT = re.compile(r"[\[(].*[\])]|s|ms|us|µs|V|mV|kV|m|mm|um|µm|nm|Hz|kHz|-|1|", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a text file holds its numbers.
+
+    Parameters
+    ----------
+    separator, decimal : signs between columns (a blank for any white space) and inside numbers
+    encoding : of the text
+    comment : sign that opens a comment line
+    first : line of the first numbers, from 0
+    width : number of columns
+    names : header, empty if there is none
+    """
+
+    separator: str
+    decimal: str
+    encoding: str
+    comment: str
+    first: int
+    width: int
+    names: tuple[str, ...]
+
+
+def find_layout(path: Path) -> Layout:
+    """Separator, decimal sign, encoding and header of a text file, from its first lines.
+
+    Raises
+    ------
+    InputError : a binary file, or text without a line of numbers
+    """
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    encoding = _encoding(head)
+    if encoding != "utf-16" and b"\0" in head:
+        raise InputError(str(path), "is a binary file; give CSV or other text, .npy, .npz, .mat or .parquet")
+    lines = re.split("\r\n|\r|\n", head.decode(encoding, errors="replace"))[
+        : -1 if len(head) == HEAD_BYTES else None
+    ]
+    lines = lines[:HEAD_LINES]
+    comment = "%" if any(line.lstrip().startswith("%") for line in lines) else "#"
+    body = [line for line in lines if line.strip() and not _is_comment(line, COMMENTS)]
+    separator, decimal, width, grade = _dialect(body)
+    if width == 0:
+        raise InputError(str(path), f"holds no line of numbers among its first {len(lines)} lines")
+    table = [[] if _is_comment(line, COMMENTS) else _fields(line, separator) for line in lines]
+    first = _first_row(table, width, decimal, grade)
+    names = _header(lines[:first], separator, decimal, width)
+    return Layout(separator, decimal, encoding, comment, first, width, names)
+
+
+def _encoding(head: bytes) -> str:
+    for mark, encoding in BYTE_ORDER_MARKS:
+        if head.startswith(mark):
+            return encoding
+    try:
+        head[: len(head) - 4 if len(head) == HEAD_BYTES else None].decode("utf-8")
+    except UnicodeDecodeError as error:
+        return "latin-1" if error.reason != "unexpected end of data" else "utf-8"
+    return "utf-8"
+
+
+def _is_comment(line: str, signs: tuple[str, ...]) -> bool:
+    return line.lstrip().startswith(signs)
+
+
+def _fields(line: str, separator: str) -> list[str]:
+    """Fields of a line without blanks around them; no field for an empty line."""
+    if not line.strip():
+        return []
+    if separator == " ":
+        return line.split()
+    return [field.strip() for field in next(csv.reader([line], delimiter=separator), [])]
+
+
+def _is_number(field: str, decimal: str) -> bool:
+    if decimal == ",":
+        if "." in field or field.endswith(",") or field.startswith(","):
+            return False
+        field = field.replace(",", ".", 1)
+    if "_" in field:  # Python reads 1_000, a file does not mean it
+        return False
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
+
+
+def _grade(fields: Sequence[str], decimal: str) -> int:
+    """Likeness of a line to a row of numbers: 0 all numbers, 1 some are missing, 2 half are, 3 is none.
+
+    A separator at the end of the line opens no column.
+    """
+    body = fields[:-1] if len(fields) > 1 and fields[-1] == "" else fields
+    numbers = sum(_is_number(field, decimal) for field in body)
+    if numbers == 0:
+        return 3
+    if numbers == len(body):
+        return 0
+    if numbers + sum(field == "" for field in body) == len(body):
+        return 1
+    return 2 if 2 * numbers >= len(body) else 3
+
+
+def _dialect(lines: Sequence[str]) -> tuple[str, str, int, int]:
+    """Separator, decimal sign, width and worst grade of the rows that explain most of the lines.
+
+    Full rows are preferred; rows with gaps or with a column of text count where full rows are the exception.
+    """
+    widths: dict[tuple[int, int], Counter[int]] = {}
+    for k, (separator, decimal) in enumerate(DIALECTS):
+        for line in lines:
+            fields = _fields(line, separator)
+            for grade in range(_grade(fields, decimal), 3):
+                widths.setdefault((grade, k), Counter())[len(fields)] += 1
+    for share in (0.5, 0.0):
+        for grade in range(3):
+            found = [
+                (count, width, -k)
+                for k in range(len(DIALECTS))
+                for width, count in widths.get((grade, k), Counter()).items()
+                if count > share * len(lines)
+            ]
+            if found:
+                _, width, k = max(found)
+                return *DIALECTS[-k], width, grade
+    return ",", ".", 0, 0
+
+
+def _first_row(table: Sequence[Sequence[str]], width: int, decimal: str, grade: int) -> int:
+    """First line of the numbers: the first row, or spoiled rows right above it."""
+    first = next(k for k, row in enumerate(table) if len(row) == width and _grade(row, decimal) <= grade)
+    while first > 0 and len(table[first - 1]) == width:
+        above = [_is_number(field, decimal) for field in table[first - 1]]
+        if not above[0] and 2 * sum(above) <= width:
+            break
+        first -= 1
+    return first
+
+
+def _header(lines: Sequence[str], separator: str, decimal: str, width: int) -> tuple[str, ...]:
+    """Names in the nearest line above the numbers with one word a column; a row of units comes second."""
+    units: tuple[str, ...] = ()
+    for line in reversed([line for line in lines if line.strip()]):
+        names = [name.strip("\"' ") for name in _fields(line.lstrip("\ufeff \t#%"), separator)]
+        names = names[:-1] if len(names) > width and names[-1] == "" else names
+        names += [""] * (width - len(names) if len(names) == width - 1 and separator != " " else 0)
+        if len(names) != width or any(_is_number(name, decimal) for name in names):
+            break
+        if not all(UNIT.fullmatch(name) for name in names):
+            return tuple(names)
+        units = units or tuple(names)
+    return units
+
+
+def read_text(
+    path: Path, layout: Layout, indices: Sequence[int], names: Sequence[str]
+) -> tuple[Array, Rows, list[Mistake]]:
+    """Columns of a text file: values (column, sample), the row of every sample, and what is no number.
+
+    Parameters
+    ----------
+    path : file
+    layout : how it holds its numbers
+    indices : columns wanted, from 0
+    names : of these columns, for the messages
+    """
+    lines, skipped, mistakes = _scan(path, layout)
+    frame = _frame(path, layout, sorted(set(indices)), skipped)
+    if len(frame) != len(lines):
+        raise InputError(
+            str(path), f"{len(lines)} lines of numbers hold {len(frame)} rows: is a quotation mark left open?"
+        )
+    columns, spoiled = zip(*(_numbers(frame[index]) for index in indices), strict=True)
+    values = np.vstack(columns)
+    filled = np.flatnonzero(np.isfinite(values).any(axis=0) | _text_flags(spoiled, values.shape[1]))
+    samples = int(filled[-1]) + 1 if filled.size else 0
+    for name, texts in zip(names, spoiled, strict=True):
+        mistakes += _text_mistakes(name, texts, lines)
+    return values[:, :samples], lines[:samples], mistakes
+
+
+def _frame(path: Path, layout: Layout, indices: list[int], skipped: list[int]) -> Any:
+    import pandas as pd
+
+    try:
+        return pd.read_csv(
+            path,
+            sep=r"\s+" if layout.separator == " " else layout.separator,
+            decimal=layout.decimal,
+            encoding=layout.encoding,
+            encoding_errors="replace",
+            comment=layout.comment,
+            header=None,
+            names=list(range(layout.width)),
+            usecols=indices,
+            skiprows=[*range(layout.first), *skipped],
+            skip_blank_lines=False,
+            low_memory=False,
+        )
+    except (pd.errors.ParserError, ValueError) as error:
+        raise InputError(str(path), f"cannot be read as a table ({error})") from None
+
+
+def _numbers(series: Any) -> tuple[Array, dict[int, str]]:
+    """A column as numbers, and what stands where it has text instead."""
+    import pandas as pd
+
+    if series.dtype.kind in "iuf":
+        return series.to_numpy(dtype=np.float64), {}
+    numbers = pd.to_numeric(series.astype(object), errors="coerce").to_numpy(dtype=np.float64)
+    spoiled = np.flatnonzero(np.isnan(numbers) & series.notna().to_numpy())
+    return numbers, {int(k): str(series.iloc[k]).strip() for k in spoiled}
+
+
+def _text_flags(spoiled: Sequence[dict[int, str]], samples: int) -> NDArray[np.bool_]:
+    flags = np.zeros(samples, dtype=bool)
+    for texts in spoiled:
+        flags[list(texts)] = True
+    return flags
+
+
+def _text_mistakes(name: str, texts: dict[int, str], rows: Rows) -> list[Mistake]:
+    shown = list(texts.items())[:SHOWN]
+    mistakes = [
+        Mistake(
+            where(name, rows, k, k), f"{text[:40]!r} is text in a column of numbers; mend or delete the row"
+        )
+        for k, text in shown
+    ]
+    if len(texts) > SHOWN:
+        mistakes.append(Mistake(where(name), f"{len(texts) - SHOWN} more fields with text further down"))
+    return mistakes
+
+
+def _scan(path: Path, layout: Layout) -> tuple[Rows, list[int], list[Mistake]]:
+    """Rows of the samples, as an editor counts them from 1; lines to skip, from 0; rows that are too long."""
+    skipped, long = [], []
+    row = layout.first
+    with path.open(encoding=layout.encoding, errors="replace") as file:
+        for row, line in enumerate(islice(file, layout.first, None), start=layout.first + 1):
+            if line.isspace() or line.lstrip().startswith(layout.comment):
+                skipped.append(row - 1)
+            elif _count(line, layout) > layout.width:
+                long.append(row)
+    rows = np.delete(np.arange(layout.first + 1, row + 1), np.array(skipped, dtype=np.int64) - layout.first)
+    mistakes = [
+        Mistake(
+            f"row {row}", f"has more columns than the others, which have {layout.width}; mend its separators"
+        )
+        for row in long[:SHOWN]
+    ]
+    if len(long) > SHOWN:
+        mistakes.append(Mistake("rows", f"{len(long) - SHOWN} more rows with too many columns"))
+    return rows, skipped, mistakes
+
+
+def _count(line: str, layout: Layout) -> int:
+    """Columns of a line; separators alone at its end open none."""
+    if layout.separator == " ":
+        return len(line.split(layout.comment)[0].split())
+    if line.count(layout.separator) < layout.width:
+        return layout.width
+    fields = _fields(line.split(layout.comment)[0], layout.separator)
+    return max((k + 1 for k, field in enumerate(fields) if field), default=0)

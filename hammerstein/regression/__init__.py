@@ -1,0 +1,1 @@
+"""Guard the numbers: baselines and what moved against them."""

@@ -1,0 +1,157 @@
+"""The numbers of a scenario as they were accepted, and their file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.experiment.report import Report
+from hammerstein.files import Content, read_limited, refuse_overwriting, write_atomic
+from hammerstein.rows import KEY
+from hammerstein.validation import mistakes_of
+
+FORMAT = "hammerstein-baseline/1"
+CONTENT = Content("baseline", sign="hammerstein-baseline/")
+CLAIMED = "value"  # the number of a claim
+
+Key = tuple[tuple[str, str | float], ...]
+"""What tells one row from the others: names and values, in order of the names."""
+Numbers = Mapping[Key, Mapping[str, float]]
+
+
+class RowFile(BaseModel):
+    """One row in a baseline file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    key: dict[str, str | FiniteFloat]
+    numbers: dict[str, FiniteFloat]
+
+
+class BaselineFile(BaseModel):
+    """What a baseline file holds."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    format: Literal["hammerstein-baseline/1"]
+    scenario_digest: str
+    model_digest: str
+    rows: Annotated[tuple[RowFile, ...], Field(min_length=1)]
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """Accepted numbers of one scenario, and the hashes of the scenario and the model that gave them."""
+
+    scenario_digest: str
+    model_digest: str
+    rows: Numbers
+
+    @classmethod
+    def of(cls, report: Report) -> Baseline:
+        """Give the numbers of a report.
+
+        Raises
+        ------
+        SimulationError : a number is infinite or NaN, so that nothing could be compared with it
+        InputError : two rows cannot be told apart
+        """
+        rows = numbers_of(report)
+        for key, numbers in rows.items():
+            for metric, value in numbers.items():
+                if not math.isfinite(value):
+                    raise SimulationError(
+                        f"{report.name}: {metric} is {value} in the row {words_of(key)}; "
+                        "a baseline holds finite numbers only"
+                    )
+        return cls(report.digest, report.model_digest, rows)
+
+    @classmethod
+    def load(cls, path: Path) -> Baseline:
+        """Read a baseline file; InputError with every mistake in it."""
+        text = read_limited(path, what="baseline")
+        try:
+            file = BaselineFile.model_validate_json(text)
+        except ValidationError as error:
+            raise InputError(str(path), mistakes_of(error, BaselineFile)) from None
+        rows = _by_key(((row.key, row.numbers) for row in file.rows), str(path))
+        return cls(file.scenario_digest, file.model_digest, rows)
+
+    def to_json(self) -> str:
+        """Text of the baseline file: one row a line, full precision, sorted keys, no clock and no host."""
+        rows = [{"key": dict(key), "numbers": dict(numbers)} for key, numbers in self.rows.items()]
+        lines = ",\n".join("  " + json.dumps(row, sort_keys=True, allow_nan=False) for row in rows)
+        return (
+            f'{{\n "format": {json.dumps(FORMAT)},\n "model_digest": {json.dumps(self.model_digest)},\n'
+            f' "rows": [\n{lines}\n ],\n "scenario_digest": {json.dumps(self.scenario_digest)}\n}}\n'
+        )
+
+    def save(self, path: Path) -> bool:
+        """Write the file in one piece, unless it holds the same already; tell whether it was written.
+
+        Raises InputError if it cannot be written, or if the file that is there is no baseline.
+        """
+        data = self.to_json().encode()
+        if path.is_file() and path.read_bytes() == data:
+            return False
+        refuse_overwriting("--update-baseline", path, CONTENT)
+        write_atomic(path, data)
+        return True
+
+
+def numbers_of(report: Report) -> Numbers:
+    """All numbers of a report: its rows with their bands, and what the actuators answer to its claims.
+
+    Raises InputError where two rows cannot be told apart.
+    """
+    bands: dict[Key, dict[str, float]] = {}
+    for band in report.bands:
+        numbers = bands.setdefault(key_of({name: getattr(band, name) for name in KEY}), {})
+        numbers |= {f"{band.metric}.{part}": getattr(band, f"{part}_um") for part in ("p5", "median", "p95")}
+    rows = [(row.key(), row.numbers() | bands.get(key_of(row.key()), {})) for row in report.rows]
+    claims = [
+        ({"claim": verdict.id, "actuator": answer.actuator}, {CLAIMED: answer.value})
+        for verdict in report.verdicts
+        for answer in verdict.answers
+        if math.isfinite(answer.value)  # an actuator that has no such row answers nothing
+    ]
+    return _by_key([*rows, *claims], report.name)
+
+
+def key_of(names: Mapping[str, str | float | None]) -> Key:
+    """Key of a row; what is empty tells nothing.
+
+    >>> key_of({"measured_axis": "y", "frequency_hz": 50.0, "amplitude_v": None})
+    (('frequency_hz', 50.0), ('measured_axis', 'y'))
+    """
+    return tuple(sorted((name, value) for name, value in names.items() if value is not None and value != ""))
+
+
+def words_of(key: Key) -> str:
+    """Key of a row as words, for messages.
+
+    >>> words_of((("compensator", "exact"), ("frequency_hz", 50.0)))
+    'compensator exact, frequency_hz 50'
+    """
+    return ", ".join(f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in key)
+
+
+def _by_key(
+    rows: Iterable[tuple[Mapping[str, str | float | None], Mapping[str, float]]], source: str
+) -> Numbers:
+    found: dict[Key, Mapping[str, float]] = {}
+    for names, numbers in rows:
+        key = key_of(names)
+        if key in found:
+            raise InputError(
+                source, f"two rows are both {words_of(key)}; give every label and every swept value once"
+            )
+        found[key] = numbers
+    return found

@@ -1,0 +1,107 @@
+"""Guard the numbers: run scenarios again and compare them with what was accepted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from hammerstein.errors import HammersteinError, InputError, Mistake
+from hammerstein.experiment.batch import Outcome, find_scenarios, load_all, run_all
+from hammerstein.experiment.prepare import Progress
+from hammerstein.experiment.report import Report
+from hammerstein.regression.baseline import Baseline, numbers_of
+from hammerstein.regression.compare import Finding, Kind, compare
+from hammerstein.regression.result import DEFAULT_FOLDER, CheckResult, ScenarioCheck
+
+
+def check_files(
+    paths: Sequence[Path],
+    baseline_folder: Path = DEFAULT_FOLDER,
+    update: bool = False,
+    jobs: int = 1,
+    progress: Progress | None = None,
+    finished: Callable[[str], None] | None = None,
+) -> CheckResult:
+    """Run scenario files and compare each with ``<baseline_folder>/<scenario>.json``.
+
+    A scenario without a baseline is a finding, and so is a baseline without a scenario where a whole folder
+    is checked. A scenario that cannot be run does not keep the others from being checked.
+
+    Parameters
+    ----------
+    paths : scenario files, or folders of them
+    baseline_folder : where the baselines are
+    update : accept the numbers: write the baselines, in place of comparing. Nothing is written otherwise.
+    jobs : scenarios side by side; the numbers do not depend on it
+    progress : called with what is done, how much of it, and of how much
+    finished : called with the name of each scenario that is done
+
+    Raises
+    ------
+    InputError : a scenario file is wrong; every file is read before the first is run
+    """
+    scenarios = load_all(paths)
+    files = {path.stem: path for path in find_scenarios(paths)}
+    checks = {}
+    for outcome in run_all(scenarios, _keep, jobs, progress):
+        path, baseline = files[outcome.name], baseline_folder / f"{outcome.name}.json"
+        checks[outcome.name] = _update(outcome, path, baseline) if update else _check(outcome, path, baseline)
+        if finished is not None:
+            finished(outcome.name)
+    ordered = [checks[name] for name in files]
+    return CheckResult((*ordered, *_orphans(paths, set(files), baseline_folder)), baseline_folder)
+
+
+def _keep(report: Report) -> tuple[Path, ...]:
+    """Do nothing with a report but hand it back: a check writes no report."""
+    return ()
+
+
+def _check(outcome: Outcome, path: Path, baseline: Path) -> ScenarioCheck:
+    report = outcome.report
+    if report is None:
+        return ScenarioCheck(outcome.name, path, error=outcome.error)
+    try:
+        if baseline.is_file():
+            findings = compare(report, _load(baseline), report.scenario.tolerances)
+        else:
+            findings = (Finding(Kind.NO_BASELINE),)
+    except HammersteinError as error:
+        return ScenarioCheck(outcome.name, path, error=error)
+    return ScenarioCheck(outcome.name, path, _count(report), findings)
+
+
+def _load(path: Path) -> Baseline:
+    try:
+        return Baseline.load(path)
+    except InputError as error:
+        advice = Mistake("", "restore the file, or write it anew with --update-baseline")
+        raise InputError(str(path), [*error.mistakes, advice]) from None
+
+
+def _update(outcome: Outcome, path: Path, baseline: Path) -> ScenarioCheck:
+    report = outcome.report
+    if report is None:
+        return ScenarioCheck(outcome.name, path, error=outcome.error)
+    try:
+        accepted = Baseline.of(report)
+        compare(report, accepted, report.scenario.tolerances)  # refuses tolerances that no check could use
+        written = accepted.save(baseline)
+    except HammersteinError as error:
+        return ScenarioCheck(outcome.name, path, error=error)
+    return ScenarioCheck(outcome.name, path, _count(report), written=written)
+
+
+def _count(report: Report) -> int:
+    return sum(len(numbers) for numbers in numbers_of(report).values())
+
+
+def _orphans(paths: Sequence[Path], names: set[str], baseline_folder: Path) -> list[ScenarioCheck]:
+    """Baselines without a scenario; of single files nobody can tell."""
+    if not any(path.is_dir() for path in paths):
+        return []
+    return [
+        ScenarioCheck(file.stem, file, findings=(Finding(Kind.ORPHAN),))
+        for file in sorted(baseline_folder.glob("*.json"))
+        if file.stem not in names
+    ]

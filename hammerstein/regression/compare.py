@@ -1,0 +1,183 @@
+"""Compare a report with its baseline: every number, both ways."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from enum import StrEnum
+
+from hammerstein.errors import InputError, Mistake
+from hammerstein.experiment.report import Report
+from hammerstein.regression.baseline import CLAIMED, Baseline, Key, Numbers, numbers_of
+from hammerstein.rows import KEY, Row
+from hammerstein.scenario.scenario import Tolerance
+
+# Another processor or NumPy differs in the last bits of sines, sums and decompositions. Tried on the shipped
+# scenarios: noise of 1e-12 of every voltage, reference and reading, a thousand times as much, moves no number
+# by more than 1e-9 of itself, for a converter's step flips only where a value lies as close to its edge. So
+# 0.1 % is wide, also for worst values of rounded readings; a floor of one 40 nm step there would only hide
+# real changes. The floor of 1e-6 (one picometre) is for zeros of theory, such as the residue of an exact
+# inverse: they hold nothing but last bits.
+DEFAULT = Tolerance(relative=1e-3, absolute=1e-6)
+COUNT = Tolerance(relative=0.0, absolute=0.0)
+DEFAULTS: Mapping[str, Tolerance] = {"saturated_samples": COUNT}
+
+METRICS = (*(field.name for field in fields(Row) if field.name not in KEY), CLAIMED)
+
+# Without height a loop has no relative width, and what is zero has no phase: last bits over last bits.
+RATIO_OF = {"width_percent": "height_um", "phase_deg": "gain"}
+
+
+class Kind(StrEnum):
+    """What can be wrong with a scenario's numbers."""
+
+    MOVED = "left its tolerance"
+    MISSING_ROW = "row of the baseline is missing"
+    EXTRA_ROW = "row is not in the baseline"
+    MISSING_NUMBER = "number of the baseline is missing"
+    EXTRA_NUMBER = "number is not in the baseline"
+    SCENARIO_CHANGED = "the scenario changed since its baseline was made"
+    MODEL_CHANGED = "the actuator's model changed since the baseline was made"
+    NO_BASELINE = "has no baseline"
+    ORPHAN = "belongs to no scenario"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that differs from the baseline.
+
+    kind : what it is
+    key : the row; empty where it is about the whole scenario
+    metric : the number; empty where it is about a row or the whole scenario
+    baseline, now : values of the number, None where it is missing; digests where something changed
+    tolerance : what was allowed
+    """
+
+    kind: Kind
+    key: Key = ()
+    metric: str = ""
+    baseline: float | str | None = None
+    now: float | str | None = None
+    tolerance: Tolerance = DEFAULT
+
+    @property
+    def excess(self) -> float:
+        """Deviation in units of what is allowed; infinite for what has no size."""
+        if not isinstance(self.baseline, (int, float)) or not isinstance(self.now, (int, float)):
+            return math.inf
+        allowed = limit(self.baseline, self.tolerance)
+        moved = abs(deviation(self.metric, self.now, self.baseline))
+        return moved / allowed if allowed > 0.0 and math.isfinite(moved) else math.inf
+
+
+def compare(
+    report: Report, baseline: Baseline, tolerances: Mapping[str, Tolerance] | None = None
+) -> tuple[Finding, ...]:
+    """Find everything in which a report differs from its baseline.
+
+    A number may move by the larger of the relative and the absolute tolerance, either way: better than the
+    baseline is a finding too. Rows and numbers are compared both ways. NaN equals nothing.
+
+    Parameters
+    ----------
+    report : what a run found
+    baseline : what was accepted
+    tolerances : by name of the number; others may move by 0.1 %, ``saturated_samples`` not at all
+
+    Raises
+    ------
+    InputError : a tolerance is for a number that no report has
+
+    Examples
+    --------
+    >>> from hammerstein.experiment.run import run
+    >>> from hammerstein.scenario.scenario import Scenario
+    >>> report = run(Scenario.model_validate({
+    ...     "question": "How large is a loop?", "actuator": "duo_bimorph_static",
+    ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}}))
+    >>> compare(report, Baseline.of(report))
+    ()
+    """
+    allowed = dict(DEFAULTS) | dict(tolerances or {})
+    _refuse_unknown(allowed, report.name)
+    return (
+        *_changes(report, baseline),
+        *_rows(numbers_of(report), baseline.rows, allowed),
+    )
+
+
+def deviation(metric: str, now: float, baseline: float) -> float:
+    """How far a number has moved; the short way round for an angle.
+
+    >>> deviation("phase_deg", 179.0, -179.5)
+    -1.5
+    """
+    moved = now - baseline
+    return (moved + 180.0) % 360.0 - 180.0 if metric.endswith("_deg") else moved
+
+
+def limit(baseline: float, tolerance: Tolerance) -> float:
+    """How far a number may move from its baseline.
+
+    >>> limit(-0.5, Tolerance(relative=0.01, absolute=1e-6))
+    0.005
+    """
+    return max(tolerance.relative * abs(baseline), tolerance.absolute)
+
+
+def _refuse_unknown(tolerances: Mapping[str, Tolerance], name: str) -> None:
+    mistakes = []
+    for metric in tolerances:
+        if metric not in METRICS:
+            near = difflib.get_close_matches(metric, METRICS, n=1)
+            hint = f"; did you mean {near[0]}?" if near else f"; numbers are {', '.join(METRICS)}"
+            mistakes.append(Mistake(f"tolerances.{metric}", f"is no number of a report{hint}"))
+    if mistakes:
+        raise InputError(name, mistakes)
+
+
+def _changes(report: Report, baseline: Baseline) -> Iterator[Finding]:
+    if report.digest != baseline.scenario_digest:
+        yield Finding(Kind.SCENARIO_CHANGED, baseline=baseline.scenario_digest, now=report.digest)
+    if report.model_digest != baseline.model_digest:
+        yield Finding(Kind.MODEL_CHANGED, baseline=baseline.model_digest, now=report.model_digest)
+
+
+def _rows(now: Numbers, stored: Numbers, tolerances: Mapping[str, Tolerance]) -> Iterator[Finding]:
+    for key in stored:
+        if key not in now:
+            yield Finding(Kind.MISSING_ROW, key)
+        else:
+            yield from _numbers(key, now[key], stored[key], tolerances)
+    for key in now:
+        if key not in stored:
+            yield Finding(Kind.EXTRA_ROW, key)
+
+
+def _numbers(
+    key: Key, now: Mapping[str, float], stored: Mapping[str, float], tolerances: Mapping[str, Tolerance]
+) -> Iterator[Finding]:
+    for metric, before in stored.items():
+        tolerance = tolerances.get(metric.partition(".")[0], DEFAULT)  # that of a metric is that of its band
+        if metric not in now:
+            yield Finding(Kind.MISSING_NUMBER, key, metric, baseline=before)
+        elif not _is_void(metric, (now, stored), tolerances) and not (
+            abs(deviation(metric, now[metric], before)) <= limit(before, tolerance)  # never true for NaN
+        ):
+            yield Finding(Kind.MOVED, key, metric, before, now[metric], tolerance)
+    for metric, value in now.items():
+        if metric not in stored:
+            yield Finding(Kind.EXTRA_NUMBER, key, metric, now=value)
+
+
+def _is_void(
+    metric: str, sides: tuple[Mapping[str, float], ...], tolerances: Mapping[str, Tolerance]
+) -> bool:
+    """Whether a number is a ratio to something that is zero, now and in the baseline."""
+    base = RATIO_OF.get(metric)
+    if base is None:
+        return False
+    floor = tolerances.get(base, DEFAULT).absolute
+    return all(abs(side.get(base, math.inf)) <= floor for side in sides)

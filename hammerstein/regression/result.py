@@ -1,0 +1,257 @@
+"""What a check found, for a person, for a summary page and for CI."""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from hammerstein.errors import HammersteinError, ToleranceError
+from hammerstein.files import Content
+from hammerstein.regression.compare import Finding, Kind, deviation, limit
+from hammerstein.rows import KEY
+
+DEFAULT_FOLDER = Path("reports/baseline")
+SUITE, TITLE = "hammerstein check", "# Scenarios against their baselines"
+JUNIT = Content("JUnit file of a check", sign=f'name="{SUITE}"')
+SUMMARY = Content("summary of a check", sign=TITLE)
+SHOWN = 20  # lines of a table; who has moved more than that wants the worst, not all
+MISSING = "missing"
+_AXES = ("excited_axis", "measured_axis")  # shown as one column
+_COLUMNS = (
+    *("claim", "actuator", *(name for name in KEY if name not in _AXES)),
+    *("axis", "metric", "baseline", "now", "change", "allowed"),
+)
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+@dataclass(frozen=True)
+class ScenarioCheck:
+    """What became of one scenario.
+
+    path : scenario file; for an orphan its baseline file
+    numbers : how many were compared
+    findings : what differs
+    error : what stopped the run
+    written : with an update, whether the baseline had to be written; otherwise None
+    """
+
+    name: str
+    path: Path
+    numbers: int = 0
+    findings: tuple[Finding, ...] = ()
+    error: HammersteinError | None = None
+    written: bool | None = None
+
+    @property
+    def headline(self) -> str:
+        """One line: the verdict."""
+        if self.error is not None:
+            return f"{self.name}: could not be checked"
+        if self.written is not None:
+            return (
+                f"{self.name}: baseline {'written' if self.written else 'unchanged'}, {_count(self.numbers)}"
+            )
+        if not self.findings:
+            return f"{self.name}: {_count(self.numbers)} within tolerance"
+        return f"{self.name}: {', '.join(_verdicts(self.findings, self.numbers))}"
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing is wrong."""
+        return self.error is None and not self.findings
+
+    def lines(self, baseline_folder: Path) -> list[str]:
+        """Headline, table of what differs, and what to do."""
+        if self.error is not None:
+            return [self.headline, *(f"  {line}" for line in str(self.error).splitlines())]
+        if not self.findings:
+            return [self.headline]
+        if any(finding.kind is Kind.ORPHAN for finding in self.findings):
+            return [self.headline, f"  delete {self.path}, or restore its scenario"]
+        return [self.headline, *_table(self.findings), self._remedy(baseline_folder)]
+
+    def _remedy(self, baseline_folder: Path) -> str:
+        words = ["hammerstein", "check", str(self.path)]
+        if baseline_folder != DEFAULT_FOLDER:
+            words += ["--baseline", str(baseline_folder)]
+        return f"If this is intended: {shlex.join([*words, '--update-baseline'])}"
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """What a check of scenario files found."""
+
+    checks: tuple[ScenarioCheck, ...]
+    baseline_folder: Path = DEFAULT_FOLDER
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Everything that differs, over all scenarios."""
+        return tuple(finding for check in self.checks for finding in check.findings)
+
+    @property
+    def exit_code(self) -> int:
+        """0: all within tolerance; 1: findings; the code of the gravest error if a run was stopped."""
+        errors = [check.error.exit_code for check in self.checks if check.error is not None]
+        return max([*errors, ToleranceError.exit_code if self.findings else 0])
+
+    def text(self) -> str:
+        """Give the whole result for a person."""
+        return "\n".join(line for check in self.checks for line in check.lines(self.baseline_folder))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give the whole result as plain JSON."""
+        return {"exit_code": self.exit_code, "scenarios": [_as_dict(check) for check in self.checks]}
+
+    def markdown(self) -> str:
+        """Give a summary page: one line a scenario, then what differs."""
+        lines = [TITLE, "", "| scenario | result |", "|---|---|"]
+        for check in self.checks:
+            verdict = check.headline.removeprefix(f"{check.name}: ")
+            mark = "pass" if check.passed else "**FAIL**"
+            lines.append(f"| {_cell(check.name)} | {mark}: {_cell(verdict)} |")
+        for check in self.checks:
+            if not check.passed:
+                body = check.lines(self.baseline_folder)
+                fence = "`" * max(3, 1 + _longest_run_of_ticks(body))
+                lines += ["", f"## {check.name}", "", f"{fence}text", *body, fence]
+        return "\n".join(lines) + "\n"
+
+    def junit(self) -> str:
+        """Give a JUnit XML file: one test case a scenario, without times so that two runs are equal."""
+        failures = sum(not check.passed and check.error is None for check in self.checks)
+        errors = sum(check.error is not None for check in self.checks)
+        counts = {"tests": str(len(self.checks)), "failures": str(failures), "errors": str(errors)}
+        root = ElementTree.Element("testsuites", counts)
+        suite = ElementTree.SubElement(root, "testsuite", {"name": SUITE, **counts})
+        for check in self.checks:
+            names = {"classname": check.path.parent.as_posix(), "name": check.name}
+            case = ElementTree.SubElement(suite, "testcase", {k: _xml(v) for k, v in names.items()})
+            if not check.passed:
+                tag = "failure" if check.error is None else "error"
+                problem = ElementTree.SubElement(case, tag, {"message": _xml(check.headline)})
+                problem.text = _xml("\n".join(check.lines(self.baseline_folder)))
+        ElementTree.indent(root)
+        return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _count(number: int, what: str = "number") -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _verdicts(findings: Sequence[Finding], numbers: int) -> Iterable[str]:
+    """Short statements, one for each kind of finding."""
+    kinds = [finding.kind for finding in findings]
+    for kind in (Kind.NO_BASELINE, Kind.ORPHAN, Kind.SCENARIO_CHANGED, Kind.MODEL_CHANGED):
+        if kind in kinds:
+            yield str(kind)
+    moved = kinds.count(Kind.MOVED)
+    if moved:
+        yield f"{moved} of {_count(numbers)} left {'its' if moved == 1 else 'their'} tolerance"
+    for kind, what, state in (
+        (Kind.MISSING_ROW, "row", "missing"),
+        (Kind.MISSING_NUMBER, "number", "missing"),
+        (Kind.EXTRA_ROW, "row", "not in the baseline"),
+        (Kind.EXTRA_NUMBER, "number", "not in the baseline"),
+    ):
+        if kind in kinds:
+            count = kinds.count(kind)
+            yield f"{_count(count, what)} {'is' if count == 1 else 'are'} {state}"
+
+
+def _table(findings: Sequence[Finding]) -> list[str]:
+    """Lines of a table, the worst first."""
+    inside = sorted((f for f in findings if f.key), key=lambda finding: -finding.excess)
+    if not inside:
+        return []
+    rows = [_cells(finding) for finding in inside[:SHOWN]]
+    columns = [column for column in _COLUMNS if any(row.get(column) for row in rows)]
+    widths = {c: max(len(c), *(len(row.get(c, "")) for row in rows)) for c in columns}
+    lines = ["  " + "  ".join(c.ljust(widths[c]) for c in columns).rstrip()]
+    lines += ["  " + "  ".join(row.get(c, "").ljust(widths[c]) for c in columns).rstrip() for row in rows]
+    if len(inside) > SHOWN:
+        lines.append(f"  and {len(inside) - SHOWN} more; these are the worst")
+    return lines
+
+
+def _cells(finding: Finding) -> dict[str, str]:
+    """Cells of one finding by column."""
+    cells = {name: _plain(value) for name, value in finding.key}
+    excited, measured = (cells.pop(name, "") for name in _AXES)
+    cells["axis"] = measured if excited in ("all", measured) else f"{excited} -> {measured}"
+    cells |= {"metric": finding.metric or "(row)", "change": "", "allowed": ""}
+    before, now = finding.baseline, finding.now
+    if isinstance(before, (int, float)) and isinstance(now, (int, float)):
+        cells["baseline"], cells["now"] = _distinct(before, now)
+        cells["change"], cells["allowed"] = _change(finding, before, now)
+        return cells
+    stored = finding.kind in (Kind.MISSING_ROW, Kind.MISSING_NUMBER)
+    cells["baseline"] = _plain(before) if before is not None else "present" if stored else MISSING
+    cells["now"] = _plain(now) if now is not None else MISSING if stored else "present"
+    return cells
+
+
+def _change(finding: Finding, before: float, now: float) -> tuple[str, str]:
+    """Change and what was allowed: relative, or absolute where that is the larger bound."""
+    moved, tolerance = deviation(finding.metric, now, before), finding.tolerance
+    if limit(before, tolerance) > tolerance.absolute:
+        return f"{100.0 * moved / abs(before):+.2g} %", f"{100.0 * tolerance.relative:g} %"
+    return f"{moved:+.3g}", f"{tolerance.absolute:g}"
+
+
+def _plain(value: float | str) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _distinct(before: float, now: float) -> tuple[str, str]:
+    """Both numbers, with as many digits as tell them apart."""
+    for digits in range(4, 17):
+        pair = f"{before:.{digits}g}", f"{now:.{digits}g}"
+        if pair[0] != pair[1]:
+            return pair
+    return repr(before), repr(now)
+
+
+def _as_dict(check: ScenarioCheck) -> dict[str, Any]:
+    return {
+        "name": check.name,
+        "passed": check.passed,
+        "numbers": check.numbers,
+        "error": None if check.error is None else str(check.error),
+        "baseline_written": bool(check.written),
+        "findings": [
+            {
+                "kind": finding.kind.name.lower(),
+                "row": dict(finding.key) or None,
+                "metric": finding.metric or None,
+                "baseline": _json(finding.baseline),
+                "now": _json(finding.now),
+            }
+            for finding in check.findings
+        ],
+    }
+
+
+def _json(value: float | str | None) -> float | str | None:
+    """Value that JSON can hold: NaN and infinity as words."""
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _cell(text: str) -> str:
+    """Text in a cell of a Markdown table."""
+    return text.replace("|", "\\|")
+
+
+def _longest_run_of_ticks(lines: Iterable[str]) -> int:
+    return max((len(run) for line in lines for run in re.findall("`+", line)), default=0)
+
+
+def _xml(text: str) -> str:
+    """Text without the characters that XML cannot hold, such as those of a label with control codes."""
+    return _NOT_XML.sub("?", text)

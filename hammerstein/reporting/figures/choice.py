@@ -1,0 +1,216 @@
+"""Which figures answer a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hammerstein.experiment.report import Band, Report, Trace
+from hammerstein.experiment.selection import identified_at
+from hammerstein.reporting.figures.loop_data import (
+    MOST_CURVES,
+    error_runs,
+    legible_parts,
+    loop_runs,
+    swept_label,
+)
+from hammerstein.reporting.figures.loops import errors_figure, loops_figure
+from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
+from hammerstein.reporting.figures.style import Array, Role, plain, symbol
+from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
+from hammerstein.rows import KEY, Row
+from hammerstein.signals import OnAxes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_LOOPS = 4  # frequencies of a run that are drawn as loops; more make a curve over frequency
+SHOWN_CYCLES = 2  # of a path that repeats
+
+
+def figures_of(report: Report) -> dict[str, Figure]:
+    """Figures that answer a scenario, by name.
+
+    Few values of one signal on each axis in turn give loops and errors over the cycle; more than four
+    frequencies give curves over frequency; everything else is drawn as a path.
+
+    Parameters
+    ----------
+    report : result of ``hammerstein.experiment.run.run``, with its traces
+
+    Examples
+    --------
+    >>> from hammerstein.experiment.run import run
+    >>> from hammerstein.scenario.scenario import Scenario
+    >>> scenario = Scenario.model_validate({
+    ...     "question": "How large is a loop?", "actuator": "duo_bimorph_static",
+    ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}})
+    >>> list(figures_of(run(scenario)))
+    ['loops']
+    """
+    if len({row.frequency_hz for row in report.rows}) > MOST_LOOPS:
+        return _sweeps(report)
+    if not report.traces:
+        return {}
+    signal = report.scenario.signal
+    return _loops(report) if isinstance(signal, OnAxes) and signal.axis != "all" else _paths(report)
+
+
+def _loops(report: Report) -> dict[str, Figure]:
+    volts = report.scenario.drive is not None
+    role, unit = _driven_quantity(report)
+    names = report.inputs if volts else report.axes
+    driven = [symbol(name, role) for name in names]
+    inputs = [f"{role} {name} [{unit}]" for name in driven]
+    readings = [f"reading {symbol(name, 'reading')} [µm]" for name in report.axes]
+    errors_of = [f"{symbol(name, 'error')} [µm]" for name in report.axes]
+    cycles = report.scenario.measure.measured_cycles
+    mean = f", mean of {cycles} cycles" if cycles > 1 else ""
+    figures = {}
+    for suffix, traces in legible_parts(report.traces).items():
+        whose = f"{plain(traces[0].label)}: sensor's" if suffix else "Sensor's"
+        title = f"{whose} reading over the {role}{mean}"
+        runs = loop_runs(report, traces)
+        figures[f"loops{suffix}"] = loops_figure(runs, inputs, readings, title, ideal=not volts)
+        errors = error_runs(report, traces)
+        if errors and len({run.label for run in errors}) <= MOST_CURVES:
+            title = f"{whose} reading less the {'prediction' if volts else 'reference'}"
+            figures[f"errors{suffix}"] = errors_figure(errors, driven, errors_of, title)
+    return figures | _operators(report)
+
+
+def _sweeps(report: Report) -> dict[str, Figure]:
+    """Error of the reading and, for a compensator, of the true position; without a target the gain."""
+    volts = report.scenario.drive is not None
+    seen = "Model error, seen by the sensor" if volts else "Error of the sensor's reading"
+    wanted = [("sweep", "rms_um", "rms error [µm]", seen)]
+    if volts and all(row.rms_um is None for row in report.rows):
+        wanted = [("sweep", "gain", "gain [µm/V]", "Gain of the first harmonic")]
+    if not volts:
+        wanted.append(("sweep_true", "rms_true_um", "rms error [µm]", "Error of the true position"))
+    figures = {}
+    for name, merit, quantity, title in wanted:
+        curves = sweep_curves(report, merit)
+        if any(np.isfinite(curve.values).any() for curve in curves):
+            figures[name] = sweep_figure(curves, _transfers(report), quantity, title)
+    return figures
+
+
+def _driven_quantity(report: Report) -> tuple[Role, str]:
+    """What the scenario drives, and its unit."""
+    return ("voltage", "V") if report.scenario.drive is not None else ("reference", "µm")
+
+
+def _excited(report: Report) -> list[str]:
+    return list(dict.fromkeys(row.excited_axis for row in report.rows))
+
+
+def _transfers(report: Report) -> list[list[str]]:
+    """What stands above each panel (output, excited axis) of a sweep."""
+    role, _ = _driven_quantity(report)
+    square = len(_excited(report)) == len(report.axes) > 1
+
+    def title(measured: str, o: int, excited: str, k: int) -> str:
+        reading = symbol(measured, "reading")
+        if excited == "all":
+            return f"{reading}, all axes driven"
+        kind = (", direct" if k == o else ", cross-coupling") if square else ""
+        return f"{symbol(excited, role)} to {reading}{kind}"
+
+    return [
+        [title(measured, o, excited, k) for k, excited in enumerate(_excited(report))]
+        for o, measured in enumerate(report.axes)
+    ]
+
+
+def sweep_curves(report: Report, merit: str) -> list[SweepCurve]:
+    """One figure of merit against frequency, a curve for each compensator or model (and amplitude)."""
+    amplitudes = {(row.amplitude_v, row.amplitude_um) for row in report.rows}
+    rows_of: dict[str, list[Row]] = {}
+    for row in report.rows:
+        size = f"{row.amplitude_v:g} V" if row.amplitude_um is None else f"{row.amplitude_um:g} µm"
+        words = [row.compensator, size if len(amplitudes) > 1 else ""]
+        rows_of.setdefault(", ".join(word for word in words if word) or "reading", []).append(row)
+    bands = {_key(band): band for band in report.bands if band.metric == merit}
+    identified = identified_at(report)
+    curves = []
+    for label, rows in rows_of.items():
+        frequencies = sorted({row.frequency_hz for row in rows})
+        where = [(row, frequencies.index(row.frequency_hz)) for row in rows]
+        found = [(row, at, bands[_key(row)]) for row, at in where if _key(row) in bands]
+        low = _grid(report, len(frequencies), [(row, at, band.p5_um) for row, at, band in found])
+        high = _grid(report, len(frequencies), [(row, at, band.p95_um) for row, at, band in found])
+        values = _grid(report, len(frequencies), [(row, at, getattr(row, merit)) for row, at in where])
+        mark = identified.get(rows[0].compensator)
+        band = (low, high) if found else None
+        curves.append(SweepCurve(label, np.array(frequencies), values, mark, band))
+    return curves
+
+
+def _key(row: Row | Band) -> tuple[object, ...]:
+    """What a row and its bands have in common."""
+    return tuple(getattr(row, name) for name in KEY)
+
+
+def _grid(report: Report, points: int, found: Iterable[tuple[Row, int, float | None]]) -> Array:
+    """Values (output, excited axis, point) from single ones; NaN where there is none."""
+    excited = _excited(report)
+    values = np.full((len(report.axes), len(excited), points), np.nan)
+    for row, at, value in found:
+        o, k = report.axes.index(row.measured_axis), excited.index(row.excited_axis)
+        values[o, k, at] = np.nan if value is None else value
+    return values
+
+
+def _operators(report: Report) -> dict[str, Figure]:
+    """Error against the number of operators, if that is what tells the models apart."""
+    models = {
+        model.label: getattr(model.identification, "operators", None) for model in report.scenario.models
+    }
+    numbers = sorted({number for number in models.values() if number is not None})
+    if len(numbers) <= MOST_LOOPS or len(numbers) < len(models):
+        return {}
+    curves = []
+    runs = dict.fromkeys((row.frequency_hz, row.amplitude_v) for row in report.rows)
+    for frequency_hz, amplitude_v in runs:
+        rows = [r for r in report.rows if (r.frequency_hz, r.amplitude_v) == (frequency_hz, amplitude_v)]
+        found = [(row, numbers.index(models[row.compensator]), row.rms_um) for row in rows]
+        label = f"{frequency_hz:g} Hz, {amplitude_v or 0:g} V"
+        curves.append(SweepCurve(label, np.array(numbers, float), _grid(report, len(numbers), found)))
+    title = "Model error against its size"
+    figure = sweep_figure(
+        curves, _transfers(report), "rms error [µm]", title, "play operators of each transfer"
+    )
+    return {"operators": figure}
+
+
+def _paths(report: Report) -> dict[str, Figure]:
+    runs = [run for trace in report.traces for run in _path_runs(report, trace)]
+    volts = report.scenario.drive is not None
+    kind = report.scenario.signal.kind.capitalize()
+    compared = runs[0].target_um is not None
+    what = "predictions of the models" if volts and compared else "sensor's reading"
+    target = "sensor's reading" if volts else "reference"
+    figures = {"path": path_figure(runs, report.axes, target, f"{kind}: {what}")}
+    if len({run.group for run in runs}) > 1 and compared:
+        figures["errors"] = path_errors_figure(runs, report.axes, f"{kind}: {what} less {target}")
+    return figures
+
+
+def _path_runs(report: Report, trace: Trace) -> Iterator[PathRun]:
+    """A compensator's reading against its reference, or each model's prediction against the reading."""
+    response, signal, time_s = trace.response, trace.signal, trace.time_s
+    group = swept_label(signal, report.scenario.sweep)
+    length = float(np.ptp(time_s))
+    period = min(length, signal.period_s) if signal.repeats else length
+    shown = min(length, SHOWN_CYCLES * period)
+    if response.reference_um is not None:
+        target, reading, true = response.reference_um, response.reading_um, response.position_um
+        yield PathRun(trace.label, group, time_s, target, reading, true, shown, period)
+        return
+    for p in trace.predictions:
+        yield PathRun(p.label, group, time_s, response.reading_um, p.reading_um, None, shown, period)
+    if not trace.predictions:
+        yield PathRun("reading", group, time_s, None, response.reading_um, None, shown, period)

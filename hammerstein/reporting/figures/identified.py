@@ -1,0 +1,273 @@
+"""Figures of an identification: loops, residual, error against operators, frequency response."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import discretise
+from hammerstein.errors import IdentificationError
+from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
+from hammerstein.identification.linear.coupled import measured_response
+from hammerstein.identification.linear.frequency_response import FrequencyResponse
+from hammerstein.identification.score import Candidate
+from hammerstein.identification.static.regressors import Start
+from hammerstein.records.preparation import driven_inputs
+from hammerstein.records.record import Record
+from hammerstein.records.turning_points import find_cycles
+from hammerstein.reporting.figures.loops import LoopRun, loops_figure
+from hammerstein.reporting.figures.style import (
+    MOST_POINTS,
+    PALE,
+    WIDTH_IN,
+    legend_above,
+    letter,
+    line_style,
+    new_figure,
+    plain,
+    plain_numbers,
+    sparse_markers,
+    styled,
+    thin_trace,
+    time_axis,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+LINES = 160
+"""Points of a spectrum, spread evenly over the logarithm of the frequency."""
+LEAST = 1e-12
+SAME_SWING = 0.01
+BROAD_SHARE = 0.5
+"""Records from this part of the longest one's length on are used for the measured response."""
+
+
+def identified_figures(fit: Fit) -> dict[str, Figure]:
+    """Figures of a fit by name; those that the records cannot show are left out.
+
+    Parameters
+    ----------
+    fit : what ``identify`` has found
+    """
+    record, start = (fit.held[0], fit.held_starts[0]) if fit.held else (fit.records[0], fit.starts[0])
+    figures = {"residual": residual_figure(fit, record, start)}
+    if loops := measured_loops(fit):
+        figures["loops"] = loops
+    if fit.error_curve:
+        figures["operators"] = operators_figure(fit)
+    if fit.kind == "hammerstein":
+        with contextlib.suppress(IdentificationError):  # sines alone tell no response at the lines between
+            figures["response"] = response_figure(fit, measured_response(_longest(fit.records)))
+    return figures
+
+
+def _longest(records: Sequence[Record]) -> list[Record]:
+    """Records long enough, and on one sample time, for lines that stand close together."""
+    slowest = max(record.samples for record in records)
+    long = [record for record in records if record.samples >= BROAD_SHARE * slowest]
+    return [record for record in long if record.sample_time_s == long[0].sample_time_s]
+
+
+def _words(name: str) -> str:
+    """Name of an axis for a label: a bare column number says little."""
+    return f"column {name}" if name.isdigit() else plain(name)
+
+
+def _cycle(record: Record, k: int) -> slice | None:
+    """Last closed cycle of an input, if there is one."""
+    cycles = [e for e in find_cycles(record.u_v[k]).excursions if not e.minor]
+    return slice(cycles[-1].start, cycles[-1].stop + 1) if cycles else None
+
+
+def measured_loops(fit: Fit) -> Figure | None:
+    """Slowest last cycle of each input driven alone, at its largest amplitude, and what the model says of it.
+
+    Parameters
+    ----------
+    fit : what ``identify`` has found
+
+    Returns
+    -------
+    None where no record has a closed cycle
+    """
+    runs = []
+    for k in range(len(fit.inputs)):
+        found = [
+            (float(np.ptp(record.u_v[k, part])), i, part)
+            for i, record in enumerate(fit.records)
+            if driven_inputs(record) == (k,) and (part := _cycle(record, k))
+        ]
+        if not found:
+            continue
+        largest = max(swing for swing, _, _ in found)
+        alike = [one for one in found if one[0] >= (1.0 - SAME_SWING) * largest]
+        _, i, part = max(alike, key=lambda one: one[2].stop - one[2].start)
+        record, model = fit.records[i], fit.candidates[fit.kind]
+        said = model.predict(record, fit.starts[i])[:, part]
+        said += (record.y_um[:, part] - said).mean(axis=1, keepdims=True)
+        drawn = ((KIND_NAMES[fit.kind], said),)
+        runs.append(LoopRun("measured", k, record.u_v[k, part], record.y_um[:, part], drawn))
+    if not runs:
+        return None
+    inputs = [f"{_words(name)} [V]" for name in fit.inputs]
+    return loops_figure(runs, inputs, [f"{_words(name)} [µm]" for name in fit.outputs])
+
+
+def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
+    """What the models leave, over time and over frequency, one row an output.
+
+    Parameters
+    ----------
+    fit : what ``identify`` has found
+    record, start : on which it is drawn
+    """
+    kinds: list[Kind] = [kind for kind in fit.candidates if kind != "linear" or fit.kind != "hammerstein"]
+    left = {kind: fit.candidates[kind].residual(record, start) for kind in kinds}
+    most = MOST_POINTS // (2 * len(kinds) * len(fit.outputs))
+    with styled():
+        figure = new_figure(0.9 + 2.0 * len(fit.outputs))
+        panels = figure.subplots(len(fit.outputs), 2, squeeze=False, sharex="col")
+        entries: dict[str, Artist] = {}
+        for o, row in enumerate(panels):
+            for number, kind in enumerate(kinds):
+                entries[KIND_NAMES[kind]] = _draw_residual(
+                    row, left[kind][o], record.sample_time_s, number, most
+                )
+            _, unit = time_axis(record.sample_time_s * record.samples)
+            row[0].set(ylabel=f"error of {_words(fit.outputs[o])} [µm]", xlabel=unit)
+            row[1].set(ylabel="amplitude [µm]", xlabel="frequency [Hz]", xscale="log", yscale="log")
+            row[1].grid(visible=True, which="major")
+        for number, axes in enumerate(panels.flat):
+            letter(axes, number)
+            last = number >= panels.size - 2
+            axes.tick_params(labelbottom=last)
+            axes.xaxis.label.set_visible(last)
+        for axes in panels[:, 1]:
+            plain_numbers(axes.yaxis)
+            plain_numbers(axes.xaxis)
+        legend_above(figure, entries, f"residual on {Path(record.source).name}")
+    return figure
+
+
+def _draw_residual(row: Sequence[Axes], error: Array, sample_time_s: float, number: int, most: int) -> Artist:
+    """One curve over time and one over frequency."""
+    factor, _ = time_axis(sample_time_s * len(error))
+    style = line_style(number) | {"linewidth": 1.0, "marker": ""}
+    time_s = np.asarray(factor * sample_time_s * np.arange(len(error)))
+    time, values = thin_trace(time_s, error, most)
+    row[0].plot(time, values, zorder=2 + number, **style)
+    frequency_hz, amplitude_um = spectrum(error, sample_time_s)
+    (line,) = row[1].plot(frequency_hz, amplitude_um, zorder=2 + number, **style)
+    return line
+
+
+def spectrum(error_um: Array, sample_time_s: float) -> tuple[Array, Array]:
+    """Largest amplitude [um] in each of many bands of frequency [Hz], by a Hann window.
+
+    Examples
+    --------
+    >>> f, a = spectrum(3.0 * np.sin(2.0 * np.pi * 50.0 * 1e-3 * np.arange(1000)), 1e-3)
+    >>> round(float(f[np.argmax(a)])), round(float(a.max()), 6)
+    (50, 3.0)
+    """
+    window = np.hanning(len(error_um) + 1)[:-1]
+    amplitude = 2.0 * np.abs(np.fft.rfft(window * error_um))[1:] / window.sum()
+    frequency = np.fft.rfftfreq(len(error_um), sample_time_s)[1:]
+    edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, LINES)
+    band = np.searchsorted(edges, frequency, side="right")
+    bands = np.unique(band)
+    peaks = np.array([np.flatnonzero(band == b)[np.argmax(amplitude[band == b])] for b in bands])
+    return frequency[peaks], np.maximum(amplitude[peaks], LEAST)
+
+
+def operators_figure(fit: Fit) -> Figure:
+    """Held-out error against the number of operators; the model's own number is marked.
+
+    Parameters
+    ----------
+    fit : what ``identify`` has found, with its error curve
+    """
+    counts = [point.operators for point in fit.error_curve]
+    chosen = sorted({n for row in fit.operators for n in row})
+    with styled():
+        figure = new_figure(0.5 + 0.42 * WIDTH_IN)
+        axes = figure.subplots()
+        entries: dict[str, Artist] = {}
+        for o, name in enumerate(fit.outputs):
+            errors = [max(point.nrmse_percent[o], LEAST) for point in fit.error_curve]
+            style = line_style(o) | {"marker": "os^xvD+"[o % 7]}
+            (entries[_words(name)],) = axes.plot(counts, errors, **style)
+        for n in chosen:
+            mark = axes.axvline(n, color=PALE, linewidth=5.0, alpha=0.4, zorder=0)
+        entries["this model"] = mark
+        axes.set(
+            xlabel="operators of each pair",
+            ylabel="held-out rms error [% of range]",
+            xscale="log",
+            yscale="log",
+        )
+        for axis in (axes.xaxis, axes.yaxis):
+            plain_numbers(axis)
+        legend_above(figure, entries)
+    return figure
+
+
+def response_figure(fit: Fit, measured: FrequencyResponse) -> Figure:
+    """Gain of every pair over frequency, measured and by the model, and the coherence of each output.
+
+    The model is drawn with the gain of its static block at the amplitude of the records.
+
+    Parameters
+    ----------
+    fit : what ``identify`` has found
+    measured : response without a model
+    """
+    said = model_response(fit.candidates[fit.kind], fit, measured.frequency_hz)
+    p, m = said.shape[1:]
+    with styled():
+        figure = new_figure(0.9 + 1.9 * p)
+        panels = figure.subplots(p, m + 1, squeeze=False, sharex=True)
+        entries: dict[str, Artist] = {}
+        for number, ((o, k), axes) in enumerate(np.ndenumerate(panels)):
+            letter(
+                axes, number, f"{_words(fit.inputs[k])} to {_words(fit.outputs[o])}" if k < m else "coherence"
+            )
+            axes.set(xscale="log", xlabel="frequency [Hz]" if o == p - 1 else "")
+            if k == m:
+                _draw_spectrum(axes, measured.frequency_hz, measured.coherence[o], 0)
+                axes.set_ylim(-0.05, 1.05)
+                continue
+            gain, model_gain = np.abs(measured.response[o, k]), np.abs(said[:, o, k])
+            entries["measured"] = _draw_spectrum(axes, measured.frequency_hz, gain, 0)
+            entries[KIND_NAMES[fit.kind]] = _draw_spectrum(axes, measured.frequency_hz, model_gain, 1)
+            axes.set(yscale="log", ylabel="gain [µm/V]" if k == 0 else "")
+            plain_numbers(axes.yaxis)
+        plain_numbers(panels[-1, -1].xaxis)
+        legend_above(figure, entries)
+    return figure
+
+
+def _draw_spectrum(axes: Axes, frequency_hz: Array, values: Array, number: int) -> Artist:
+    style = line_style(number) | {"marker": "" if len(values) > LINES else "o", "linewidth": 1.2}
+    every = sparse_markers(len(values), number, 40)
+    x, y = thin_trace(frequency_hz, np.maximum(values, LEAST), 2 * LINES)
+    (line,) = axes.plot(x, y, markevery=every, **style)
+    return line
+
+
+def model_response(model: Candidate, fit: Fit, frequency_hz: Array) -> NDArray[np.complex128]:
+    """Linearised response (frequency, output, input) of a model with its sensor [um/V]."""
+    block = discretise(model.dynamics, fit.sample_time_s, fit.sensor_bandwidth_hz)
+    p = len(fit.outputs)
+    linear = block.response(frequency_hz)[:, block.n_outputs - p :]
+    return np.asarray(linear @ model.hysteresis.gain(fit.amplitude_v))

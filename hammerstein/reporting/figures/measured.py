@@ -1,0 +1,67 @@
+"""Loops of measured records, in the arrangement of the simulated ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hammerstein.records.loops import Loop
+from hammerstein.records.record import Record
+from hammerstein.reporting.figures.loops import LoopRun, loops_figure
+from hammerstein.reporting.figures.style import plain
+from hammerstein.storage.manifest import Owner
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LOOPS = Owner("loops", sign=("loops.svg", "<dc:title>hammerstein"))
+LOOPS_FILES = ("loops.svg", "loops.png")
+MOST_AMPLITUDES = 4  # line styles that can be told apart
+
+
+def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]) -> Figure | None:
+    """Draw the last settled loop of each amplitude, largest first; None where no record has a loop.
+
+    Parameters
+    ----------
+    records : measured records of one actuator
+    tables : their loops, as ``loop_table`` gives them
+    """
+    runs = []
+    for record, table in zip(records, tables, strict=True):
+        for loop in _chosen(table):
+            part = slice(loop.start, loop.stop + 1)
+            driven = record.inputs.index(loop.input)
+            label = f"{loop.amplitude_v:.3g} V" + (
+                f", {Path(record.source).stem}" if len(records) > 1 else ""
+            )
+            runs.append(LoopRun(label, driven, record.u_v[driven, part], record.y_um[:, part]))
+    if not runs:
+        return None
+    first = records[0]
+    return loops_figure(
+        runs,
+        [f"{_words(name)} [V]" for name in first.inputs],
+        [f"{_words(name)} [µm]" for name in first.outputs],
+    )
+
+
+def _words(column: str) -> str:
+    """Name of a column on an axis: a bare number says little."""
+    return f"column {column}" if column.isdigit() else plain(column)
+
+
+def _chosen(table: Sequence[Loop]) -> list[Loop]:
+    """One loop for each amplitude that differs by more than a tenth, for the first output."""
+    chosen: list[Loop] = []
+    inputs = dict.fromkeys(loop.input for loop in table)
+    for name in inputs:
+        own = [loop for loop in table if loop.input == name and loop.output == table[0].output]
+        own.sort(key=lambda loop: (-loop.amplitude_v, not loop.settled, -loop.start))
+        apart: list[Loop] = []
+        for loop in own:
+            if all(abs(loop.amplitude_v - other.amplitude_v) > 0.1 * other.amplitude_v for other in apart):
+                apart.append(loop)
+        chosen += apart[:MOST_AMPLITUDES]
+    return chosen

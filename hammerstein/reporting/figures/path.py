@@ -1,0 +1,283 @@
+"""Paths: the plane, the axes over time, and the errors over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hammerstein.experiment.selection import significant
+from hammerstein.reporting.figures.style import (
+    COLOURS,
+    DARK,
+    MOST_POINTS,
+    WIDTH_IN,
+    Array,
+    few_ticks,
+    legend_above,
+    letter,
+    new_figure,
+    plain,
+    plain_numbers,
+    styled,
+    symbol,
+    thin_path,
+    thin_trace,
+    time_axis,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Short dashes are the target's alone.
+LINES: tuple[Any, ...] = (
+    "-",
+    (0, (8, 1.5, 1.5, 1.5)),
+    (0, (1, 1)),
+    (0, (12, 2)),
+    (0, (8, 1.5, 1.5, 1.5, 1.5, 1.5)),
+)
+TARGET: dict[str, Any] = {"color": DARK, "linestyle": (0, (3, 2.5)), "linewidth": 0.9}
+LOGARITHMIC_FROM = 8.0  # ratio of the worst distances from which their axis is logarithmic
+
+
+@dataclass(frozen=True, eq=False)
+class PathRun:
+    """All axes driven together.
+
+    label : what the legend calls it; runs of one label are drawn alike
+    group : the swept value, such as ``50 um``; runs of one group have the same target
+    time_s : (sample,) [s]
+    target_um : (axis, sample) where the path should go; None: nothing to compare with
+    output_um : (axis, sample) where it goes
+    true_um : (axis, sample) where it truly goes, if ``output_um`` is a sensor's reading
+    shown_s : length of time that is drawn [s]; the errors in the legend are those of the whole run
+    period_s : length of time after which the path closes [s]; of one that does not, its whole length
+    """
+
+    label: str
+    group: str
+    time_s: Array
+    target_um: Array | None
+    output_um: Array
+    true_um: Array | None
+    shown_s: float
+    period_s: float
+
+    def first(self, seconds: float) -> slice:
+        """Samples of the first stretch of the run."""
+        return slice(0, int(np.searchsorted(self.time_s, self.time_s[0] + seconds * (1.0 + 1e-9), "right")))
+
+    def errors(self) -> list[tuple[str, Array]]:
+        """Error of each axis, then its length over all axes, then that of the true position."""
+        assert self.target_um is not None
+        error = self.output_um - self.target_um
+        rows = [("", axis) for axis in error]
+        if len(error) > 1:
+            rows.append((DISTANCE, np.linalg.norm(error, axis=0)))
+        if self.true_um is not None:
+            rows.append((TRULY, np.linalg.norm(self.true_um - self.target_um, axis=0)))
+        return rows
+
+
+DISTANCE = "distance"
+TRULY = "true distance"
+
+
+def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str, title: str = "") -> Figure:
+    """Path in the plane (a), axes over time (b) and errors over time (c), as in the paper's Figs. 10 to 13.
+
+    All groups share the plane; (b) and (c) show the group with the largest target. The plane is left out
+    unless there are two axes, the errors unless there is a target. The legend gives the worst distance.
+
+    Parameters
+    ----------
+    runs : what to draw
+    axes_names : name of each axis
+    target : what the dashed line is, such as ``reference``
+    title : written above the legend
+    """
+    with styled():
+        group = _largest_group(runs)
+        largest = [run for run in runs if run.group == group]
+        n_errors = 0 if largest[0].target_um is None else len(largest[0].errors())
+        figure, plane, traces, errors = _layout(len(axes_names), n_errors)
+        pens = _pens(runs)
+        curves = 3 * len(runs) + len(largest) * (len(axes_names) + n_errors) + len(axes_names)
+        most = MOST_POINTS // curves  # a path in the plane is longer and gets three times as many
+        if plane is not None:
+            _draw_plane(plane, runs, pens, axes_names, 3 * most)
+            letter(plane, 0)
+        entries = _draw_traces(traces, largest, pens, axes_names, target, most)
+        letter(traces[0], 1 if plane else 0, group)
+        if errors:
+            _draw_errors(errors, largest, pens, axes_names, most)
+            letter(errors[0], 2 if plane else 1, group)
+        legend_above(figure, entries, title)
+    return figure
+
+
+def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title: str = "") -> Figure:
+    """Errors over time, a column for each group; every run has a target."""
+    groups = list(dict.fromkeys(run.group for run in runs))
+    rows = len(runs[0].errors())
+    with styled():
+        figure = new_figure(0.8 + 1.4 * rows)
+        panels = figure.subplots(rows, len(groups), squeeze=False, sharey="row", sharex="col")
+        entries: dict[str, Artist] = {}
+        most = MOST_POINTS // (len(runs) * rows)
+        for column, group in enumerate(groups):
+            inside = [run for run in runs if run.group == group]
+            lines = _draw_errors(list(panels[:, column]), inside, _pens(runs), axes_names, most)
+            entries |= {_entry(label, runs): line for label, line in lines.items()}
+            letter(panels[0, column], column, group)
+            for axes in panels[:, column] if column else []:
+                axes.set_ylabel("")
+        for name, axes in zip([name for name, _ in runs[0].errors()], panels[:, 0], strict=True):
+            _scale_distance(axes, name, runs)
+        legend_above(figure, entries, title)
+    return figure
+
+
+def _pens(runs: Sequence[PathRun]) -> dict[str, dict[str, Any]]:
+    """Colour and line of each label."""
+    labels = dict.fromkeys(run.label for run in runs)
+    return {
+        label: {"color": COLOURS[i % len(COLOURS)], "linestyle": LINES[i % len(LINES)], "linewidth": 1.2}
+        for i, label in enumerate(labels)
+    }
+
+
+def _largest_group(runs: Sequence[PathRun]) -> str:
+    def size(run: PathRun) -> float:
+        return float(np.abs(run.output_um if run.target_um is None else run.target_um).max())
+
+    return max(runs, key=size).group
+
+
+def _layout(n_axes: int, n_errors: int) -> tuple[Figure, Axes | None, list[Axes], list[Axes]]:
+    """Empty panels: plane (of two axes only), traces, errors."""
+    has_plane = n_axes == 2
+    top_in = 0.46 * WIDTH_IN if has_plane else 1.4 * n_axes
+    figure = new_figure(0.7 + top_in + 1.15 * n_errors)
+    heights = [top_in, 1.15 * n_errors] if n_errors else [top_in]
+    grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
+    top = grid[0].subgridspec(n_axes, 1 + has_plane)
+    plane = figure.add_subplot(top[:, 0]) if has_plane else None
+    traces = _stack(figure, [top[row, int(has_plane)] for row in range(n_axes)])
+    if not n_errors:
+        return figure, plane, traces, []
+    below = grid[1].subgridspec(n_errors, 1)
+    return figure, plane, traces, _stack(figure, [below[row] for row in range(n_errors)])
+
+
+def _stack(figure: Figure, places: Sequence[Any]) -> list[Axes]:
+    """Panels above each other with one time axis below the last."""
+    stack: list[Axes] = []
+    for place in places:
+        stack.append(figure.add_subplot(place, sharex=stack[0] if stack else None))
+    for axes in stack[:-1]:
+        axes.tick_params(labelbottom=False)
+    return stack
+
+
+def _draw_plane(
+    axes: Axes, runs: Sequence[PathRun], pens: dict[str, Any], names: Sequence[str], most: int
+) -> None:
+    """One period of each path: broken lines drawn over themselves would look whole."""
+    for run in runs:
+        x, y = thin_path(list(run.output_um[:, run.first(run.period_s)]), most)
+        axes.plot(x, y, **pens[run.label])
+    for run in {run.group: run for run in runs if run.target_um is not None}.values():
+        assert run.target_um is not None
+        x, y = thin_path(list(run.target_um[:, run.first(run.period_s)]), most)
+        axes.plot(x, y, **TARGET)
+    axes.set_aspect("equal")
+    few_ticks(axes)
+    axes.set_xlabel(f"{symbol(names[0], 'reading')} [µm]")
+    axes.set_ylabel(f"{symbol(names[1], 'reading')} [µm]")
+
+
+def _draw_traces(
+    traces: Sequence[Axes],
+    runs: Sequence[PathRun],
+    pens: dict[str, Any],
+    names: Sequence[str],
+    target: str,
+    most: int,
+) -> dict[str, Artist]:
+    """Axes over time; gives the entries of the legend, with the worst distance of each curve."""
+    entries: dict[str, Artist] = {}
+    shown = runs[0].first(runs[0].shown_s)
+    factor, time_label = time_axis(runs[0].shown_s)
+    for axis, axes in enumerate(traces):
+        for run in runs:
+            time, values = thin_trace(run.time_s[shown] * factor, run.output_um[axis, shown], most)
+            (line,) = axes.plot(time, values, **pens[run.label])
+            entries[_entry(run.label, runs)] = line
+        if runs[0].target_um is not None:
+            time, values = thin_trace(runs[0].time_s[shown] * factor, runs[0].target_um[axis, shown], most)
+            (entries[target],) = axes.plot(time, values, **TARGET)
+        few_ticks(axes)
+        axes.set_ylabel(f"{symbol(names[axis], 'reading')} [µm]")
+        axes.margins(x=0.0)
+    traces[-1].set_xlabel(time_label)
+    return entries
+
+
+def _entry(label: str, runs: Sequence[PathRun]) -> str:
+    """Label with the worst distance of its runs as a whole; of one axis, the worst error."""
+    same = [run for run in runs if run.label == label]
+    if same[0].target_um is None:
+        return plain(label)
+    names = dict(same[0].errors())
+    truly = f", true {significant(_worst(same, TRULY))} µm" if TRULY in names else ""
+    worst = significant(_worst(same, DISTANCE if DISTANCE in names else ""))
+    return f"{plain(label)} (worst {worst} µm{truly})"
+
+
+def _worst(runs: Sequence[PathRun], name: str) -> float:
+    return max(float(np.abs(dict(run.errors())[name]).max()) for run in runs)
+
+
+def _draw_errors(
+    panels: Sequence[Axes],
+    runs: Sequence[PathRun],
+    pens: dict[str, Any],
+    names: Sequence[str],
+    most: int,
+) -> dict[str, Artist]:
+    """Errors over time, a panel each; gives the line of each label."""
+    entries: dict[str, Artist] = {}
+    factor, time_label = time_axis(runs[0].shown_s)
+    for run in runs:
+        shown = run.first(run.shown_s)
+        for axes, (_, error) in zip(panels, run.errors(), strict=True):
+            time, values = thin_trace(run.time_s[shown] * factor, error[shown], most)
+            (line,) = axes.plot(time, values, **pens[run.label])
+            entries[run.label] = line
+    for i, (name, _) in enumerate(runs[0].errors()):
+        panels[i].margins(x=0.0)
+        few_ticks(panels[i])
+        panels[i].set_ylabel(f"{name.replace(' ', chr(10)) or symbol(names[i], 'error')} [µm]")
+        _scale_distance(panels[i], name, runs)
+    panels[-1].set_xlabel(time_label)
+    return entries
+
+
+def _scale_distance(axes: Axes, name: str, runs: Sequence[PathRun]) -> None:
+    """Distances start at zero, or are logarithmic where one curve would hide another."""
+    if not name:
+        return
+    worst = [_worst([run], name) for run in runs]
+    if min(worst) > 0.0 and max(worst) >= LOGARITHMIC_FROM * min(worst):
+        typical = min(float(np.median(dict(run.errors())[name])) for run in runs)
+        axes.set_yscale("log")
+        axes.set_ylim(0.3 * max(typical, 1e-9), 1.4 * max(worst))
+        plain_numbers(axes.yaxis)
+    elif axes.get_yscale() == "linear":  # panels of one row share their scale
+        axes.set_ylim(0.0, 1.08 * max(worst) or 1.0)

@@ -1,0 +1,147 @@
+"""A figure of merit against frequency: one panel for each output and input."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hammerstein.reporting.figures.style import (
+    WIDTH_IN,
+    Array,
+    legend_above,
+    letter,
+    line_style,
+    new_figure,
+    plain,
+    plain_numbers,
+    sparse_markers,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LOGARITHMIC_FROM = 12.0  # ratio of the ends from which an axis is logarithmic
+BAND_ALPHA = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class SweepCurve:
+    """One compensator or model over frequency, or over another swept value.
+
+    label : what the legend calls it
+    x : (point,) frequency [Hz] or another swept value, positive and increasing
+    values : (output, input, point); NaN where there is none
+    mark : where a tick stands on the curve, such as the frequency of its identification; None: nowhere
+    band : lower and upper edge around the curve, each as ``values``; None: no band
+    """
+
+    label: str
+    x: Array
+    values: Array
+    mark: float | None = None
+    band: tuple[Array, Array] | None = None
+
+
+def sweep_figure(
+    curves: Sequence[SweepCurve],
+    panel_titles: Sequence[Sequence[str]],
+    quantity: str,
+    title: str = "",
+    x_label: str = "frequency [Hz]",
+) -> Figure:
+    """Curves against frequency in the paper's arrangement (Figs. 7, 9).
+
+    A vertical tick on a curve stands at the frequency of its identification.
+
+    Parameters
+    ----------
+    curves : what to draw
+    panel_titles : what stands above each panel (output, input)
+    quantity : label of the vertical axes, with unit
+    title : written above the legend
+    x_label : label of the horizontal axes, with unit
+
+    Examples
+    --------
+    >>> f = np.array([10.0, 50.0, 200.0])
+    >>> curve = SweepCurve("model", f, np.array([[[0.1, 0.2, 3.0]]]), mark=50.0)
+    >>> figure = sweep_figure([curve], [["x"]], "RMS error [um]")
+    >>> figure.axes[0].get_yscale()
+    'log'
+    """
+    rows, columns = len(panel_titles), len(panel_titles[0])
+    with styled():
+        figure = new_figure(0.9 + rows * WIDTH_IN / max(columns, 2) * 0.68)
+        panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        entries: dict[str, Artist] = {}
+        for number, curve in enumerate(curves):
+            for (o, k), axes in np.ndenumerate(panels):
+                entries[plain(curve.label)] = _draw(axes, curve, o, k, number)
+        _scale(panels, curves)
+        for number, axes in enumerate(panels.flat):
+            o, k = divmod(number, columns)
+            letter(axes, number, panel_titles[o][k])
+            axes.set_xlabel(x_label if o == rows - 1 else "")
+            axes.set_ylabel(quantity if k == 0 else "")
+        legend_above(figure, entries | _explained(curves), title)
+    return figure
+
+
+def _draw(axes: Axes, curve: SweepCurve, output: int, input_: int, number: int) -> Artist:
+    """One curve in one panel, with its band and its tick."""
+    style, values = line_style(number), curve.values[output, input_]
+    if curve.band is not None:
+        low, high = (edge[output, input_] for edge in curve.band)
+        axes.fill_between(curve.x, low, high, color=style["color"], alpha=BAND_ALPHA, linewidth=0.0)
+    markers = sparse_markers(len(values), number, markers=9)
+    (line,) = axes.plot(curve.x, values, markevery=markers, **style)
+    mark = _mark(curve)
+    if mark is not None:
+        logarithms = np.log(np.maximum(values, 1e-12))
+        height = np.exp(np.interp(np.log(mark), np.log(curve.x), logarithms))
+        tick = {"color": style["color"], "markersize": 14, "markeredgewidth": 2.2}
+        axes.plot([mark], [height], "|", zorder=3, clip_on=False, **tick)
+    return line
+
+
+def _mark(curve: SweepCurve) -> float | None:
+    """Place of the tick, if the curve passes it."""
+    inside = curve.mark is not None and curve.x[0] <= curve.mark <= curve.x[-1]
+    return curve.mark if inside else None
+
+
+def _explained(curves: Sequence[SweepCurve]) -> dict[str, Artist]:
+    """Entries of the legend for ticks and bands."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    entries: dict[str, Artist] = {}
+    if any(_mark(curve) is not None for curve in curves):
+        tick = Line2D([], [], linestyle="", marker="|", color="#555555", markersize=11, markeredgewidth=2.2)
+        entries["identified here"] = tick
+    if any(curve.band is not None for curve in curves):
+        entries["5 to 95 % of drawn actuators"] = Patch(color="#555555", alpha=BAND_ALPHA, linewidth=0.0)
+    return entries
+
+
+def _scale(panels: np.ndarray, curves: Sequence[SweepCurve]) -> None:
+    """Logarithmic axes where the values span more than about a decade."""
+    x = np.concatenate([curve.x for curve in curves])
+    values = np.concatenate([curve.values.ravel() for curve in curves])
+    values = values[np.isfinite(values)]
+    for axes in panels.flat:
+        if x.max() >= LOGARITHMIC_FROM * x.min():
+            axes.set_xscale("log")
+            plain_numbers(axes.xaxis)
+        if values.min() > 0.0 and values.max() >= LOGARITHMIC_FROM * values.min():
+            axes.set_yscale("log")
+            plain_numbers(axes.yaxis)
+        else:
+            axes.set_ylim(bottom=0.0)
+        axes.margins(x=0.02, y=0.08)

@@ -1,0 +1,163 @@
+"""The account of an identification as a page for people and as JSON for programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import PurePath
+from typing import Any
+
+from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
+from hammerstein.identification.score import Score
+from hammerstein.model import HammersteinModel
+
+CAPTIONS = {
+    "loops": "One cycle of each input driven alone, measured and by the model (dark, broken).",
+    "residual": "What each kind of model leaves: over time, and the largest amplitude in bands of frequency.",
+    "operators": "Error on stretches of the records that were held out, against the number of operators. The "
+    "grey bar marks this model.",
+    "response": "Gain of each pair, measured and by the model at the amplitude of the records, and the part "
+    "of each output's power that the inputs explain linearly.",
+}
+
+
+def fit_json(model: HammersteinModel, fit: Fit) -> str:
+    """Everything about a fit as one JSON object: full precision, sorted keys, equal fits give equal bytes."""
+    plain = fit.as_dict() | {
+        "model": model.name,
+        "dynamics": model.dynamics.model_dump(mode="json"),
+        "records": [PurePath(record.source).name for record in fit.records],
+        "held_records": [PurePath(record.source).name for record in fit.held],
+    }
+    return json.dumps(plain, indent=1, sort_keys=True, allow_nan=False) + "\n"
+
+
+def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> str:
+    """Markdown page of a fit; equal fits give equal bytes.
+
+    Parameters
+    ----------
+    model, fit : what ``identify`` gave
+    figures : names of PNG files beside the page
+    """
+    parts = [
+        f"# Fit report of {_cell(model.name)}",
+        fit.verdict,
+        *_statements(fit),
+        "## Errors",
+        *_errors(fit),
+        "## Model",
+        _table(("", ""), _facts(model, fit)),
+        "## Weights",
+        _table(
+            ("pair", "operators", "gain [um/V]", "slopes [um/V]", "largest standard error [um/V]"),
+            _pairs(model, fit),
+        ),
+        *(["## Dynamics", *_dynamics(model, fit)] if fit.kind == "hammerstein" else []),
+        *(["## Figures", *_pictures(figures)] if figures else []),
+        "Every number with full precision is in `fit.json`.",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _statements(fit: Fit) -> Iterator[str]:
+    for title, statements in (
+        ("What this model cannot represent", fit.flags),
+        ("Not identifiable from these records", fit.not_identifiable),
+        ("What was done to the records", fit.notes),
+    ):
+        if statements:
+            yield f"## {title}"
+            yield "\n".join(f"* {statement}" for statement in statements)
+    if not fit.invertible:
+        yield "**This model has no inverse: a compensator cannot be built on it as it is.**"
+
+
+def _errors(fit: Fit) -> Iterator[str]:
+    yield (
+        "Rms errors about the mean of each record, in percent of the range of the readings, and in um. "
+        "The model in the file is marked."
+    )
+    for title, scores in (("Records held back", fit.validation), ("Fitted records", fit.fit)):
+        if scores:
+            yield f"### {title}"
+            header = ["model", *(f"{_cell(name)} [{unit}]" for name in fit.outputs for unit in ("%", "um"))]
+            yield _table(header, [_score(fit, kind, score) for kind, score in scores.items()])
+
+
+def _score(fit: Fit, kind: Kind, score: Score) -> list[str]:
+    name = f"**{KIND_NAMES[kind]}**" if kind == fit.kind else KIND_NAMES[kind]
+    pairs = zip(score.nrmse_percent, score.rms_um, strict=True)
+    return [name, *(f"{value:.3g}" for pair in pairs for value in pair)]
+
+
+def _facts(model: HammersteinModel, fit: Fit) -> Iterator[tuple[str, str]]:
+    yield "kind", KIND_NAMES[fit.kind]
+    yield "weights", fit.method.replace("_", " ")
+    swings = zip(fit.inputs, fit.amplitudes_v, strict=True)
+    rates = ", ".join(dict.fromkeys(f"{record.rate_hz:.6g} Hz" for record in fit.records))
+    longest = max(record.samples * record.sample_time_s for record in fit.records)
+    yield "sampled at", f"{rates}; the longest record lasts {longest:.4g} s"
+    yield "identified up to", ", ".join(f"{swing:.4g} V on {_cell(name)}" for name, swing in swings)
+    yield "delay", f"{fit.delay_samples} sample{'s' * (fit.delay_samples != 1)} of {fit.sample_time_s:.4g} s"
+    if fit.sensor_bandwidth_hz is not None:
+        yield "sensor bandwidth, as given", f"{fit.sensor_bandwidth_hz:.4g} Hz"
+    yield "inverse", fit.invertibility
+    for record, start, offsets in zip(fit.records, fit.starts, fit.offsets_um, strict=True):
+        began = "from rest" if start.kind == "rest" else "in motion"
+        if start.first:
+            began += f", the first {start.first} samples left out"
+        zero = ", ".join(f"{value:.4g}" for value in offsets)
+        yield f"record {_cell(PurePath(record.source).name)}", f"begins {began}; offset {zero} um"
+
+
+def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[list[str]]:
+    for name, row in zip(fit.outputs, model.hysteresis.pairs, strict=True):
+        for input_, pair in zip(fit.inputs, row, strict=True):
+            if not len(pair.thresholds_v):
+                continue
+            errors = pair.weight_errors_um_per_v
+            yield [
+                f"{_cell(input_)} to {_cell(name)}",
+                str(len(pair.thresholds_v)),
+                f"{pair.amplitude(model.amplitude_v) / model.amplitude_v:.4g}",
+                f"{pair.slopes.min():.4g} to {pair.slopes.max():.4g}",
+                f"{errors.max():.2g}" if errors is not None else "not known",
+            ]
+
+
+def _dynamics(model: HammersteinModel, fit: Fit) -> Iterator[str]:
+    if not fit.axes:
+        yield f"State-space model of order {fit.order} on the records' sample time."
+        return
+    rows = []
+    for name, axis in zip(fit.outputs, fit.axes, strict=True):
+        modes = zip(axis.axis.creep, axis.creep_gain_errors, strict=True)
+        creep = ", ".join(f"{m.gain:.3g} ± {e:.1g} over {m.time_constant_s:.3g} s" for m, e in modes)
+        rows.append(
+            [
+                _cell(name),
+                f"{axis.axis.resonance_hz:.5g} ± {axis.resonance_error_percent:.1g} %",
+                f"{axis.axis.damping_ratio:.4g} ± {axis.damping_error_percent:.1g} %",
+                creep or "none",
+            ]
+        )
+    yield _table(("axis", "resonance [Hz]", "damping ratio", "creep (gain, time constant)"), rows)
+    yield "Standard errors hold for errors that are independent from sample to sample; misfit adds to them."
+
+
+def _pictures(figures: Sequence[str]) -> Iterator[str]:
+    for name in sorted(figures):
+        stem = PurePath(name).stem
+        yield f"[![{stem}]({name})]({stem}.svg)"
+        yield f"*{CAPTIONS.get(stem, stem)}*"
+
+
+def _table(header: Sequence[str], rows: Any) -> str:
+    lines = [" | ".join(header), " | ".join(["---"] * len(header))]
+    lines += [" | ".join(row) for row in rows]
+    return "\n".join(f"| {line} |" for line in lines)
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")

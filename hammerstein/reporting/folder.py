@@ -1,0 +1,121 @@
+"""Write a report's folder: numbers, page, figures, traces."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import InputError
+from hammerstein.experiment.report import FORMAT, Report, Trace
+from hammerstein.reporting.figures.write import FIGURES
+from hammerstein.storage.manifest import Owner
+from hammerstein.storage.staging import Stage, staged
+
+TraceFormat = Literal["csv", "mat"]
+LONGEST_NAME = 60  # a character takes up to four of the 255 bytes that most systems allow
+
+
+REPORT = Owner("report", sign=("report.json", f'"format": "{FORMAT}"'), replaces=(FIGURES.name,))
+ALWAYS = ("report.json", "report.md", "rms.csv")
+
+
+@dataclass(frozen=True)
+class Written:
+    """Files of a report, and those of a person that were kept under another name."""
+
+    files: tuple[Path, ...]
+    kept: tuple[Path, ...]
+
+
+def write_report(
+    report: Report, folder: Path, *, figures: bool = True, traces: TraceFormat | None = None
+) -> Written:
+    """Write ``report.json``, ``rms.csv``, ``report.md``, figures and, on request, traces.
+
+    They take the place of those of an earlier run together; where one cannot be written, that report stays.
+    Files that this program did not write stay as well.
+
+    Parameters
+    ----------
+    report : what to write
+    folder : where to; made if it does not exist
+    figures : whether to draw
+    traces : format of the traces, none if not given
+
+    Raises
+    ------
+    InputError : the folder cannot be written, is a link, or holds other people's files under these names
+    """
+    from hammerstein.reporting.page import render
+
+    with staged(folder, REPORT) as stage:
+        drawn = []
+        if figures:
+            from hammerstein.reporting.figures import figures_of
+            from hammerstein.reporting.figures.write import files_of
+
+            for name, content in files_of(figures_of(report)):
+                stage.write(name, content)
+                drawn.append(name)
+        if traces is not None:
+            _write_traces(report, stage, traces)
+        if report.bands:
+            stage.write("bands.csv", report.bands_to_csv())
+        stage.write("rms.csv", report.to_csv())
+        stage.write("report.md", render(report, sorted(name for name in drawn if name.endswith(".png"))))
+        stage.write("report.json", report.to_json())
+    return Written(tuple(stage.written), stage.kept)
+
+
+def _write_traces(report: Report, stage: Stage, kind: TraceFormat) -> None:
+    """One file a case, every wire a column (CSV) or a variable (MATLAB)."""
+    for number, trace in enumerate(report.traces, start=1):
+        name = f"traces/{number:03d}_{_file_name(trace)}.{kind}"
+        columns = _columns(trace, report)
+        stage.write(name, _csv(columns) if kind == "csv" else _matlab(columns, stage.folder / name))
+
+
+def _file_name(trace: Trace) -> str:
+    words = f"{trace.label or 'drive'} {trace.excited_axis} {trace.signal.highest_frequency_hz:g}Hz"
+    return "".join(c if c.isalnum() or c in ".-" else "_" for c in words[:LONGEST_NAME])
+
+
+def _columns(trace: Trace, report: Report) -> dict[str, NDArray[np.float64]]:
+    response, outputs, inputs = trace.response, report.axes, report.inputs
+    columns = {"time_s": trace.time_s}
+    wires = {
+        "reference_um": (response.reference_um, outputs),
+        "requested_v": (response.requested_v, inputs),
+        "drive_v": (response.drive_v, inputs),
+        "hysteresis_um": (response.hysteresis_um, outputs),
+        "position_um": (response.position_um, outputs),
+        "reading_um": (response.reading_um, outputs),
+    }
+    for name, (wire, axes) in wires.items():
+        if wire is not None:
+            quantity, unit = name.rsplit("_", 1)
+            columns |= {f"{quantity}_{axis}_{unit}": row for axis, row in zip(axes, wire, strict=True)}
+    return columns
+
+
+def _csv(columns: dict[str, NDArray[np.float64]]) -> str:
+    import pandas as pd
+
+    return str(pd.DataFrame(columns).to_csv(index=False, lineterminator="\n"))
+
+
+def _matlab(columns: dict[str, NDArray[np.float64]], path: Path) -> bytes:
+    from scipy.io import savemat
+
+    if any(len(name) > 31 for name in columns):
+        raise InputError(str(path), "MATLAB variables have at most 31 characters; shorten the axis names")
+    buffer = io.BytesIO()
+    savemat(buffer, columns, oned_as="column")  # type: ignore[arg-type]  # the stubs know paths only
+    # SciPy stamps the time of writing into the first 116 bytes, a free text.
+    text = b"MATLAB 5.0 MAT-file, written by hammerstein".ljust(116)
+    return text + buffer.getvalue()[116:]

@@ -1,0 +1,239 @@
+"""The page of a report: the question, the answer, figures, numbers, and how it was run."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Any
+
+from hammerstein.experiment.report import Report
+from hammerstein.experiment.selection import identified_at, number
+from hammerstein.identification.source import ModelSource
+from hammerstein.model import HammersteinModel
+from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
+from hammerstein.reporting.summary import answer
+from hammerstein.reporting.tables import number_tables
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure on the page: its files, what it is, and how to read it."""
+
+    png: str
+    svg: str
+    title: str
+    caption: str
+
+
+# What a figure is and how to read it, by the first words of its file name; longer ones first.
+TITLES = {
+    "sweep_true": "Error of the true position against frequency",
+    "sweep": "Sweep over frequency",
+    "operators": "Error against the number of operators",
+    "loops": "Loops",
+    "errors": "Errors over time",
+    "path": "Path, time and errors",
+}
+CAPTIONS = {
+    "sweep_true": "As above, for the true position, which a sensor without lag and noise would read.",
+    "sweep": "One panel for each transfer, one curve for each compensator or model. Both axes are "
+    "logarithmic where the values span more than about a decade.",
+    "operators": "The rms error of models that differ by their number of play operators alone.",
+    "loops": "One row of panels for each measured axis, one column for each driven one. Each curve is the "
+    "mean of the measured cycles.",
+    "errors": "The sensor's reading less what it is compared with. The worst error in the legend is that of "
+    "the whole run, also where a part of it is drawn.",
+    "path": "(a) the path in the plane, (b) the axes over time, (c) the errors over time: of each axis, and "
+    "the distance in the plane. Thin short dashes are what the path is compared with. The legend gives the "
+    "worst distance of the whole run.",
+}
+
+MOST_STATEMENTS = 15
+PAPER = (
+    "Multivariable classical Prandtl-Ishlinskii hysteresis modeling and compensation and sensorless control "
+    "of a nonlinear 2-dof piezoactuator"
+)
+
+# What each column of rms.csv is.
+GLOSSARY = {
+    "compensator": "label of the compensator or model in the scenario; empty if the actuator is alone",
+    "excited_axis": 'axis that was driven, the others being held at zero; "all" if they were driven together',
+    "measured_axis": "axis whose position the row is about",
+    "frequency_hz": "frequency of the signal [Hz], the higher of two; 0 for a signal from a file",
+    "amplitude_v": "amplitude or radius of the driving voltage [V]",
+    "amplitude_um": "amplitude or radius of the reference [um]",
+    "rms_um": "root mean square of the error of the sensor's reading [um]; the error is reading less "
+    "reference, or reading less prediction of a model",
+    "max_um": "largest absolute error of the sensor's reading [um]",
+    "rms_true_um": "root mean square of the error of the true position [um], which no sensor disturbs",
+    "max_true_um": "largest absolute error of the true position [um]",
+    "euclidean_rms_um": "root mean square of the distance between reading and reference over all axes [um]",
+    "euclidean_max_um": "largest distance between reading and reference over all axes [um]",
+    "euclidean_rms_true_um": "root mean square of that distance for the true position [um]",
+    "euclidean_max_true_um": "largest such distance for the true position [um]",
+    "euclidean_max_unsaturated_um": "largest such distance over the samples at which no voltage is cut, nor "
+    "was in the 10 ms before [um]",
+    "radial_max_um": "largest error of the radius of a path, distance from the origin less that of the "
+    "reference, from the reading [um]",
+    "radial_max_true_um": "the same for the true position [um]",
+    "epsilon_max_um": "largest absolute value of the paper's error measure, as printed: sgn(theta) "
+    "sqrt(|theta|) with theta = (x_r + y_r)^2 - (x + y)^2 [um]. It turns a small error into a large value "
+    "where x_r + y_r is large: at 50 um, an error of 0.1 um gives several um. It cannot be what the paper "
+    "plots; judge a path by the error of each axis, the distance and the radius",
+    "drift_true_um": "mean error of the true position over the last cycle less that over the first [um]",
+    "height_um": "loop from its lowest to its highest point, twice the amplitude; of a cross-coupling, its "
+    "whole range [um]",
+    "width_um": "opening of the loop in the middle of its input's range [um]",
+    "width_percent": "width over height, h/H in the paper [%]",
+    "gain": "first harmonic of the reading over that of what is driven [um/V, or um/um for a reference]",
+    "phase_deg": "phase of the same ratio; negative if the reading lags [deg]",
+    "saturated_samples": "samples in which the drive's range cut the voltage",
+}
+
+
+def render(report: Report, figures: Sequence[str] = ()) -> str:
+    """Markdown page of a report; equal reports give equal bytes.
+
+    Parameters
+    ----------
+    report : result of ``hammerstein.experiment.run.run``
+    figures : names of its PNG files beside the page; an SVG file of the same name lies beside each
+
+    Examples
+    --------
+    >>> from hammerstein.experiment.run import run
+    >>> from hammerstein.scenario.scenario import Scenario
+    >>> scenario = Scenario.model_validate({
+    ...     "question": "How large is a loop?", "actuator": "duo_bimorph_static",
+    ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}})
+    >>> print(render(run(scenario, "loop")).splitlines()[2])
+    **How large is a loop?**
+    """
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("hammerstein"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {"md": escaped, "code": _code, "number": _number}
+    page = environment.get_template("report.md.jinja").render(
+        report=report,
+        answer=answer(report, quote=lambda label: f"*{escaped(label)}*"),
+        figures=[_picture(name, report) for name in sorted(figures, key=_place)],
+        statements=report.statements[:MOST_STATEMENTS],
+        tables=list(number_tables(report)),
+        setting=list(_setting(report)),
+        sources=[_source(s) for s in (*report.scenario.compensators, *report.scenario.models)],
+        glossary=_glossary(report),
+        paper=PAPER,
+    )
+    return re.sub(r"\n{3,}", "\n\n", page)
+
+
+def escaped(text: object) -> str:
+    r"""Text that Markdown leaves as it is.
+
+    >>> escaped("a|b *c* d_e [um]")
+    'a\\|b \\*c\\* d_e [um]'
+    """
+    special = r"[\\`*<>|]|(?<![a-zA-Z0-9])_|_(?![a-zA-Z0-9])|(?<=\])\("
+    return re.sub(special, lambda found: f"\\{found[0]}", str(text)).replace("\n", " ")
+
+
+def _code(text: object) -> str:
+    return f"`{str(text).replace('`', '')}`"
+
+
+def _number(value: float | None) -> str:
+    return number(value if value is None or math.isfinite(value) else None)
+
+
+def _kind(name: str) -> str:
+    """First words of a file name that TITLES knows; empty if none does."""
+    return next((kind for kind in TITLES if name.startswith(kind)), "")
+
+
+def _place(name: str) -> tuple[int, str]:
+    """Order on the page: what is compared first, then its errors, the true position last."""
+    order = ("loops", "path", "operators", "sweep", "errors", "sweep_true", "")
+    return order.index(_kind(name)), name
+
+
+def _picture(name: str, report: Report) -> Picture:
+    kind, stem = _kind(name), PurePath(name).stem
+    compared, models = report.scenario.reference is not None, report.scenario.models
+    remarks = {
+        "loops": ["The wide grey line is the ideal."] * compared
+        + ["Dark broken lines are the models."] * bool(models and len(models) <= MOST_OVERLAYS),
+        "sweep": ["A vertical tick stands where a curve's model was identified."]
+        * bool(identified_at(report))
+        + ["A band holds 90 % of actuators drawn near the nominal one."] * bool(report.bands),
+        "path": ["True is the actuator's position, without the sensor."] * compared,
+    }
+    caption = " ".join([CAPTIONS.get(kind, ""), *remarks.get(kind, [])])
+    return Picture(name, f"{stem}.svg", TITLES.get(kind, stem), caption)
+
+
+def _glossary(report: Report) -> list[tuple[str, str]]:
+    """The columns that this report fills."""
+    return [
+        (name, meaning)
+        for name, meaning in GLOSSARY.items()
+        if any(getattr(row, name) not in (None, "") for row in report.rows)
+    ]
+
+
+def _setting(report: Report) -> Iterator[tuple[str, str]]:
+    """What was run, as pairs of a name and a text."""
+    scenario, portable = report.scenario, report.scenario.portable()
+    model = HammersteinModel.load(scenario.actuator)
+    yield "Actuator", f"{_code(report.actuator)}, dynamics: {escaped(model.dynamics.describe())}"
+    for name in ("drive", "reference"):
+        if name in portable:
+            kind = {"kind": portable[name]["kind"]}
+            yield ("Drive in V" if name == "drive" else "Reference in um"), _listed(kind | portable[name])
+    if portable.get("sweep"):
+        yield "Swept", _listed(portable["sweep"])
+    if scenario.uncertainty is not None:
+        yield "Drawn actuators, relative deviations", _listed(scenario.uncertainty.model_dump())
+    yield "Measured", _listed(scenario.measure.model_dump())
+    yield "Converter and amplifier", _listed(report.instruments.drive.model_dump())
+    yield "Sensor", _listed(report.instruments.sensor.model_dump())
+    yield "Seed of the noise", str(scenario.seed)
+    yield "Digest of the scenario", _code(report.digest)
+    yield "Digest of the actuator's model", _code(report.model_digest)
+
+
+def _source(source: ModelSource) -> tuple[str, str, str, str]:
+    """Label, law, settings and origin of a compensator or model."""
+    described = (inspect.getdoc(type(source)) or "").splitlines()
+    is_law = hasattr(source, "law")
+    what = described[0].rstrip(".") if is_law and described else "Prandtl-Ishlinskii model"
+    own = source.model_dump(
+        mode="json", exclude_defaults=True, exclude={"label", "law", "identification", "model"}
+    )
+    if source.identification is None:
+        return source.label, what, _listed(own, plain=True), f"file {PurePath(str(source.model)).name}"
+    found = source.identification.model_dump(mode="json", exclude_none=True)
+    return source.label, what, _listed(own, plain=True), f"identified: {_listed(found, plain=True)}"
+
+
+def _listed(values: dict[str, Any], plain: bool = False) -> str:
+    """Keys and values in one line, as in ``frequency_hz = 50, amplitude_v = 10``."""
+    texts = [f"{key} = {_value(value)}" for key, value in values.items()]
+    return ", ".join(texts if plain else [_code(text) for text in texts])
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(_value(v) for v in value)}]"
+    if isinstance(value, float):
+        return f"{value:.10g}"
+    return str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,0 +1,200 @@
+"""The answer of a report in plain sentences, made from its rows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+from hammerstein.experiment.report import Report
+from hammerstein.experiment.selection import (
+    Condition,
+    conditions_of,
+    is_direct,
+    is_path,
+    labels_of,
+    largest,
+    number,
+    told_apart,
+)
+from hammerstein.rows import Row
+from hammerstein.signals import OneFrequency
+
+MOST_CLAUSES = 4  # conditions that are told one by one; more are told as ranges of frequency
+MOST_LABELS = 4  # compensators or models that are told in one clause
+NOT_SETTLED = "has not settled"  # the words of a statement of the report
+
+Quote = Callable[[str], str]
+
+
+@dataclass(frozen=True)
+class Merit:
+    """A figure by which compensators and models are compared: its name in a row, and what it is."""
+
+    name: str
+    words: str
+
+
+def answer(report: Report, quote: Quote = str) -> str:
+    """One paragraph: what was found, what was cut, what had not settled.
+
+    Parameters
+    ----------
+    report : what was found
+    quote : how a label is written, for example in italics
+    """
+    if any(row.rms_um is not None for row in report.rows):
+        sentences = _compared(report, quote)
+    else:
+        sentences = _loops(report)
+    return " ".join([*sentences, *_conduct(report)])
+
+
+def _compared(report: Report, quote: Quote) -> Iterator[str]:
+    """Sentences on every merit, of the reading and of the true position.
+
+    The paper tells what the sensor reads, so that a scenario of a figure of it begins with the reading.
+    """
+    target = "reference" if report.scenario.reference is not None else "prediction"
+    if is_path(report):
+        prefix, words = ("euclidean_", "distance") if len(report.axes) > 1 else ("", "error")
+        reading = Merit(f"{prefix}max_um", f"worst {words} of the reading from the {target}")
+        true = Merit(f"{prefix}max_true_um", f"worst {words} of the true position from the {target}")
+        for merit in (reading, true) if report.scenario.paper_figure else (true, reading):
+            yield from _sentences(report.rows, merit, quote)
+        return
+    direct = [row for row in report.rows if is_direct(report, row)]
+    crossed = [row for row in report.rows if not is_direct(report, row)]
+    if not report.scenario.paper_figure:
+        yield from _sentences(
+            direct, Merit("rms_true_um", "rms error of the true position, direct transfers,"), quote
+        )
+    yield from _sentences(direct, Merit("rms_um", "rms error of the direct transfers"), quote)
+    yield from _sentences(crossed, Merit("rms_um", "rms error of the cross-couplings"), quote)
+
+
+def _sentences(rows: Sequence[Row], merit: Merit, quote: Quote) -> Iterator[str]:
+    conditions = sorted(conditions_of(rows), key=lambda c: (c.amplitude or 0.0, c.frequency_hz))
+    values = {c: _values((row for row in rows if Condition.of(row) == c), merit) for c in conditions}
+    values = {condition: found for condition, found in values.items() if found}
+    if 0 < len(values) <= MOST_CLAUSES:
+        yield _one_by_one(values, merit, quote)
+    elif values:
+        yield from _over_frequency(values, merit, quote)
+
+
+def _values(rows: Iterable[Row], merit: Merit) -> dict[str, float]:
+    """Largest value over the axes by label, smallest first."""
+    rows = list(rows)
+    found = {n: largest((row for row in rows if row.compensator == n), merit.name) for n in labels_of(rows)}
+    known = [(label, value) for label, value in found.items() if value is not None]
+    return dict(sorted(known, key=lambda item: item[1]))
+
+
+def _one_by_one(values: dict[Condition, dict[str, float]], merit: Merit, quote: Quote) -> str:
+    names = told_apart(list(values))
+    clauses = []
+    for condition, found in values.items():
+        texts = [f"{number(v)} um{_share(condition, v, merit)} with {quote(n)}" for n, v in found.items()]
+        if len(texts) > MOST_LABELS:
+            texts = [*texts[: MOST_LABELS - 1], f"at most {texts[-1]}"]
+        clauses.append((f"at {names[condition]}, " if len(values) > 1 else "") + listed(texts))
+    return f"The {merit.words}{' is' if len(clauses) == 1 else ':'} {'; '.join(clauses)}."
+
+
+def listed(texts: Sequence[str]) -> str:
+    """Join texts as a person would.
+
+    >>> listed(["a", "b", "c"])
+    'a, b and c'
+    """
+    return " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
+
+
+def _share(condition: Condition, value: float, merit: Merit) -> str:
+    """The worst distance as a part of the path's size, as the paper gives it."""
+    if not condition.amplitude or condition.unit != "um" or "max" not in merit.name:
+        return ""
+    return f" ({100.0 * value / condition.amplitude:.2g} %)"
+
+
+def _over_frequency(values: dict[Condition, dict[str, float]], merit: Merit, quote: Quote) -> Iterator[str]:
+    """Who has the smallest value where, and the course of the best one on the whole."""
+    names = told_apart(list(values))
+    winners = [next(iter(found)) for found in values.values()]
+    compared = len({label for found in values.values() for label in found}) > 1
+    if compared:
+        yield f"The {merit.words} is smallest with {_ranges(list(names.values()), winners, quote)}."
+    best = min(dict.fromkeys(winners), key=lambda label: _typical(values, label))
+    course = {names[condition]: found[best] for condition, found in values.items() if best in found}
+    tags = {next(iter(course)): ""}
+    tags |= {
+        min(course, key=course.__getitem__): " (smallest)",
+        max(course, key=course.__getitem__): " (largest)",
+    }
+    told = listed([f"{number(course[at])} um at {at}{tag}" for at, tag in tags.items()])
+    yield f"With {quote(best)} it is {told}." if compared else f"The {merit.words} is {told}."
+
+
+def _typical(values: dict[Condition, dict[str, float]], label: str) -> float:
+    """Geometric mean over the sweep: the large values near a resonance do not decide alone."""
+    logarithms = [math.log(max(found[label], 1e-12)) for found in values.values() if label in found]
+    return sum(logarithms) / len(logarithms)
+
+
+def _ranges(names: Sequence[str], winners: Sequence[str], quote: Quote) -> str:
+    """``A from 10 Hz to 40 Hz and B at 50 Hz``; counts where that gets long."""
+    stretches: list[tuple[str, list[str]]] = []
+    for name, label in zip(names, winners, strict=True):
+        if not stretches or stretches[-1][0] != label:
+            stretches.append((label, []))
+        stretches[-1][1].append(name)
+    if len(stretches) == 1:
+        return f"{quote(winners[0])} throughout"
+    if len(stretches) > MOST_CLAUSES:
+        order = sorted(dict.fromkeys(winners), key=winners.count, reverse=True)
+        return listed([f"{quote(n)} in {winners.count(n)} of {len(winners)} runs" for n in order])
+    return listed(
+        [
+            f"{quote(label)} {f'at {inside[0]}' if len(inside) == 1 else f'from {inside[0]} to {inside[-1]}'}"
+            for label, inside in stretches
+        ]
+    )
+
+
+def _loops(report: Report) -> Iterator[str]:
+    """Height and width of the loops in the first and in the last run of a sweep."""
+    measured = [row for row in report.rows if row.height_um is not None]
+    conditions = conditions_of(measured)
+    if not measured:
+        yield "There is nothing to compare with: the figures show what the sensor reads."
+    for condition in dict.fromkeys([*conditions[:1], *conditions[-1:]]):
+        rows = [row for row in measured if Condition.of(row) == condition]
+        texts = [
+            f"{row.measured_axis} moves {number(row.height_um)} um from end to end, with a loop "
+            f"{number(row.width_percent)} % wide"
+            for row in rows
+            if is_direct(report, row)
+        ]
+        cross = largest((row for row in rows if not is_direct(report, row)), "height_um")
+        if cross is not None:
+            texts.append(f"the largest cross-coupling is {number(cross)} um from end to end")
+        yield f"At {condition.words()} {'; '.join(texts)}."
+
+
+def _conduct(report: Report) -> Iterator[str]:
+    """Whether the drive's range was enough, and whether what repeats had settled."""
+    compared = report.scenario.reference is not None  # each compensator is a run, models share theirs
+    runs = {(r.compensator if compared else "", r.excited_axis, Condition.of(r)): r for r in report.rows}
+    cut = sum(row.saturated_samples > 0 for row in runs.values())
+    unsettled = sum(NOT_SETTLED in statement for statement in report.statements)
+    yield (
+        f"The drive's range cut the voltage in {cut} of {len(runs)} runs."
+        if cut
+        else ("The drive's range cut no voltage.")
+    )
+    signal = report.scenario.signal
+    if unsettled:
+        yield f"In {unsettled} of {len(runs)} runs the loop had not settled."
+    elif isinstance(signal, OneFrequency) and signal.repeats and report.scenario.measure.measured_cycles > 1:
+        yield "Every run had settled."

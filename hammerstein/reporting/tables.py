@@ -1,0 +1,166 @@
+"""The numbers of a report as compact tables for a page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from hammerstein.experiment.report import Band, Report
+from hammerstein.experiment.selection import Condition, identified_at, is_path, number, selected_frequencies
+from hammerstein.rows import KEY, Row
+
+MOST_FREQUENCIES = 6
+MOST_LOOPS = 32  # more are left to rms.csv
+
+
+@dataclass(frozen=True)
+class NumberTable:
+    """One table: what it shows, its header, its lines; a remark where it leaves something out."""
+
+    title: str
+    header: tuple[str, ...]
+    lines: tuple[tuple[str, ...], ...]
+    remark: str = ""
+
+
+def number_tables(report: Report) -> Iterator[NumberTable]:
+    """Errors of the reading, errors of the true position, and loops, as far as the report has them.
+
+    A long sweep is shown at a few frequencies: its ends, those of identification, and some between.
+    """
+    kept, remark = _kept_rows(report)
+    if any(row.rms_um is not None for row in kept):
+        target = "reference" if report.scenario.reference is not None else "prediction"
+        errors = _path_errors if is_path(report) else _transfer_errors
+        yield errors(report, kept, f"Error of the sensor's reading against the {target}", "", remark)
+        yield errors(report, kept, f"Error of the true position against the {target}", "_true", remark)
+    loops = [row for row in _once(report, kept) if row.height_um is not None]
+    if 0 < len(loops) <= MOST_LOOPS:
+        yield _loops(report, loops, remark)
+    if report.bands:
+        yield _bands(report, [row for row in kept if row.compensator], remark)
+
+
+def _kept_rows(report: Report) -> tuple[list[Row], str]:
+    """Rows that are shown, and what is left out."""
+    frequencies = sorted({row.frequency_hz for row in report.rows})
+    if len(frequencies) <= MOST_FREQUENCIES:
+        return list(report.rows), ""
+    kept = selected_frequencies(frequencies, identified_at(report).values(), MOST_FREQUENCIES)
+    remark = f"Shown are {len(kept)} of {len(frequencies)} frequencies; all are in `rms.csv`."
+    return [row for row in report.rows if row.frequency_hz in kept], remark
+
+
+def _once(report: Report, rows: Sequence[Row]) -> list[Row]:
+    """Each loop once: several models that are compared with one run share its loop."""
+    if report.scenario.reference is not None:
+        return list(rows)
+    shared = {(row.excited_axis, row.measured_axis, Condition.of(row)): row for row in rows}
+    return [replace(row, compensator="") for row in shared.values()]
+
+
+def _lines(rows: Sequence[Row]) -> dict[tuple[str, Condition], list[Row]]:
+    """Rows that stand in one line: those of one label in one run or in its runs axis by axis."""
+    lines: dict[tuple[str, Condition], list[Row]] = {}
+    for row in rows:
+        lines.setdefault((row.compensator, Condition.of(row)), []).append(row)
+    return lines
+
+
+def _key_header(report: Report, rows: Sequence[Row]) -> tuple[str, ...]:
+    condition = Condition.of(rows[0])
+    source = "compensator" if report.scenario.reference is not None else "model"
+    names = [source] if any(row.compensator for row in rows) else []
+    names += ["frequency [Hz]"] if any(row.frequency_hz for row in rows) else []
+    return (*names, *([] if condition.amplitude is None else [f"amplitude [{condition.unit}]"]))
+
+
+def _key_cells(rows: Sequence[Row], label: str, condition: Condition) -> tuple[str, ...]:
+    cells = [label] if any(row.compensator for row in rows) else []
+    cells += [f"{condition.frequency_hz:.6g}"] if any(row.frequency_hz for row in rows) else []
+    return (*cells, *([] if condition.amplitude is None else [f"{condition.amplitude:g}"]))
+
+
+def _path_errors(report: Report, rows: Sequence[Row], title: str, which: str, remark: str) -> NumberTable:
+    """Each axis as rms / worst; distance and radius of all axes; the paper's epsilon of the reading."""
+    several = len(report.axes) > 1
+    shared = {
+        f"euclidean_rms{which}_um": "distance, rms",
+        f"euclidean_max{which}_um": "distance, worst",
+        f"radial_max{which}_um": "radius, worst",
+    } | ({} if which else {"epsilon_max_um": "epsilon (see below)"})
+    present = {n: w for n, w in shared.items() if several and getattr(rows[0], n) is not None}
+    header = (
+        *_key_header(report, rows),
+        *(f"{axis}, rms / worst" for axis in report.axes),
+        *present.values(),
+    )
+    lines = []
+    for (label, condition), inside in _lines(rows).items():
+        axes = [_rms_and_worst(row, which) for row in inside]
+        figures = [number(getattr(inside[0], name)) for name in present]
+        lines.append((*_key_cells(rows, label, condition), *axes, *figures))
+    return NumberTable(f"{title} [um]", header, tuple(lines), remark)
+
+
+def _transfer_errors(report: Report, rows: Sequence[Row], title: str, which: str, remark: str) -> NumberTable:
+    """One column a transfer, as rms / worst."""
+    transfers = list(dict.fromkeys((row.excited_axis, row.measured_axis) for row in rows))
+    header = (*_key_header(report, rows), *(_transfer(report, *transfer) for transfer in transfers))
+    lines = []
+    for (label, condition), inside in _lines(rows).items():
+        found = {(row.excited_axis, row.measured_axis): _rms_and_worst(row, which) for row in inside}
+        cells = [found.get(transfer, "") for transfer in transfers]
+        lines.append((*_key_cells(rows, label, condition), *cells))
+    return NumberTable(f"{title}, rms / worst [um]", header, tuple(lines), remark)
+
+
+def _loops(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
+    """A line for each transfer: how high and wide its loop is, gain and phase of its first harmonic."""
+    unit = "um/V" if report.scenario.drive is not None else "um/um"
+    figures = ("height [um]", "width [um]", "width [%]", f"gain [{unit}]", "phase [deg]")
+    lines = []
+    for row in rows:
+        values = (row.height_um, row.width_um, row.width_percent, row.gain)
+        phase = "" if row.phase_deg is None else f"{row.phase_deg:.1f}"
+        transfer = _transfer(report, row.excited_axis, row.measured_axis)
+        cells = (*(number(value) for value in values), phase)
+        lines.append((*_key_cells(rows, row.compensator, Condition.of(row)), transfer, *cells))
+    header = (*_key_header(report, rows), "transfer", *figures)
+    return NumberTable("Loops of the sensor's reading", header, tuple(lines), remark)
+
+
+def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
+    """Median and 5-95 % over the drawn actuators, of the true position."""
+    path = is_path(report) and len(report.axes) > 1
+    metric, words = ("euclidean_max_true_um", "worst distance") if path else ("rms_true_um", "rms error")
+    bands = {tuple(getattr(b, name) for name in KEY): b for b in report.bands if b.metric == metric}
+    transfers = list(dict.fromkeys((row.excited_axis, row.measured_axis) for row in rows))
+    transfers = transfers[:1] if path else transfers
+    names = ["all axes"] if path else [_transfer(report, *transfer) for transfer in transfers]
+    lines = []
+    for (label, condition), inside in _lines(rows).items():
+        found = {
+            (row.excited_axis, row.measured_axis): bands.get(tuple(row.key().values())) for row in inside
+        }
+        cells = [_band(found.get(transfer)) for transfer in transfers]
+        lines.append((*_key_cells(rows, label, condition), *cells))
+    title = f"Spread over the drawn actuators: {words} of the true position, median (5 to 95 %) [um]"
+    return NumberTable(title, (*_key_header(report, rows), *names), tuple(lines), remark)
+
+
+def _band(band: Band | None) -> str:
+    if band is None:
+        return ""
+    return f"{number(band.median_um)} ({number(band.p5_um)} to {number(band.p95_um)})"
+
+
+def _transfer(report: Report, excited: str, measured: str) -> str:
+    """``u_x to y`` of a drive in volts, ``x to y`` of a reference."""
+    if excited == "all":
+        return measured
+    return f"{'voltage of ' if report.scenario.drive is not None else ''}{excited} to {measured}"
+
+
+def _rms_and_worst(row: Row, which: str) -> str:
+    return f"{number(getattr(row, f'rms{which}_um'))} / {number(getattr(row, f'max{which}_um'))}"

@@ -1,0 +1,92 @@
+"""How processes beside this one begin, with the libraries loaded, and how they end."""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing.context import BaseContext
+
+from hammerstein.files import discard_unfinished
+
+ENDED = 143
+GARBAGE = (50_000, 20, 50)
+"""How seldom garbage is searched: figures are many small objects, and most of them stay until the end."""
+
+LOADED_ONCE = (
+    "hammerstein.commands.cli",
+    "hammerstein.experiment.simulated_identification",
+    "hammerstein.reporting.figures.write",
+    "hammerstein.reporting.page",
+    "control",
+    "matplotlib.backends.backend_agg",
+    "matplotlib.backends.backend_svg",
+    "pandas",
+    "scipy.signal",
+)
+"""What every run needs and takes seconds to load."""
+
+
+def begin_loading() -> None:
+    """Let the libraries be loaded beside what this process does before it needs the others."""
+    if not _has_server():
+        return
+    from multiprocessing import forkserver
+
+    multiprocessing.set_forkserver_preload(list(LOADED_ONCE))
+    with _ignored_interrupts():
+        forkserver.ensure_running()
+
+
+@contextmanager
+def _ignored_interrupts() -> Iterator[None]:
+    """A process begun here never hears of Ctrl-C: it ends with this one, without a traceback of its own."""
+    if threading.current_thread() is not threading.main_thread():  # others may not touch the handlers
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _has_server() -> bool:
+    """Whether one server can load the libraries and fork every process."""
+    return "forkserver" in multiprocessing.get_all_start_methods()
+
+
+def context() -> BaseContext:
+    """How processes begin on this system."""
+    begin_loading()
+    return multiprocessing.get_context("forkserver" if _has_server() else None)
+
+
+def make_ready() -> None:
+    """Make a new process ready.
+
+    Ctrl-C is for its parent, which then ends it. Where the parent dies itself, it ends as well. The libraries
+    stay for good, so that the search for garbage can pass them by.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_leave_with_the_parent, daemon=True).start()
+    gc.freeze()
+    gc.set_threshold(*GARBAGE)
+
+
+def _leave_with_the_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()  # the end of its pipe comes however it dies
+        _leave()
+
+
+def _leave(*_: object) -> None:
+    """End at once, wherever the process is, without a half-written file; an exception could be swallowed."""
+    discard_unfinished()
+    os._exit(ENDED)

@@ -1,0 +1,209 @@
+"""What to run: one validated value for each scenario file, nothing about how."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PositiveFloat,
+    PositiveInt,
+    ValidationError,
+    model_validator,
+)
+
+from hammerstein.compensators.specs import Compensator
+from hammerstein.errors import InputError, Mistake
+from hammerstein.files import read_limited
+from hammerstein.identification.source import ModelSource
+from hammerstein.instruments import Instruments
+from hammerstein.scenario.claims import Claim
+from hammerstein.scenario.uncertainty import Uncertainty
+from hammerstein.signals import Excitation, FromFile, Reference
+from hammerstein.validation import mistakes_of
+
+Frequencies = Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
+_STRICT = ConfigDict(frozen=True, extra="forbid")
+
+
+class Sweep(BaseModel):
+    """Values that take the place of one in the signal; several keys give every combination."""
+
+    model_config = _STRICT
+
+    frequency_hz: Frequencies | None = None
+    amplitude_um: Frequencies | None = None
+    amplitude_v: Frequencies | None = None
+    radius_um: Frequencies | None = None
+
+    def combinations(self) -> Iterator[dict[str, float]]:
+        """Every combination of the values, by key."""
+        keys = [name for name in type(self).model_fields if getattr(self, name) is not None]
+        for values in itertools.product(*(getattr(self, key) for key in keys)):
+            yield dict(zip(keys, values, strict=True))
+
+
+class Measure(BaseModel):
+    """How long to wait and how long to measure."""
+
+    model_config = _STRICT
+
+    settle_cycles: int = Field(default=2, ge=0, description="cycles before the measurement")
+    settle_s: float = Field(default=0.05, ge=0.0, description="time before the measurement, at least")
+    measured_cycles: PositiveInt = Field(default=2, description="cycles that are measured")
+
+
+class Tolerance(BaseModel):
+    """How far a number may move from its baseline: the larger of the two counts."""
+
+    model_config = _STRICT
+
+    relative: float = Field(default=1e-3, ge=0.0)
+    absolute: float = Field(default=1e-6, ge=0.0)
+
+
+class Scenario(BaseModel):
+    """One experiment: an actuator, a signal, and what is compared."""
+
+    model_config = _STRICT
+
+    question: Annotated[str, Field(min_length=1)]
+    paper_figure: str | None = Field(default=None, description='the figure it answers, such as "Fig. 9"')
+    actuator: str = Field(default="duo_bimorph", description="packaged actuator or model file")
+    seed: int = Field(default=1, ge=0)
+    instruments: Instruments = Field(
+        default=Instruments(), description="what is given here replaces the actuator's own"
+    )
+    reference: Reference | None = Field(default=None, description="path to follow, in um")
+    drive: Excitation | None = Field(default=None, description="voltage to apply, in V")
+    sweep: Sweep = Sweep()
+    measure: Measure = Measure()
+    compensators: tuple[Compensator, ...] = ()
+    models: tuple[ModelSource, ...] = ()
+    uncertainty: Uncertainty | None = Field(default=None, description="repeat the run on drawn actuators")
+    tolerances: dict[str, Tolerance] = {}
+    claims: tuple[Claim, ...] = ()
+    claims_also_on: tuple[str, ...] = Field(
+        default=(), description="other actuators that answer the claims, for comparison"
+    )
+
+    @model_validator(mode="after")
+    def _is_one_experiment(self) -> Self:
+        problems = list(self._problems())
+        if problems:
+            raise ValueError("\n".join(problems))
+        return self
+
+    def _problems(self) -> Iterator[str]:
+        if (self.reference is None) == (self.drive is None):
+            yield "give either a table [reference] in um or a table [drive] in V"
+        if self.reference is not None and not self.compensators:
+            yield "a reference needs at least one [[compensators]]"
+        if self.reference is not None and self.models:
+            yield "[[models]] are compared under a [drive] in V, not under a [reference]"
+        if self.drive is not None and self.compensators:
+            yield "[[compensators]] need a [reference] in um, not a [drive] in V"
+        labels = [source.label for source in (*self.compensators, *self.models)]
+        for label in sorted({label for label in labels if labels.count(label) > 1}):
+            yield f"the label {label!r} is used twice; every label must differ"
+        signal = self.reference or self.drive
+        for key in self.sweep.model_dump(exclude_none=True):
+            if signal is not None and key not in signal.model_dump():
+                yield f"sweep.{key} is not a key of the {signal.kind} in this scenario"
+
+    @property
+    def signal(self) -> Reference | Excitation:
+        """The reference or the drive."""
+        signal = self.reference or self.drive
+        assert signal is not None  # held by the validation above
+        return signal
+
+    def signals(self) -> Iterator[Reference | Excitation]:
+        """Every signal of the sweep."""
+        fields = {name: name.removesuffix("_um").removesuffix("_v") for name in Sweep.model_fields}
+        for values in self.sweep.combinations():
+            yield self.signal.model_copy(update={fields[key]: value for key, value in values.items()})
+
+    def portable(self) -> dict[str, Any]:
+        """Content as plain JSON, the same wherever its files lie."""
+        content = json.loads(self.model_dump_json(exclude_none=True))
+        return {key: _without_folders(value, key) for key, value in content.items()}
+
+    def _files(self) -> list[Path]:
+        """Model files and signals that the scenario names, as far as they exist."""
+        named = [self.actuator, *(s.model for s in (*self.compensators, *self.models) if s.model)]
+        signals = [self.signal.path] if isinstance(self.signal, FromFile) else []
+        return [Path(name) for name in (*named, *signals) if Path(name).is_file()]
+
+    def digest(self) -> str:
+        """Short hash of everything in the scenario that changes its numbers, what its files hold included."""
+        words = {"question", "paper_figure", "tolerances", "claims", "claims_also_on"}
+        content = {key: value for key, value in self.portable().items() if key not in words}
+        content |= {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in self._files()}
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _without_folders(value: Any, key: str = "") -> Any:
+    """The same content wherever the files lie: of a path only its last part is kept."""
+    if isinstance(value, dict):
+        return {k: _without_folders(v, k) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_without_folders(v) for v in value]
+    return Path(value).name if key in {"actuator", "model", "path"} and isinstance(value, str) else value
+
+
+def load_scenario(path: str | Path) -> Scenario:
+    """Read a scenario file.
+
+    Paths of model and CSV files in it are relative to its folder.
+
+    Raises InputError with every mistake in the file, each with its key, and the nearest known name.
+    """
+    path = Path(path)
+    text = read_limited(path, what="scenario file", limit=1_000_000)
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        what = f"is not TOML: {error}; a line is a [table], or key = value with text in quotes"
+        raise InputError(str(path), what) from None
+    try:
+        # As JSON, so that a number in quotes is refused while a list still makes a tuple.
+        scenario = Scenario.model_validate_json(json.dumps(data, default=str), strict=True)
+    except ValidationError as error:
+        raise InputError(str(path), _split(mistakes_of(error, Scenario))) from None
+    return _relative_to(scenario, path.parent)
+
+
+def _split(mistakes: list[Mistake]) -> list[Mistake]:
+    return [Mistake(m.where, line) for m in mistakes for line in m.what.split("\n")]
+
+
+def _relative_to(scenario: Scenario, folder: Path) -> Scenario:
+    """Make the paths of files relative to the scenario's folder."""
+    changes: dict[str, Any] = {
+        "actuator": _resolved(scenario.actuator, folder),
+        "claims_also_on": tuple(_resolved(name, folder) for name in scenario.claims_also_on),
+    }
+    for name in ("compensators", "models"):
+        sources = getattr(scenario, name)
+        changes[name] = tuple(
+            s if s.model is None else s.model_copy(update={"model": _resolved(s.model, folder)})
+            for s in sources
+        )
+    for name in ("reference", "drive"):
+        signal = getattr(scenario, name)
+        if isinstance(signal, FromFile):
+            changes[name] = signal.model_copy(update={"path": str(folder / signal.path)})
+    return scenario.model_copy(update=changes)
+
+
+def _resolved(name: str, folder: Path) -> str:
+    return str(folder / name) if name.endswith(".json") else name
