@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, PositiveFloat, ValidationError, model_validator
@@ -17,14 +18,19 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.files import Content, read_limited, write_atomic
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.instruments import Instruments
+from hammerstein.pictured import Pictured
 from hammerstein.validation import mistakes_of, suggestion
+
+if TYPE_CHECKING:
+    from hammerstein.interop.block_system import BlockSystem
+    from hammerstein.simulation import Wire
 
 FORMAT = "hammerstein-model/1"
 CONTENT = Content("model file", sign="hammerstein-model/")
 
 
 @dataclass(frozen=True, eq=False)
-class HammersteinModel:
+class HammersteinModel(Pictured):
     """An actuator or a model of one: Prandtl-Ishlinskii hysteresis followed by linear dynamics.
 
         v = Gamma(u),    y = G v            (Hammerstein structure: paper, section 6)
@@ -49,6 +55,12 @@ class HammersteinModel:
     instruments: Instruments = field(default_factory=Instruments)
     provenance: JsonValue = None
 
+    def __repr__(self) -> str:
+        return (
+            f"HammersteinModel({self.name!r}: {', '.join(self.inputs)} [V] to {', '.join(self.outputs)} "
+            f"[um]; {self.hysteresis.describe()}; dynamics: {self.dynamics.describe()})"
+        )
+
     def __post_init__(self) -> None:
         m, p = self.hysteresis.n_inputs, self.hysteresis.n_outputs
         mistakes = []
@@ -70,6 +82,42 @@ class HammersteinModel:
     def static(self) -> HammersteinModel:
         """Give the same static block without its dynamics."""
         return replace(self, dynamics=StaticDynamics(n_outputs=self.hysteresis.n_outputs))
+
+    def to_iosys(
+        self,
+        sample_time_s: float,
+        *,
+        instruments: Instruments | None = None,
+        seed: int | Sequence[int] = 0,
+        outputs: Sequence[Wire] = ("position_um",),
+        name: str = "actuator",
+    ) -> BlockSystem:
+        """Give the whole actuator as a discrete ``control.NonlinearIOSystem``.
+
+        Its inputs are ``requested_v[0]`` and so on, its outputs ``position_um[0]`` and so on: the names by
+        which ``control.interconnect`` joins it to a compensator. It gives the numbers of
+        ``hammerstein.simulate``.
+
+        Parameters
+        ----------
+        sample_time_s : time between samples [s], for which a voltage is held
+        instruments : drive and sensor whose effects are wanted, such as the model's own; none if not given
+        seed : of the sensor's noise
+        outputs : wires that leave the system: ``drive_v``, ``hysteresis_um``, ``position_um``, ``reading_um``
+        name : of the system
+
+        Raises
+        ------
+        InputError : a sample time that does not fit the dynamics, or an unknown wire
+        """
+        from hammerstein.interop.block_system import require_grid
+        from hammerstein.simulation import Plant
+
+        require_grid(None, sample_time_s, "model")
+        around = instruments or Instruments.ideal()
+        drive = around.drive.model_copy(update={"sample_time_s": sample_time_s})
+        plant = Plant(self, around.model_copy(update={"drive": drive}))
+        return plant.to_iosys(seed, outputs, name)
 
     @classmethod
     def load(cls, path: str | Path) -> HammersteinModel:

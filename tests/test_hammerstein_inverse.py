@@ -29,9 +29,7 @@ def _of(transfer):
 def _coupled():
     """Two resonant axes behind a constant mixing matrix."""
     axis = control.tf2ss(RESONANT)
-    return StateSpaceDynamics.of(
-        control.append(axis, axis) * control.ss([], [], [], [[1.0, 0.2], [-0.3, 1.0]])
-    )
+    return StateSpaceDynamics.of(control.append(axis, axis) * np.array([[1.0, 0.2], [-0.3, 1.0]]))
 
 
 def _model(dynamics):

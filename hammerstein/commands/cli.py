@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hammerstein.commands import records as record_commands
-from hammerstein.commands import terminal
+from hammerstein.commands import records as record_commands, terminal
 from hammerstein.commands.terminal import complain, show, tell
 from hammerstein.errors import HammersteinError
 from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, leave
@@ -41,6 +40,23 @@ Jobs = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 PROCESSORS = os.cpu_count() or 1
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        import hammerstein
+
+        tell(f"hammerstein {hammerstein.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _before(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_say_version, help="Print the version.")
+    ] = False,
+) -> None:
+    """What stands before a command."""
 
 
 class _Interrupted(BaseException):
@@ -120,9 +136,10 @@ def run(
     from hammerstein.commands.tables import claims_table, kept_aside, result_table
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.errors import InputError
-    from hammerstein.experiment.batch import Writer, load_all, run_all
+    from hammerstein.experiment.batch import load_all, run_all
     from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.claims_page import CLAIMS, PAGE, write_claims, write_page
+    from hammerstein.reporting.folder import Writer
     from hammerstein.storage.staging import prepare
 
     refuse_unwritable("--out", out)

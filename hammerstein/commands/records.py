@@ -245,8 +245,7 @@ def compensate(
     """Turn a reference into the voltages to send, with the predicted response."""
     from hammerstein.commands.tables import compensation_table
     from hammerstein.commands.warm_up import compile_once
-    from hammerstein.compensators.drive_file import CONTENT
-    from hammerstein.compensators.drive_file import compensate as compensated
+    from hammerstein.compensators.drive_file import CONTENT, compensate as compensated
     from hammerstein.files import write_atomic
 
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hammerstein.experiment.report import Report
+from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.claims_page import Line
-from hammerstein.rows import Row
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -53,7 +53,7 @@ def _figures(rows: Sequence[Row]) -> list[str]:
     for name in ("rms_um", "max_um", "max_true_um"):
         values = [value for row in rows if (value := getattr(row, name)) is not None]
         cells.append(f"{max(values):.3f}" if values else "")
-    return [*cells, str(sum(row.saturated_samples for row in rows))]
+    return [*cells, str(sum(int(row.saturated_samples or 0) for row in rows))]
 
 
 def actuator_table(models: Iterable[HammersteinModel]) -> Table:

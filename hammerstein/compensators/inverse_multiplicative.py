@@ -93,6 +93,7 @@ class InverseMultiplicative(Law[FeedbackState]):
         require_square(hysteresis.n_inputs, hysteresis.n_outputs, "inverse_multiplicative")
         self.n_inputs = self.n_outputs = hysteresis.n_inputs
         self.hysteresis, self.range_v, self.iterations = hysteresis, range_v, iterations
+        self.sample_time_s = None if filter_s is None else sample_time_s
         self.pole = 0.0 if filter_s is None else math.exp(-sample_time_s / filter_s)
         self.gain_v_per_um = _gain_matrix(gain, hysteresis, self.pole)
         self.convergence = convergence(hysteresis, self.gain_v_per_um, self.pole)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,11 +11,9 @@ from hammerstein.errors import HammersteinError, InputError, LostProcessError, M
 from hammerstein.experiment.prepare import Progress
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
-from hammerstein.reporting.folder import ALWAYS, REPORT, TraceFormat, write_report
 from hammerstein.runtime.workers import side_by_side
 from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.storage.manifest import refuse_name
-from hammerstein.storage.staging import prepare
 
 WHY_LOST = ". The system does so when the memory is full: run fewer side by side (--jobs 1), or less at once."
 Finish = Callable[[Report], tuple[Path, ...]]
@@ -127,22 +125,3 @@ def _of(name: str, error: HammersteinError) -> HammersteinError:
     if isinstance(error, InputError):
         return InputError(f"{name}: {error.source}", error.mistakes)
     return type(error)(f"{name}: {error}")
-
-
-@dataclass(frozen=True)
-class Writer:
-    """Write each report into its folder below ``out``."""
-
-    out: Path
-    figures: bool = True
-    traces: TraceFormat | None = None
-
-    def prepare(self, names: Iterable[str]) -> None:
-        """Refuse folders that cannot take a report, before the work; InputError says why."""
-        for name in names:
-            prepare(self.out / name, REPORT, ALWAYS)
-
-    def __call__(self, report: Report) -> tuple[Path, ...]:
-        """Write one report; give the places of files that were kept."""
-        folder = self.out / report.name
-        return write_report(report, folder, figures=self.figures, traces=self.traces).kept

@@ -164,6 +164,8 @@ def _closed(plant: Plant, law: Feedback, reference_um: Array, seed: list[int]) -
         position_um=wires.position_um,
         reading_um=wires.reading_um,
         saturated=wires.saturated,
+        inputs=plant.model.inputs,
+        outputs=plant.model.outputs,
     )
 
 

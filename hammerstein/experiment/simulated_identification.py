@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue, TypeAdapter
 
-from hammerstein.cycles import settled_cycle
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
@@ -21,6 +20,7 @@ from hammerstein.identification.linear.creep import fit_creep
 from hammerstein.identification.source import ClosedFormSpec, IdentificationSpec, JointFitSpec
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.instruments import Drive
+from hammerstein.metrics.cycle import settled_cycle
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.cache import kept

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.errors import InputError, Mistake
+from hammerstein.pictured import Pictured
 from hammerstein.records.checks import (
     clipping_mistakes,
     gap_mistakes,
@@ -37,7 +38,7 @@ AXES = ("sample", "channel", "experiment", "period")
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class Record(Pictured):
     """One experiment on one actuator.
 
     Parameters
@@ -59,8 +60,8 @@ class Record:
     --------
     >>> u = np.sin(np.linspace(0.0, 12.0, 300))
     >>> record = Record([u], [5.0 * u], 1e-3)
-    >>> record.samples, record.inputs, record.outputs
-    (300, ('u1',), ('y1',))
+    >>> record
+    Record('record': 300 samples of 0.001 s; u1 -1 to 1 V; y1 -5 to 5 um)
     """
 
     u_v: Array
@@ -69,7 +70,7 @@ class Record:
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     source: str = "record"
-    rows: Rows = field(default_factory=lambda: np.empty(0, dtype=np.int64), repr=False)
+    rows: Rows = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     period_samples: int | None = None
     verified: InitVar[bool] = False
 
@@ -92,6 +93,13 @@ class Record:
         mistakes = [] if verified else list(self._mistakes())
         if mistakes:
             raise InputError(self.source, mistakes)
+
+    def __repr__(self) -> str:
+        parts = [f"{self.samples} samples of {self.sample_time_s:.6g} s"]
+        for names, values, unit in ((self.inputs, self.u_v, "V"), (self.outputs, self.y_um, "um")):
+            spans = zip(names, values, strict=True)
+            parts.append(", ".join(f"{n} {v.min():.4g} to {v.max():.4g} {unit}" for n, v in spans))
+        return f"Record({self.source!r}: {'; '.join(parts)})"
 
     def _refuse_shapes(self, u: Array, y: Array) -> None:
         if u.ndim != 2 or y.ndim != 2 or u.shape[1] != y.shape[1] or 0 in u.shape or 0 in y.shape:

@@ -13,8 +13,8 @@ from xml.etree import ElementTree
 
 from hammerstein.errors import HammersteinError, ToleranceError
 from hammerstein.files import Content
+from hammerstein.metrics import KEY
 from hammerstein.regression.compare import Finding, Kind, deviation, limit
-from hammerstein.rows import KEY
 
 DEFAULT_FOLDER = Path("reports/baseline")
 SUITE, TITLE = "hammerstein check", "# Scenarios against their baselines"

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from hammerstein.errors import InputError
 from hammerstein.experiment.report import FORMAT, Report, Trace
 from hammerstein.reporting.figures.write import FIGURES
 from hammerstein.storage.manifest import Owner
-from hammerstein.storage.staging import Stage, staged
+from hammerstein.storage.staging import Stage, prepare, staged
 
 TraceFormat = Literal["csv", "mat"]
 LONGEST_NAME = 60  # a character takes up to four of the 255 bytes that most systems allow
@@ -72,35 +73,36 @@ def write_report(
     return Written(tuple(stage.written), stage.kept)
 
 
+@dataclass(frozen=True)
+class Writer:
+    """Write each report into its folder below ``out``."""
+
+    out: Path
+    figures: bool = True
+    traces: TraceFormat | None = None
+
+    def prepare(self, names: Iterable[str]) -> None:
+        """Refuse folders that cannot take a report, before the work; InputError says why."""
+        for name in names:
+            prepare(self.out / name, REPORT, ALWAYS)
+
+    def __call__(self, report: Report) -> tuple[Path, ...]:
+        """Write one report; give the places of files that were kept."""
+        folder = self.out / report.name
+        return write_report(report, folder, figures=self.figures, traces=self.traces).kept
+
+
 def _write_traces(report: Report, stage: Stage, kind: TraceFormat) -> None:
     """One file a case, every wire a column (CSV) or a variable (MATLAB)."""
     for number, trace in enumerate(report.traces, start=1):
         name = f"traces/{number:03d}_{_file_name(trace)}.{kind}"
-        columns = _columns(trace, report)
+        columns = {"time_s": trace.time_s} | trace.response.columns()
         stage.write(name, _csv(columns) if kind == "csv" else _matlab(columns, stage.folder / name))
 
 
 def _file_name(trace: Trace) -> str:
     words = f"{trace.label or 'drive'} {trace.excited_axis} {trace.signal.highest_frequency_hz:g}Hz"
     return "".join(c if c.isalnum() or c in ".-" else "_" for c in words[:LONGEST_NAME])
-
-
-def _columns(trace: Trace, report: Report) -> dict[str, NDArray[np.float64]]:
-    response, outputs, inputs = trace.response, report.axes, report.inputs
-    columns = {"time_s": trace.time_s}
-    wires = {
-        "reference_um": (response.reference_um, outputs),
-        "requested_v": (response.requested_v, inputs),
-        "drive_v": (response.drive_v, inputs),
-        "hysteresis_um": (response.hysteresis_um, outputs),
-        "position_um": (response.position_um, outputs),
-        "reading_um": (response.reading_um, outputs),
-    }
-    for name, (wire, axes) in wires.items():
-        if wire is not None:
-            quantity, unit = name.rsplit("_", 1)
-            columns |= {f"{quantity}_{axis}_{unit}": row for axis, row in zip(axes, wire, strict=True)}
-    return columns
 
 
 def _csv(columns: dict[str, NDArray[np.float64]]) -> str:
@@ -115,7 +117,7 @@ def _matlab(columns: dict[str, NDArray[np.float64]], path: Path) -> bytes:
     if any(len(name) > 31 for name in columns):
         raise InputError(str(path), "MATLAB variables have at most 31 characters; shorten the axis names")
     buffer = io.BytesIO()
-    savemat(buffer, columns, oned_as="column")  # type: ignore[arg-type]  # the stubs know paths only
+    savemat(cast("Any", buffer), columns, oned_as="column")  # SciPy's stubs of some versions know paths only
     # SciPy stamps the time of writing into the first 116 bytes, a free text.
     text = b"MATLAB 5.0 MAT-file, written by hammerstein".ljust(116)
     return text + buffer.getvalue()[116:]

@@ -9,7 +9,7 @@ LEFT = "interrupted; what was finished is written, and nothing else"
 
 
 def leave_on_interrupts() -> None:
-    """Let Ctrl-C, SIGTERM and a closed terminal end the process at once; what nohup has switched off stays."""
+    """Let Ctrl-C, SIGTERM and a closed terminal end the process at once; what nohup ignores stays so."""
     for number in INTERRUPTS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, leave)

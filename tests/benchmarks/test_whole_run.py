@@ -42,7 +42,8 @@ def clocked(module, name, what):
             spent[what] = spent.get(what, 0.0) + time.process_time() - start
     setattr(module, name, timed)
 
-from hammerstein.experiment import (batch, run as experiment)
+from hammerstein.experiment import batch, run as experiment
+from hammerstein.reporting import folder
 from hammerstein.reporting.figures import write
 clocked(experiment, "prepare", "models, kept from the run before, and laws")
 clocked(batch, "run", "run")
@@ -50,9 +51,9 @@ clocked(write, "figures_of", "building the figures")
 clocked(write, "_laid_out", "laying them out")
 clocked(write, "_svg", "drawing them as SVG")
 clocked(write, "_png", "drawing them as PNG")
-clocked(batch, "write_report", "write")
+clocked(folder, "write_report", "write")
 import sys
-for outcome in batch.run_all(batch.load_all([Path(sys.argv[1])]), batch.Writer(Path(sys.argv[2])), 1):
+for outcome in batch.run_all(batch.load_all([Path(sys.argv[1])]), folder.Writer(Path(sys.argv[2])), 1):
     assert outcome.error is None, outcome.error
 figures = [what for what in spent if what.startswith(("building", "laying", "drawing"))]
 run, wrote = spent.pop("run"), spent.pop("write")

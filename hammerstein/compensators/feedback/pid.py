@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,9 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.instruments import Drive, Sensor
 from hammerstein.model import HammersteinModel
+
+if TYPE_CHECKING:
+    from hammerstein.interop.block_system import BlockSystem
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,16 +149,48 @@ class Feedback:
 
         Equal to ``closed_loop`` to the last bit. What is asked may lie beyond the range; the drive cuts it.
         """
-        from hammerstein.compensators.feedback.kernel import correct, request
+        return self.request(self.correct(reference_um, reading_um, state), feedforward_v)
+
+    def correct(
+        self, reference_um: ArrayLike, reading_um: ArrayLike, state: ControllerState
+    ) -> ControllerState:
+        """First half of a step: work out the correction from reference and reading (p,) of a sample."""
+        from hammerstein.compensators.feedback.kernel import correct
 
         memory = state.memory.copy()
-        ahead = np.zeros(self.n_inputs) if feedforward_v is None else feedforward_v
-        signals = (reference_um, reading_um, ahead)
-        reference, reading, forward = (np.ascontiguousarray(x, dtype=np.float64) for x in signals)
-        asked = np.empty(self.n_inputs)
+        reference, reading = (np.ascontiguousarray(x, dtype=np.float64) for x in (reference_um, reading_um))
         correct(reference, reading, self._settings, memory)
+        return ControllerState(memory)
+
+    def request(
+        self, state: ControllerState, feedforward_v: ArrayLike | None = None
+    ) -> tuple[Array, ControllerState]:
+        """Second half of a step: voltages (m,) of the correction beside a feedforward (m,)."""
+        from hammerstein.compensators.feedback.kernel import request
+
+        memory, asked = state.memory.copy(), np.empty(self.n_inputs)
+        ahead = np.zeros(self.n_inputs) if feedforward_v is None else feedforward_v
+        forward = np.ascontiguousarray(ahead, dtype=np.float64)
         request(forward, self.inverse_gain_v_per_um, self.gain_um_per_v, self.range_v, memory, asked)
         return asked, ControllerState(memory)
+
+    @property
+    def late_samples(self) -> int:
+        """Samples by which the position follows the reference, for the feedforward's want of preview."""
+        return int(getattr(self.feedforward, "delay_samples", 0))
+
+    def to_iosys(self, sample_time_s: float, name: str = "compensator") -> BlockSystem:
+        """Give the controller, with its feedforward, as a discrete ``control.NonlinearIOSystem``.
+
+        Inputs are ``reference_um[o]`` and ``reading_um[o]``, outputs ``requested_v[k]``. A feedforward with
+        preview takes the reference that much earlier than the reading it is compared with;
+        ``FeedbackStream.primed`` gives the state to start with where the reference is known ahead.
+
+        Raises InputError for another sample time than the controller was designed for.
+        """
+        from hammerstein.compensators.feedback.stream import FeedbackStream
+
+        return FeedbackStream(self).to_iosys(sample_time_s, name)
 
 
 def closed_loop(
@@ -193,8 +228,7 @@ def closed_loop(
             "closed loop", "noise, reference, hysteresis and linear block must have the same axes"
         )
     forward = np.zeros((m, samples)) if law.feedforward is None else law.feedforward.drive_for(reference)
-    late = int(getattr(law.feedforward, "delay_samples", 0))
-    reference = np.ascontiguousarray(np.pad(reference, ((0, 0), (late, 0)))[:, :samples])
+    reference = np.ascontiguousarray(np.pad(reference, ((0, 0), (law.late_samples, 0)))[:, :samples])
     bank, state = hysteresis.bank, hysteresis.rest().copy()
     plays = (state.count, state.end, state.x, state.d, state.below)
     effects = (drive.range_v, drive.resolution_v, sensor.range_um, sensor.resolution_um, sensor.noise_um)

@@ -107,7 +107,8 @@ class HammersteinInverse(Law[PathState]):
     ):
         self.exact = ExactInverse(model, range_v, softening_v, run_anyway)
         self.n_inputs, self.n_outputs = self.exact.n_inputs, self.exact.n_outputs
-        self.range_v, self.sample_time_s = range_v, sample_time_s
+        self.range_v = range_v
+        self.sample_time_s: float = sample_time_s
         self.linear = linear_inverse(model.dynamics, sample_time_s)
         self.taps = _low_pass_taps(filter_hz, sample_time_s)
         self.needed_samples = self.linear.preview_samples + len(self.taps) // 2
@@ -171,13 +172,20 @@ class HammersteinInverse(Law[PathState]):
         )
         return drive, PathState(kept[0].copy(), kept[1].copy(), modes, away, exact)
 
-    def drive_for(self, reference_um: ArrayLike) -> Array:
-        """Drive (m, N) aligned with a path (p, N) known ahead, from an actuator at rest.
+    def primed(self, reference_um: ArrayLike) -> tuple[PathState, Array]:
+        """State of the law when the drive for the first sample of a path (p, N) known ahead is due.
+
+        The path is continued at both ends by its point reflection; the actuator is at rest.
+
+        Returns
+        -------
+        state : the law has seen the first ``preview_samples`` of the path
+        coming : (p, N) the path from there on
 
         Raises InputError where the preview is longer than the path.
         """
         if self.delay_samples:
-            return super().drive_for(reference_um)
+            return super().primed(reference_um)
         reference = checked_reference(reference_um, self.n_outputs)
         samples, needed = reference.shape[1], self.needed_samples
         if samples <= needed:
@@ -186,12 +194,14 @@ class HammersteinInverse(Law[PathState]):
                 f"has {samples} samples, but the law looks {needed} samples ahead; give a longer reference "
                 "or a filter of more bandwidth (filter_hz)",
             )
-        before, after = len(self.taps) // 2, needed
-        ends = np.pad(reference, ((0, 0), (before, after)), mode="reflect", reflect_type="odd")
-        known = self._filtered(ends)[:, self.linear.delay_samples :]
+        longest = len(self.taps) - 1
+        ends = np.pad(reference, ((0, 0), (longest // 2, needed)), mode="reflect", reflect_type="odd")
+        reach, seen = self.linear.reach_samples, longest // 2 + needed
+        known = self._filtered(ends[:, self.linear.delay_samples : seen + START_SAMPLES])
         modes = self._smooth_start(known)
         away = -self._block_state(known, modes)
-        return self.exact.solve(self._wanted(known, modes), self.exact.rest(), away, self.recovery)[0]
+        raw = ends[:, seen - longest : seen].copy()
+        return PathState(raw, known[:, :reach].copy(), modes, away, self.exact.rest()), ends[:, seen:]
 
     def _filtered(self, raw: Array) -> Array:
         """Reference behind the filter, shorter by its length less one."""
