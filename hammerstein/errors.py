@@ -11,6 +11,10 @@ from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 
+class Notice(UserWarning):
+    """Something outside was not as it should be, and was mended or passed by."""
+
+
 class HammersteinError(Exception):
     """Any mistake that a caller can mend. Its text is the whole message for a person."""
 

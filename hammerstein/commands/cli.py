@@ -14,6 +14,7 @@ import typer
 from hammerstein.commands import records as record_commands, terminal
 from hammerstein.commands.terminal import complain, show, tell
 from hammerstein.errors import HammersteinError
+from hammerstein.escaping import clean
 from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, leave
 
 if TYPE_CHECKING:
@@ -304,12 +305,10 @@ class _Watch:
         return None if self.bar is None else self._within
 
     def _within(self, what: str, done: int, total: int) -> None:
-        self.bar.update(
-            self.inner, description=terminal.clean(what), completed=done, total=total, visible=True
-        )
+        self.bar.update(self.inner, description=clean(what), completed=done, total=total, visible=True)
 
     def finished(self, name: str) -> None:
         """Count one more scenario."""
         if self.bar is not None:
-            self.bar.update(self.task, advance=1, description=terminal.clean(name))
+            self.bar.update(self.task, advance=1, description=clean(name))
             self.bar.update(self.inner, visible=False)

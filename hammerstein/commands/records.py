@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hammerstein.commands.terminal import clean, complain, show, tell
+from hammerstein.commands.terminal import complain, show, tell
+from hammerstein.escaping import clean
 
 if TYPE_CHECKING:
     from hammerstein.files import Content

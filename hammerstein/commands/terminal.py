@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import sys
 from typing import TYPE_CHECKING, TextIO
 
 from hammerstein.errors import HammersteinError
+from hammerstein.escaping import clean
 from hammerstein.files import reason_of
+from hammerstein.runtime.notices import tell_notices
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 WIDTH_OF_A_FILE = 160
-_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 class OutputError(HammersteinError):
@@ -25,19 +25,11 @@ class OutputError(HammersteinError):
 
 
 def make_ready() -> None:
-    """Let a character that the terminal does not have be a question mark and not an end."""
+    """Let a character that the terminal lacks be a question mark and no end, and a notice one line."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
-
-
-def clean(text: str) -> str:
-    r"""Text without what a terminal would obey: control characters are shown by their numbers.
-
-    >>> clean("\x1b[31mred")
-    '\\x1b[31mred'
-    """
-    return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
+    tell_notices()
 
 
 def tell(text: str) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.compiled import CHECKED
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.workers import side_by_side
 
@@ -34,9 +35,12 @@ def _must_compile() -> bool:
 
 def _is_cached(loop: object) -> bool:
     """Whether an index file of this loop lies where numba keeps it."""
-    folder = Path(loop.stats.cache_path)  # type: ignore[attr-defined]  # numba's dispatcher has no types
+    place = loop.stats.cache_path  # type: ignore[attr-defined]  # numba's dispatcher has no types
+    if place is None:  # nothing can be kept: each process compiles what it uses
+        return True
+    folder = Path(place)
     name = loop.__name__  # type: ignore[attr-defined]
-    return any(folder.glob(f"*.{name}-*.nbi"))
+    return any(folder.glob(f"*.{name}-*{CHECKED}.nbi"))
 
 
 def _use_inverse() -> None:

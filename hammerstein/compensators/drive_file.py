@@ -17,6 +17,7 @@ from hammerstein.compensators.exact.reach import Reach, Shortfall, reach, requir
 from hammerstein.compensators.feedback.pid import Feedback
 from hammerstein.compensators.specs import Compensator, NoCompensation
 from hammerstein.errors import InputError, SimulationError
+from hammerstein.escaping import cell
 from hammerstein.files import Content
 from hammerstein.instruments import Drive
 from hammerstein.model import HammersteinModel
@@ -94,7 +95,8 @@ class Compensation:
         columns |= {f"drive_{n}_v": row for n, row in zip(self.model.inputs, self.drive_v, strict=True)}
         for word, rows in (("reference", self.reference_um), ("predicted", self.shortfall.predicted_um)):
             columns |= {f"{word}_{n}_um": row for n, row in zip(self.model.outputs, rows, strict=True)}
-        return str(pd.DataFrame(columns).to_csv(index=False, lineterminator="\n"))
+        shown = {cell(name): column for name, column in columns.items()}
+        return str(pd.DataFrame(shown).to_csv(index=False, lineterminator="\n"))
 
 
 def compensate(

@@ -12,6 +12,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from hammerstein.errors import HammersteinError, ToleranceError
+from hammerstein.escaping import clean, markdown
 from hammerstein.files import Content
 from hammerstein.metrics import KEY
 from hammerstein.regression.compare import Finding, Kind, deviation, limit
@@ -115,12 +116,12 @@ class CheckResult:
         for check in self.checks:
             verdict = check.headline.removeprefix(f"{check.name}: ")
             mark = "pass" if check.passed else "**FAIL**"
-            lines.append(f"| {_cell(check.name)} | {mark}: {_cell(verdict)} |")
+            lines.append(f"| {markdown(check.name)} | {mark}: {markdown(verdict)} |")
         for check in self.checks:
             if not check.passed:
                 body = check.lines(self.baseline_folder)
                 fence = "`" * max(3, 1 + _longest_run_of_ticks(body))
-                lines += ["", f"## {check.name}", "", f"{fence}text", *body, fence]
+                lines += ["", f"## {markdown(check.name)}", "", f"{fence}text", *map(clean, body), fence]
         return "\n".join(lines) + "\n"
 
     def junit(self) -> str:
@@ -241,11 +242,6 @@ def _as_dict(check: ScenarioCheck) -> dict[str, Any]:
 def _json(value: float | str | None) -> float | str | None:
     """Value that JSON can hold: NaN and infinity as words."""
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _cell(text: str) -> str:
-    """Text in a cell of a Markdown table."""
-    return text.replace("|", "\\|")
 
 
 def _longest_run_of_ticks(lines: Iterable[str]) -> int:

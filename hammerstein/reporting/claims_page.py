@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from hammerstein.escaping import cell, markdown
 from hammerstein.experiment.report import Report
 from hammerstein.scenario.claims import Verdict
 from hammerstein.storage.manifest import Manifest, Owner
@@ -67,7 +68,7 @@ def claims_csv(reports: Sequence[Report]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, list(table[0]) if table else [], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(table)
+    writer.writerows({k: cell(v) if isinstance(v, str) else v for k, v in line.items()} for line in table)
     return text.getvalue()
 
 
@@ -121,8 +122,9 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
-        autoescape=False,  # Markdown, not HTML
+        autoescape=False,  # Markdown, which has its own filter
     )
+    environment.filters["md"] = markdown
     lines = {report.name: [Line.of(verdict) for verdict in report.verdicts] for report in reports}
     every = [line for report in reports for line in lines[report.name]]
     met = sum(line.verdict == "met" for line in every)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import InputError
+from hammerstein.escaping import cell
 from hammerstein.experiment.report import FORMAT, Report, Trace
 from hammerstein.reporting.figures.write import FIGURES
 from hammerstein.storage.manifest import Owner
@@ -108,7 +109,8 @@ def _file_name(trace: Trace) -> str:
 def _csv(columns: dict[str, NDArray[np.float64]]) -> str:
     import pandas as pd
 
-    return str(pd.DataFrame(columns).to_csv(index=False, lineterminator="\n"))
+    shown = {cell(name): column for name, column in columns.items()}
+    return str(pd.DataFrame(shown).to_csv(index=False, lineterminator="\n"))
 
 
 def _matlab(columns: dict[str, NDArray[np.float64]], path: Path) -> bytes:

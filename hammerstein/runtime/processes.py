@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from multiprocessing.context import BaseContext
 
 from hammerstein.files import discard_unfinished
+from hammerstein.runtime.notices import tell_notices
 
 ENDED = 143
 GARBAGE = (50_000, 20, 50)
@@ -75,6 +76,7 @@ def make_ready() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_leave_with_the_parent, daemon=True).start()
+    tell_notices()
     gc.freeze()
     gc.set_threshold(*GARBAGE)
 

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.escaping import clean
+
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
@@ -144,7 +146,7 @@ def plain(label: str) -> str:
     >>> plain("_5 $")
     ' _5 \\$'
     """
-    return (" " if label.startswith("_") else "") + label.replace("$", r"\$")
+    return (" " if label.startswith("_") else "") + clean(label).replace("$", r"\$")
 
 
 def letter(axes: Axes, number: int, remark: str = "") -> None:
