@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hammerstein.driving import DriveRange
 from hammerstein.errors import InputError, SimulationError
 
 if TYPE_CHECKING:
@@ -35,16 +36,21 @@ class Law(ABC, Generic[S]):
 
     A law respects the drive's range itself, so that its memory stays that of the actuator; where the
     drive stands at the range the reference was not reached.
+
+    Voltages that leave a law are absolute. The reference counts from where the actuator stands at the start
+    (``range.start_v``); inside, a law counts from rest at the working point, as its model does.
     """
 
     n_inputs: int
     n_outputs: int
+    range: DriveRange
+    origin_um: Array
     preview_samples: int = 0
     sample_time_s: float | None = None  # the grid it was designed for; None: any
 
     @abstractmethod
     def rest(self) -> S:
-        """State of a law that was never used: actuator at rest, reference at zero."""
+        """State of a law that was never used: actuator at its start, reference at zero."""
 
     @abstractmethod
     def restore(self, data: dict[str, Any]) -> S:
@@ -52,11 +58,18 @@ class Law(ABC, Generic[S]):
 
     @abstractmethod
     def _respond(self, reference_um: Array, start: S) -> tuple[Array, S]:
-        """Drive (m, N) for a checked reference (p, N), and the state after it; ``start`` is kept."""
+        """Drive (m, N), counted from the working point, for a checked reference (p, N), and the state after.
+
+        ``start`` is kept.
+        """
 
     def statement(self) -> str:
         """Say what a user must know of the law before a run; empty if nothing."""
         return ""
+
+    def _from_rest(self, position_um: Array) -> Array:
+        """Positions (p, N) counted from rest at the working point, from those counted from the start."""
+        return position_um + self.origin_um[:, None] if self.origin_um.any() else position_um
 
     def respond(self, reference_um: ArrayLike, start: S | None = None) -> tuple[Array, S]:
         """Drive for a stretch of reference.
@@ -80,7 +93,7 @@ class Law(ABC, Generic[S]):
         if not np.isfinite(drive).all():
             sample = int(np.nonzero(~np.isfinite(drive).all(axis=0))[0][0])
             raise SimulationError(f"the compensator's drive grows beyond all bounds at sample {sample}")
-        return drive, state
+        return self.range.absolute(drive), state
 
     def step(self, reference_um: ArrayLike, state: S) -> tuple[Array, S]:
         """Drive (m,) for one sample of reference (p,); equal to ``respond`` to the last bit."""

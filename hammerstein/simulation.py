@@ -1,4 +1,4 @@
-"""The actuator on its bench: what a drive does to it and what the sensor says."""
+"""The actuator in its set-up: what a drive does to it and what the sensor reads."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.driving import DriveRange
 from hammerstein.dynamics import LinearBlock, discretise
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import PlayState
@@ -131,6 +132,28 @@ class Response(Pictured):
             found |= dict(zip(signals(name, len(wire)), wire, strict=True))
         return found
 
+    def every(self, samples: int) -> Response:
+        """Record one of so many samples, from the first on; one cut voltage among them counts."""
+        if samples == 1:
+            return self
+        starts = np.arange(0, self.drive_v.shape[1], samples)
+        wires = {name: getattr(self, name) for name in WIRES}
+        kept: dict[str, Any] = {
+            name: wire[:, ::samples].copy() for name, wire in wires.items() if wire is not None
+        }
+        kept["saturated"] = np.logical_or.reduceat(self.saturated, starts, axis=1)
+        return replace(self, sample_time_s=samples * self.sample_time_s, **kept)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Response]) -> Response:
+        """Put the parts of one run together."""
+        first = parts[0]
+        if len(parts) == 1:
+            return first
+        there = [name for name in (*WIRES, "saturated") if getattr(first, name) is not None]
+        whole: dict[str, Any] = {n: np.concatenate([getattr(p, n) for p in parts], axis=1) for n in there}
+        return replace(first, **whole)
+
 
 class PlantState(NamedTuple):
     """Memory of the plays, state (n,) of the linear block and the sensor, and the generator of the noise."""
@@ -170,6 +193,16 @@ class Plant:
         """Dynamics and the sensor's bandwidth; outputs are the positions, then the filtered ones."""
         return discretise(self.model.dynamics, self.sample_time_s, self.instruments.sensor.bandwidth_hz)
 
+    @cached_property
+    def range(self) -> DriveRange:
+        """Voltages that the drive can give; before the first one the actuator rests at its working point."""
+        return DriveRange.of(self.instruments.drive.limits(self.model.hysteresis.n_inputs).T, self.model)
+
+    def _has_left(self, requested_v: Array) -> NDArray[np.bool_]:
+        """Where voltages (m, N) have left the working point, which may itself be an end of the range."""
+        away = requested_v != self.range.working_point_v[:, None]
+        return np.asarray(np.logical_or.accumulate(away, axis=1))
+
     def rest(self, seed: list[int]) -> PlantState:
         """Actuator that was never driven, and a sensor at the beginning of its noise."""
         noise = np.random.default_rng(seed)
@@ -196,8 +229,8 @@ class Plant:
         drive_v, saturated = self.instruments.drive.apply(requested_v)
         if reference_um is not None:
             # A law stays within the range itself; where it stands at the range, it wanted more.
-            saturated |= np.abs(requested_v) >= self.instruments.drive.range_v * (1.0 - 1e-9)
-        hysteresis_um, memory = self.model.hysteresis.respond(drive_v, start.memory)
+            saturated |= self.range.reached(requested_v) & self._has_left(requested_v)
+        hysteresis_um, memory = self.model.static_response(drive_v, start.memory)
         both_um, linear = self.block.respond(hysteresis_um, start.linear)
         position_um, filtered_um = np.split(both_um, 2)
         reading_um = self.instruments.sensor.read(filtered_um, start.noise)

@@ -146,6 +146,28 @@ class Pair:
 
 
 @dataclass(frozen=True, eq=False)
+class WeightCovariance:
+    """How the errors of all weights of one output hang together: their covariance L L^T.
+
+    factor_um_per_v : (weight, weight) lower triangle L [um/V]; pair after pair in the order of the inputs
+    slopes_at_bound : slopes that the fit held at a bound; their weights vary with the others alone
+    """
+
+    factor_um_per_v: Array
+    slopes_at_bound: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "factor_um_per_v", _frozen(self.factor_um_per_v))
+        if not np.isfinite(self.factor_um_per_v).all():
+            raise InputError("weight_covariance", "holds a value that is not finite")
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (weight, weight) [um^2/V^2]."""
+        return np.asarray(self.factor_um_per_v @ self.factor_um_per_v.T)
+
+
+@dataclass(frozen=True, eq=False)
 class PlayState:
     """Memory of a Prandtl-Ishlinskii model: the stack of segments of each input (see ``kernels``).
 
@@ -238,10 +260,11 @@ class PrandtlIshlinskii:
     Parameters
     ----------
     pairs : (output, input) nested sequence of ``Pair``
+    weight_covariance : (output,) covariance of the weights, where it is known
 
     Raises
     ------
-    InputError : rows of different length, or no operator at all
+    InputError : rows of different length, no operator at all, or a covariance of other weights
 
     Examples
     --------
@@ -252,6 +275,7 @@ class PrandtlIshlinskii:
     """
 
     pairs: tuple[tuple[Pair, ...], ...] = field()
+    weight_covariance: tuple[WeightCovariance, ...] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pairs", tuple(tuple(row) for row in self.pairs))
@@ -260,6 +284,10 @@ class PrandtlIshlinskii:
             raise InputError("Prandtl-Ishlinskii model", "every output needs one pair for every input")
         if not any(len(pair.thresholds_v) for row in self.pairs for pair in row):
             raise InputError("Prandtl-Ishlinskii model", "all pairs are absent; give at least one operator")
+        if self.weight_covariance is not None:
+            weights = [sum(len(pair.thresholds_v) for pair in row) for row in self.pairs]
+            if [known.factor_um_per_v.shape for known in self.weight_covariance] != [(n, n) for n in weights]:
+                raise InputError("weight_covariance", f"must have one factor an output, of {weights} rows")
 
     def __repr__(self) -> str:
         return f"PrandtlIshlinskii({self.describe()})"

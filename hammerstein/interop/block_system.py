@@ -42,7 +42,7 @@ class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control h
         y[k] = outputs of step(u[k], x[k]),    x[k+1] = state after it
 
     The state vector holds what the block remembers before the sample; zero is the block at rest, so that
-    ``control.input_output_response`` starts from rest without being told. Nothing is hidden: the same state
+    ``control.input_output_response`` starts from rest by itself. Nothing is hidden: the same state
     and input give the same output, however often python-control asks.
 
     Parameters

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hammerstein.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.pictured import Pictured
 from hammerstein.records.checks import (
@@ -46,10 +47,12 @@ class Record(Pictured):
     u_v : (input, sample) voltages [V]
     y_um : (output, sample) displacements [um]
     sample_time_s : time between two samples [s]
-    inputs, outputs : names of the axes; ``u1``, ``u2``, ... and ``y1``, ``y2``, ... if not given
+    inputs, outputs : names of the axes; ``u1``, ``u2``, ... and ``y1``, ``y2``, ... if not given; a name that
+        stands twice is numbered
     source : where the record comes from, named in every message
     rows : (sample,) row of each sample in its file, from 1
     period_samples : length of one period, where the experiment is known to be periodic
+    rest_v : (input,) voltage from which ``u_v`` counts [V]; zero, for absolute voltages, if not given
     verified : True skips the search for mistakes, for a part of a record that has passed it
 
     Raises
@@ -72,6 +75,7 @@ class Record(Pictured):
     source: str = "record"
     rows: Rows = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     period_samples: int | None = None
+    rest_v: Array = field(default_factory=lambda: np.empty(0), repr=False)
     verified: InitVar[bool] = False
 
     def __post_init__(self, verified: bool) -> None:
@@ -84,9 +88,10 @@ class Record(Pictured):
             ("u_v", u),
             ("y_um", y),
             ("sample_time_s", float(self.sample_time_s)),
-            ("inputs", tuple(self.inputs) or tuple(f"u{k + 1}" for k in range(len(u)))),
-            ("outputs", tuple(self.outputs) or tuple(f"y{o + 1}" for o in range(len(y)))),
+            ("inputs", unique(self.inputs or [f"u{k + 1}" for k in range(len(u))])),
+            ("outputs", unique(self.outputs or [f"y{o + 1}" for o in range(len(y))])),
             ("rows", rows),
+            ("rest_v", _read_only(self.rest_v if np.size(self.rest_v) else np.zeros(len(u)))),
         ):
             object.__setattr__(self, name, value)
         self._refuse_names()
@@ -155,6 +160,7 @@ class Record(Pictured):
             self.source,
             self.rows[start:stop],
             self.period_samples,
+            self.rest_v,
             verified=True,
         )
 

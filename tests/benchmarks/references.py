@@ -193,10 +193,10 @@ def _labels(name, n):
 def _law(law, dt):
     """Theorem 4.1 with one-sample delay: states are the plays of its model, then its feedback."""
     gamma = textbook_plays(law.hysteresis, dt, name="inside the law")
-    gain, limit, n = law.gain_v_per_um, law.range_v, gamma.nstates
+    gain, (low, high), n = law.gain_v_per_um, law.range.counted, gamma.nstates
 
     def drive(t, x, wanted, params):
-        return np.clip(gain @ wanted + x[n:], -limit, limit)
+        return np.clip(gain @ wanted + x[n:], low, high)
 
     def update(t, x, wanted, params):
         u = drive(t, x, wanted, params)
@@ -209,7 +209,7 @@ def _law(law, dt):
 
 def _drive(drive, dt):
     def held(t, x, u, params):
-        clipped = np.clip(u, -drive.range_v, drive.range_v)
+        clipped = np.clip(u, *drive.range_v)
         return np.round(clipped / drive.resolution_v) * drive.resolution_v
 
     names = {"inputs": _labels("u", 2), "outputs": _labels("held", 2)}

@@ -61,7 +61,9 @@ class Campaign:
         for name, data in MINE.items():
             (self.out / name).parent.mkdir(parents=True, exist_ok=True)
             (self.out / name).write_bytes(data)
+        begun = time.monotonic()
         self.finish(self.start(0, self.out))
+        self.lasts_s = time.monotonic() - begun
         self.check(whole=0)
 
     def start(self, number: int, out: Path, size: int | None = None) -> subprocess.Popen[str]:
@@ -85,7 +87,7 @@ class Campaign:
         number = self.faults % 2
         process = self.start(number, self.out)
         top = psutil.Process(process.pid)
-        time.sleep(self.random.uniform(0.0, 5.0))
+        time.sleep(self.random.uniform(0.0, self.lasts_s))
         family: list[psutil.Process] = []
         with contextlib.suppress(psutil.NoSuchProcess):
             family = top.children(recursive=True)

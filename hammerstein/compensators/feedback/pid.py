@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.blocks import Array, Law, checked_reference
 from hammerstein.compensators.feedback.tuning import POINTS, Gains, tuned
+from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.dynamics import LinearBlock, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PrandtlIshlinskii
@@ -66,7 +67,7 @@ class Feedback:
     Parameters
     ----------
     model : m inputs, p outputs; its dynamics count for the gains
-    range_v : range of the drive [V]
+    range_v : range of the drive [V], see ``DriveRange.of``
     sample_time_s : time between samples [s]
     sensor_bandwidth_hz : -3 dB of the sensor [Hz]; inf: none
     gains : the gains; None: computed
@@ -96,7 +97,7 @@ class Feedback:
     def __init__(
         self,
         model: HammersteinModel,
-        range_v: float,
+        range_v: RangeLike,
         sample_time_s: float,
         sensor_bandwidth_hz: float = math.inf,
         gains: Gains | None = None,
@@ -105,11 +106,16 @@ class Feedback:
     ):
         hysteresis = model.hysteresis
         self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
-        self.range_v, self.sample_time_s, self.feedforward = range_v, sample_time_s, feedforward
+        self.range, self.sample_time_s, self.feedforward = (
+            DriveRange.of(range_v, model),
+            sample_time_s,
+            feedforward,
+        )
         self.gain_um_per_v = hysteresis.gain(model.amplitude_v)
         self.inverse_gain_v_per_um = np.ascontiguousarray(np.linalg.pinv(self.gain_um_per_v))
         self.gains = gains or _computed(model, sample_time_s, sensor_bandwidth_hz, derivative)
         self._settings = self._new_settings(sensor_bandwidth_hz)
+        self._limits = np.stack([self.range.low_v, self.range.high_v])
 
     def _new_settings(self, sensor_bandwidth_hz: float) -> Array:
         """Lag of the sensor for a reference that is straight between samples, and gains for one sample."""
@@ -145,7 +151,7 @@ class Feedback:
     ) -> tuple[Array, ControllerState]:
         """Voltages (m,) for the next sample, from reference and reading (p,) of this one.
 
-        feedforward_v : (m,) feedforward for the next sample; zero if not given
+        feedforward_v : (m,) feedforward for the next sample; the start voltage if not given
 
         Equal to ``closed_loop`` to the last bit. What is asked may lie beyond the range; the drive cuts it.
         """
@@ -169,9 +175,9 @@ class Feedback:
         from hammerstein.compensators.feedback.kernel import request
 
         memory, asked = state.memory.copy(), np.empty(self.n_inputs)
-        ahead = np.zeros(self.n_inputs) if feedforward_v is None else feedforward_v
+        ahead = self.range.start_v if feedforward_v is None else feedforward_v
         forward = np.ascontiguousarray(ahead, dtype=np.float64)
-        request(forward, self.inverse_gain_v_per_um, self.gain_um_per_v, self.range_v, memory, asked)
+        request(forward, self.inverse_gain_v_per_um, self.gain_um_per_v, self._limits, memory, asked)
         return asked, ControllerState(memory)
 
     @property
@@ -201,8 +207,9 @@ def closed_loop(
     drive: Drive,
     sensor: Sensor,
     noise: Array,
+    working_point_v: ArrayLike = 0.0,
 ) -> ClosedLoop:
-    """Run a controller on an actuator, from rest.
+    """Run a controller on an actuator, from rest at its working point.
 
     Parameters
     ----------
@@ -213,6 +220,7 @@ def closed_loop(
         lets through (``discretise`` with the sensor's bandwidth)
     drive, sensor : they clip and round exactly as ``Drive.apply`` and ``Sensor.read`` do
     noise : (p, N) standard normal numbers, drawn beforehand; times ``sensor.noise_um`` they are the noise
+    working_point_v : (m,) voltage at which the actuator rests [V]
 
     Raises
     ------
@@ -227,11 +235,13 @@ def closed_loop(
         raise InputError(
             "closed loop", "noise, reference, hysteresis and linear block must have the same axes"
         )
-    forward = np.zeros((m, samples)) if law.feedforward is None else law.feedforward.drive_for(reference)
+    forward = np.repeat(law.range.start_v[:, None], samples, axis=1)
+    if law.feedforward is not None:
+        forward = law.feedforward.drive_for(reference)
     reference = np.ascontiguousarray(np.pad(reference, ((0, 0), (law.late_samples, 0)))[:, :samples])
     bank, state = hysteresis.bank, hysteresis.rest().copy()
     plays = (state.count, state.end, state.x, state.d, state.below)
-    effects = (drive.range_v, drive.resolution_v, sensor.range_um, sensor.resolution_um, sensor.noise_um)
+    effects = (drive.resolution_v, sensor.range_um, sensor.resolution_um, sensor.noise_um)
     requested, driven = np.empty((m, samples)), np.empty((m, samples))
     static, position, reading = np.empty((p, samples)), np.empty((p, samples)), np.empty((p, samples))
     run_closed_loop(
@@ -241,9 +251,11 @@ def closed_loop(
         law._settings,
         law.inverse_gain_v_per_um,
         law.gain_um_per_v,
-        law.range_v,
+        law._limits,
         law.rest().memory,
         np.array(effects),
+        drive.steps(m),
+        np.array(np.broadcast_to(working_point_v, m), dtype=np.float64),
         (bank.r, bank.slope, bank.moment),
         plays,
         block.rows,
@@ -252,7 +264,8 @@ def closed_loop(
     )
     if not np.isfinite(position).all():
         raise SimulationError("The closed loop diverges: its gains are too high for this actuator.")
-    saturated = np.abs(requested) > drive.range_v
+    low, high = drive.limits(m)[:, :, None]
+    saturated = (requested < low) | (requested > high)
     return ClosedLoop(requested, driven, static, position, reading, saturated)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from hammerstein.blocks import Array, Law, checked_reference
 from hammerstein.compensators.exact.inverse import ExactInverse, ExactState, Recovery
 from hammerstein.compensators.preview.linear_inverse import linear_inverse
+from hammerstein.driving import RangeLike
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
@@ -47,7 +48,8 @@ class HammersteinInverse(Law[PathState]):
     ``G^-1`` is exact on the sample grid, the hold included (``linear_inverse``), so that on every sample the
     model stands on the filtered reference. It needs the reference some samples ahead: one for a resonant
     axis, more for zeros outside the unit circle, half the length of the filter, and the input delay.
-    On a stream the drive leaves later by ``preview_samples``; ``drive_for`` aligns a path known ahead.
+    On a stream the drive leaves later by ``preview_samples``; ``drive_for`` aligns a path known ahead. A
+    stream starts from rest, or on a path whose first ``start_samples`` are known (``primed``).
     With less preview than that (``preview_s``), the rest is a delay of the position, ``delay_samples``.
 
     The filter F is a linear-phase low-pass: 1 within 0.1 % up to 0.7 ``filter_hz``, 1/2 at ``filter_hz``,
@@ -56,15 +58,15 @@ class HammersteinInverse(Law[PathState]):
 
     A path known ahead may start away from rest. Before its first and after its last sample it is continued by
     its point reflection; the modes of G^-1 start so that the drive does not ring (creep starts from rest).
-    The actuator itself starts from rest: the way from there to the path, and from the range back to the path
-    when the range was reached, is taken by a linear-quadratic feedback inside the law on the model's state
-    (1 um of error weighs as much as 100 um of drive), mostly at the range: a few milliseconds for a resonant
-    axis.
+    The actuator itself starts where it stands (``range.start_v``): the way from there to the path, and from
+    the range back to the path when the range was reached, is taken by a linear-quadratic feedback inside the
+    law on the model's state (1 um of error weighs as much as 100 um of drive), mostly at the range: a few
+    milliseconds for a resonant axis.
 
     Parameters
     ----------
     model : m inputs, p <= m outputs
-    range_v : range of the drive [V]
+    range_v : range of the drive [V], see ``DriveRange.of``
     sample_time_s : time between samples [s]
     preview_s : how far ahead the reference is known [s]; None: as far as needed; 0: not at all
     filter_hz : bandwidth of the reference filter [Hz]; None: no filter
@@ -73,7 +75,7 @@ class HammersteinInverse(Law[PathState]):
     Attributes
     ----------
     linear : the inverse of the linear block, with what it needs and asks for
-    preview_samples, delay_samples, delay_s : see above
+    preview_samples, delay_samples, delay_s, start_samples : see above
 
     Raises
     ------
@@ -98,7 +100,7 @@ class HammersteinInverse(Law[PathState]):
     def __init__(
         self,
         model: HammersteinModel,
-        range_v: float,
+        range_v: RangeLike,
         sample_time_s: float,
         preview_s: float | None = None,
         filter_hz: float | None = None,
@@ -107,7 +109,7 @@ class HammersteinInverse(Law[PathState]):
     ):
         self.exact = ExactInverse(model, range_v, softening_v, run_anyway)
         self.n_inputs, self.n_outputs = self.exact.n_inputs, self.exact.n_outputs
-        self.range_v = range_v
+        self.range, self.origin_um = self.exact.range, self.exact.origin_um
         self.sample_time_s: float = sample_time_s
         self.linear = linear_inverse(model.dynamics, sample_time_s)
         self.taps = _low_pass_taps(filter_hz, sample_time_s)
@@ -129,6 +131,11 @@ class HammersteinInverse(Law[PathState]):
         """The same as a time [s]."""
         return self.delay_samples * self.sample_time_s
 
+    @property
+    def start_samples(self) -> int:
+        """Samples of a path that must be known before its first drive, where it starts away from rest."""
+        return self.needed_samples + START_SAMPLES
+
     def statement(self) -> str:
         """Say what the law does before a run: inverse of the hysteresis, preview, delay, large gains."""
         parts = [self.exact.invertibility.statement(), self.linear.statement()]
@@ -139,6 +146,11 @@ class HammersteinInverse(Law[PathState]):
                 f"With its filter the reference must be known {samples} ahead "
                 f"({ahead * self.sample_time_s:.3g} s)"
                 + (f"; the position follows it {self.delay_s:.3g} s late." if self.delay_samples else ".")
+            )
+        if not self.delay_samples:
+            parts.append(
+                f"Where a path starts away from rest, its start needs the first {self.start_samples} samples "
+                f"of the path ({self.start_samples * self.sample_time_s:.3g} s)."
             )
         return " ".join(parts)
 
@@ -164,7 +176,7 @@ class HammersteinInverse(Law[PathState]):
         raw = np.hstack([start.raw, reference_um])
         known = np.hstack([start.filtered, self._filtered(raw)])
         modes = start.modes.copy()
-        v = self._wanted(known, modes)
+        v = self._from_rest(self._wanted(known, modes))
         drive, exact, away = self.exact.solve(v, start.exact, start.away, self.recovery)
         kept = (
             raw[:, raw.shape[1] - start.raw.shape[1] :],
@@ -175,7 +187,8 @@ class HammersteinInverse(Law[PathState]):
     def primed(self, reference_um: ArrayLike) -> tuple[PathState, Array]:
         """State of the law when the drive for the first sample of a path (p, N) known ahead is due.
 
-        The path is continued at both ends by its point reflection; the actuator is at rest.
+        The path is continued at both ends by its point reflection; the actuator stands still at its start. Of
+        a path that is not known to its end, the first ``start_samples`` suffice for the state.
 
         Returns
         -------
