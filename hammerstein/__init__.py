@@ -17,17 +17,24 @@ array([[58.4 ,  1.41],
        [ 2.08, 50.57]])
 """
 
-from importlib.metadata import version as _version
-from typing import Any
-
-import lazy_loader as _lazy
-
-# The public names stand in ``__init__.pyi`` alone. They are imported when they are used: the command line
-# must answer at once.
-_find, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
+# Nothing is imported here: the command line must answer at once, and Ctrl-C must be heard from the start.
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name == "__version__":  # looking it up reads the metadata of the installation, which takes a while
-        return _version("hammerstein-control")
-    return _find(name)
+        from importlib.metadata import version
+
+        return version("hammerstein-control")
+    find, _, names = _public()
+    return names if name == "__all__" else find(name)
+
+
+def __dir__() -> list[str]:
+    return list(_public()[2])
+
+
+def _public():  # type: ignore[no-untyped-def]  # a stub hides this file from mypy
+    """Read the public names, which stand in ``__init__.pyi`` alone; each is imported when it is used."""
+    import lazy_loader
+
+    return lazy_loader.attach_stub(__name__, __file__)

@@ -1,13 +1,18 @@
 """What can go wrong, one class per exit code of the command line.
 
 Exit codes: 0 fine, 1 a number left its tolerance, 2 a file is wrong,
-3 a simulation diverged or is out of reach, 4 identification cannot fit, 70 a fault of ours.
+3 a simulation diverged or is out of reach, 4 identification cannot fit,
+70 a fault of ours, or a process that was ended from outside.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
+
+
+class Notice(UserWarning):
+    """Something outside was not as it should be, and was mended or passed by."""
 
 
 class HammersteinError(Exception):
@@ -61,6 +66,12 @@ class SimulationError(HammersteinError):
     """A simulation diverged, a law cannot converge, or a reference is out of reach."""
 
     exit_code = 3
+
+
+class LostProcessError(HammersteinError):
+    """The process of a run was ended from outside."""
+
+    exit_code = 70
 
 
 class IdentificationError(HammersteinError):

@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 import tempfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 from hammerstein.errors import InputError
 
 LARGEST_TEXT_BYTES = 50_000_000
-_UNFINISHED: set[str] = set()
+SIGNED_BYTES = 1_000_000
+"""How far into a file its sign is searched."""
+NOTHING = b" \t\r\n{}[]"
+"""A file of these alone holds nothing that could be lost."""
+UNFINISHED = ".hammerstein-part"
+_UNFINISHED: dict[Path, Callable[[], None]] = {}
 
 
 def read_limited(path: Path, what: str, limit: int = LARGEST_TEXT_BYTES) -> str:
     """Text of a file; InputError if it is missing, empty, larger than ``limit`` bytes or no UTF-8 text."""
     try:
-        size = path.stat().st_size
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
+            kind = "a folder" if stat.S_ISDIR(found.st_mode) else "no ordinary file"
+            raise InputError(str(path), f"is {kind}; a {what} was expected")
+        size = found.st_size
         if size > limit:
             raise InputError(
                 str(path), f"has {size / 1e6:.0f} MB, too large for a {what}; is it the right file?"
@@ -27,7 +39,7 @@ def read_limited(path: Path, what: str, limit: int = LARGEST_TEXT_BYTES) -> str:
     except UnicodeDecodeError:
         raise InputError(str(path), f"is not UTF-8 text; a {what} was expected") from None
     except OSError as error:
-        raise InputError(str(path), f"cannot be read ({_reason(error)})") from None
+        raise InputError(str(path), f"cannot be read ({reason_of(error)})") from None
 
 
 def is_there(path: Path) -> bool:
@@ -39,26 +51,90 @@ def is_there(path: Path) -> bool:
 
 
 def write_atomic(path: Path, content: str | bytes) -> None:
-    """Write under a temporary name and move into place; InputError if the folder cannot be written."""
+    """Write under a temporary name and move into place.
+
+    Raises
+    ------
+    InputError : the folder cannot be written, or the name is that of a link, a folder or a device
+    """
     data = content.encode("utf-8") if isinstance(content, str) else content
     temporary = None
     try:
+        _refuse_no_file(str(path), path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        _UNFINISHED.add(temporary)
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
+        prefix = f".{path.name[:100]}."
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=UNFINISHED)
+        temporary = Path(name)
+        begun(temporary, temporary.unlink)
+        _write(handle, data)
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, path)
-        _UNFINISHED.discard(temporary)
     except OSError as error:
-        _discard(temporary)
-        raise InputError(str(path), f"cannot be written ({_reason(error)}); choose another place") from None
-    except BaseException:
-        _discard(temporary)
-        raise
+        raise InputError(str(path), f"cannot be written ({reason_of(error)}); choose another place") from None
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+            ended(temporary)
+
+
+def write_through(path: Path, data: bytes) -> None:
+    """Write a file, down to the disk; OSError if it cannot be written."""
+    _write(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666), data)
+
+
+def _write(handle: int, data: bytes) -> None:
+    with os.fdopen(handle, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a kind of file holds: its name in a message, and a text near the start of each of them."""
+
+    what: str
+    sign: str
+
+
+def refuse_overwriting(option: str, path: Path, content: Content) -> None:
+    """Refuse to replace a file that is of another kind than what is to be written, before the work.
+
+    Parameters
+    ----------
+    option : what named the file, such as ``--out``
+    path : where it is to go
+    content : what will be written
+
+    Raises
+    ------
+    InputError : the name is that of a link, a folder, a device, or of a file that holds something else
+    """
+    _refuse_no_file(option, path)
+    try:
+        if not path.exists():
+            return
+        with path.open("rb") as file:
+            start = file.read(SIGNED_BYTES)
+    except OSError as error:
+        raise InputError(option, f"{path} cannot be read ({reason_of(error)}); choose another name") from None
+    if start.strip(NOTHING) and content.sign.encode() not in start:
+        raise InputError(
+            option,
+            f"{path} is no {content.what} and would be overwritten; move it away, or choose another name",
+        )
+
+
+def _refuse_no_file(source: str, path: Path) -> None:
+    if path.is_symlink():
+        raise InputError(
+            source, f"{path} is a link to {os.path.realpath(path)}; give that file, or another name"
+        )
+    if path.exists() and not path.is_file():
+        what = "a folder" if path.is_dir() else "no ordinary file"
+        raise InputError(source, f"{path} is {what}; give the name of a file")
 
 
 def refuse_unwritable(option: str, folder: Path) -> None:
@@ -82,18 +158,30 @@ def refuse_unwritable(option: str, folder: Path) -> None:
         raise InputError(option, f"the folder {place} cannot be written; choose another place")
 
 
+def begun(place: Path, discard: Callable[[], None]) -> None:
+    """Take note of a file or folder that is half-written, and of what removes it."""
+    _UNFINISHED[place] = discard
+
+
+def ended(place: Path) -> None:
+    """Take note that a file or folder is half-written no more."""
+    _UNFINISHED.pop(place, None)
+
+
+def remove_empty(folders: Iterable[Path]) -> None:
+    """Remove folders, as long as nothing is left in them."""
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+
+
 def discard_unfinished() -> None:
     """Remove what is half-written at this moment, for a process that ends at once."""
-    for temporary in tuple(_UNFINISHED):
-        _discard(temporary)
-
-
-def _discard(temporary: str | None) -> None:
-    if temporary is not None:
-        _UNFINISHED.discard(temporary)
+    for discard in tuple(_UNFINISHED.values()):
         with contextlib.suppress(OSError):
-            os.unlink(temporary)
+            discard()
 
 
-def _reason(error: OSError) -> str:
+def reason_of(error: OSError) -> str:
+    """What the system says, as words in a sentence."""
     return (error.strerror or str(error)).lower()

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, m
 from hammerstein.axis_names import unique
 from hammerstein.dynamics import AxesDynamics, Dynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError, Mistake
-from hammerstein.files import is_there, read_limited, write_atomic
+from hammerstein.files import Content, is_there, read_limited, write_atomic
 from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii, WeightCovariance
 from hammerstein.instruments import Instruments
 from hammerstein.pictured import Pictured
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 FORMAT = "hammerstein-model/2"
 OLD_FORMAT = "hammerstein-model/1"
 NUMBERS = re.compile(r"\[\s+([-+0-9.eE,\s]+?)\s+\]")
+CONTENT = Content("model file", sign="hammerstein-model/")
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,3 +1,10 @@
+import os
+import subprocess
+import sys
+
+import pytest
+
+from hammerstein.errors import Notice
 from hammerstein.runtime import cache
 
 
@@ -26,3 +33,114 @@ def test_a_folder_that_cannot_be_written_is_no_mistake(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("HAMMERSTEIN_CACHE", str(tmp_path / "file"))
     assert cache.kept(lambda: "x")() == "x"
+
+
+def spoilt(path, how):
+    """Spoil a file as faults do."""
+    data = path.read_bytes()
+    if how == "truncated":
+        path.write_bytes(data[: len(data) // 2])
+    elif how == "emptied":
+        path.write_bytes(b"")
+    elif how == "flipped":
+        path.write_bytes(data[:-3] + bytes([data[-3] ^ 1]) + data[-2:])
+    elif how == "pipe":
+        path.unlink()
+        os.mkfifo(path)
+    else:
+        path.unlink()
+        path.mkdir()
+
+
+FAULTS = ["truncated", "emptied", "flipped", "folder"]
+PIPE = pytest.param(
+    "pipe", marks=pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes")
+)
+
+
+@pytest.mark.parametrize("how", [*FAULTS, PIPE])
+def test_a_spoilt_result_is_told_and_worked_out_again(tmp_path, monkeypatch, how):
+    monkeypatch.setenv("HAMMERSTEIN_CACHE", str(tmp_path))
+    assert cache.kept(lambda text: text * 3)("abc") == "abcabcabc"
+    (path,) = tmp_path.iterdir()
+    spoilt(path, how)
+    with pytest.warns(Notice, match="again") as told:
+        assert cache.kept(lambda text: text * 3)("abc") == "abcabcabc"
+    assert str(path) in str(told[0].message)
+    if how not in ("folder", "pipe"):
+        assert cache.kept(lambda text: "not asked")("abc") == "abcabcabc"
+
+
+LOOP = """
+from hammerstein.compiled import compiled
+
+@compiled()
+def double(x):
+    return 2.0 * x
+
+if __name__ == "__main__":
+    import sys, warnings
+    from hammerstein.runtime.notices import tell_notices
+    tell_notices()
+    print(double(21.0), sum(double.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def loop(tmp_path):
+    """Run a compiled loop in a process of its own: what it prints, and what it says."""
+    (tmp_path / "loop.py").write_text(LOOP)
+
+    def run(**environment):
+        command = [sys.executable, str(tmp_path / "loop.py")]
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=False, env=os.environ | environment, timeout=100
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split(), done.stderr
+
+    return run
+
+
+@pytest.mark.parametrize("kind", ["nbi", "nbc"])
+@pytest.mark.parametrize("how", FAULTS)
+def test_a_spoilt_compiled_loop_is_told_and_compiled_again(loop, tmp_path, kind, how):
+    assert loop() == (["42.0", "0"], "")
+    assert loop() == (["42.0", "1"], "")
+    (path,) = (tmp_path / "__pycache__").glob(f"*.{kind}")
+    spoilt(path, how)
+    out, error = loop()
+    assert out == ["42.0", "0"]
+    assert error.count("\n") == (2 if how == "folder" else 1)  # what is there cannot be replaced
+    assert str(tmp_path / "__pycache__") in error
+    if how != "folder":
+        assert loop() == (["42.0", "1"], "")
+
+
+def test_where_nothing_can_be_written_loops_are_compiled_each_time(loop, tmp_path):
+    (tmp_path / "__pycache__").write_text("no folder")
+    out, error = loop(HOME="/dev/null", XDG_CACHE_HOME="/dev/null/x", NUMBA_CACHE_DIR="")
+    assert out == ["42.0", "0"]
+    assert error.count("\n") == 1
+    assert "NUMBA_CACHE_DIR" in error
+
+
+def test_a_disk_that_is_full_keeps_no_loop_and_stops_no_run(loop, tmp_path):
+    (tmp_path / "loop.py").write_text(
+        "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (50, resource.RLIM_INFINITY))\n" + LOOP
+    )
+    out, error = loop()
+    assert out == ["42.0", "0"]
+    assert error.count("\n") == 1
+    assert "cannot be kept" in error
+
+
+def test_a_user_without_a_home_has_no_kept_results(monkeypatch):
+    monkeypatch.delenv("HAMMERSTEIN_CACHE")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(cache.Path, "home", homeless)
+    assert cache.folder() is None
+
+
+def homeless():
+    raise RuntimeError("Could not determine home directory.")

@@ -45,7 +45,7 @@ def test_run_writes_a_report(folder, capsys):
     assert "paper" in output.out
     assert output.err == ""
     report = folder / "reports" / "small"
-    assert {"report.json", "report.md", "rms.csv"} == {p.name for p in report.iterdir()}
+    assert {".hammerstein.json", "report.json", "report.md", "rms.csv"} == {p.name for p in report.iterdir()}
     table = pd.read_csv(report / "rms.csv")
     wanted = {"compensator", "excited_axis", "measured_axis", "frequency_hz", "rms_um", "max_um"}
     assert wanted <= set(table.columns)
@@ -200,6 +200,6 @@ def test_ctrl_c_keeps_what_is_finished_and_leaves_no_half_file(folder, jobs):
         [p for p in (folder / "reports").rglob("*") if p.is_file()] if (folder / "reports").exists() else []
     )
     assert not [p for p in files if p.parent.name == "slow"]
-    assert all(not p.name.startswith(".") for p in files)
+    assert all(p.name == ".hammerstein.json" or not p.name.startswith(".") for p in files)
     if jobs == "2":
         json.loads(done.read_text())

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hammerstein.escaping import markdown
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.experiment.selection import number
 from hammerstein.metrics import KEY, METRICS, Row
-from hammerstein.reporting.page import KEYS, escaped, render
+from hammerstein.reporting.page import KEYS, render
 from hammerstein.reporting.summary import answer
 from hammerstein.reporting.tables import MOST_FREQUENCIES, number_tables
 from hammerstein.scenario import Scenario
@@ -349,8 +350,8 @@ def test_words_of_the_user_do_not_break_the_page() -> None:
     assert r"**Is 2 \* 3 \< 7 \| really?**" in page
     for block in re.findall(r"(?:^\|.*\n)+", page, flags=re.M):
         assert len({len(cells(line)) for line in block.splitlines()}) == 1
-    assert escaped("a_b [um]") == "a_b [um]"
-    assert escaped("[a](b)") == r"[a]\(b)"
+    assert markdown("a_b [um]") == "a_b [um]"
+    assert markdown("[a](b)") == r"[a]\(b)"
 
 
 def test_many_statements_are_cut_short() -> None:

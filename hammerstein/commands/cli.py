@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hammerstein.commands import records as record_commands
+from hammerstein.commands import records as record_commands, terminal
+from hammerstein.commands.terminal import complain, show, tell
 from hammerstein.errors import HammersteinError
+from hammerstein.escaping import clean
 from hammerstein.runtime.deadline import ended_in_time
+from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, leave
 
 if TYPE_CHECKING:
     from hammerstein.experiment.batch import Outcome
@@ -40,7 +43,6 @@ Jobs = Annotated[
 ]
 Yes = Annotated[bool, typer.Option("--yes", help="Start also what takes more than ten minutes.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
-INTERRUPTED = 130
 PROCESSORS = os.cpu_count() or 1
 
 
@@ -48,7 +50,7 @@ def _say_version(wanted: bool) -> None:
     if wanted:
         import hammerstein
 
-        typer.echo(f"hammerstein {hammerstein.__version__}")
+        tell(f"hammerstein {hammerstein.__version__}")
         raise typer.Exit
 
 
@@ -62,11 +64,20 @@ def _before(
 
 
 class _Interrupted(BaseException):
-    """Ctrl-C. Not KeyboardInterrupt, which Typer would answer itself."""
+    """Ctrl-C, SIGTERM or a closed terminal. Not KeyboardInterrupt, which Typer would answer itself."""
 
 
 def _interrupt(*_: object) -> None:
+    for number in INTERRUPTS:
+        signal.signal(number, leave)  # who asks twice does not want to wait
     raise _Interrupted
+
+
+def _answer_interrupts() -> None:
+    """Let every polite request to end come as one exception; what nohup has switched off stays off."""
+    for number in INTERRUPTS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _interrupt)
 
 
 def _one_thread_a_job() -> None:
@@ -77,27 +88,41 @@ def _one_thread_a_job() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; a mistake of the user is one message and an exit code, never a traceback."""
-    signal.signal(signal.SIGINT, _interrupt)
-    _one_thread_a_job()
     try:
-        with ended_in_time(_say_interrupted, INTERRUPTED):
+        _answer_interrupts()
+        terminal.make_ready()
+        _one_thread_a_job()
+        with ended_in_time(lambda: complain(LEFT), INTERRUPTED):
+            code = _answered(arguments)
+    except _Interrupted:
+        complain(LEFT)
+        code = INTERRUPTED
+    sys.exit(code)
+
+
+def _answered(arguments: list[str] | None) -> int | str | None:
+    """Exit code of the command; its mistake has been told."""
+    code: int | str | None = 0
+    try:
+        try:
             app(arguments)
+        except SystemExit as end:
+            code = end.code
+        except OSError as error:
+            if error.filename is not None:
+                raise
+            terminal.nobody_listens(error)  # a library has printed: our own files are opened by name
+        terminal.settle()
     except HammersteinError as error:
-        _complain(str(error))
-        sys.exit(error.exit_code)
+        complain(str(error))
+        return error.exit_code
     except Exception as error:
         from hammerstein.runtime.faults import as_error
 
         told = as_error(error)
-        _complain(str(told))
-        sys.exit(told.exit_code)
-    except _Interrupted:
-        _say_interrupted()
-        sys.exit(INTERRUPTED)
-
-
-def _say_interrupted() -> None:
-    _complain("interrupted; what was finished is written, and nothing else")
+        complain(str(told))
+        return told.exit_code
+    return code
 
 
 @app.command()
@@ -120,23 +145,28 @@ def run(
 
     if jobs > 1 and (len(paths) > 1 or paths[0].is_dir()):
         begin_loading()  # before this process loads what it needs itself
-    from hammerstein.commands.tables import claims_table, result_table, show
+    from hammerstein.commands.tables import claims_table, kept_aside, result_table
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.errors import InputError
     from hammerstein.experiment.batch import load_all, run_all
-    from hammerstein.files import refuse_unwritable, write_atomic
-    from hammerstein.reporting.claims_page import claims_csv, write_page
+    from hammerstein.files import refuse_unwritable
+    from hammerstein.reporting.claims_page import CLAIMS, PAGE, write_claims, write_page
     from hammerstein.reporting.folder import Writer
+    from hammerstein.storage.staging import prepare
 
     refuse_unwritable("--out", out)
     if page is not None:
         refuse_unwritable("--page", page)
+        prepare(page, PAGE, [PAGE.sign[0]])
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
     jobs = _planned(scenarios, jobs, yes)
-    compile_once(_complain)
     writer = Writer(out, figures, "mat" if traces == "mat" else "csv" if traces == "csv" else None)
+    writer.prepare(scenarios)
+    if any(scenario.claims for scenario in scenarios.values()):
+        prepare(out, CLAIMS, [CLAIMS.sign[0]])
+    compile_once(complain)
     outcomes = []
     with _Watch(len(scenarios)) as watch:
         for outcome in run_all(scenarios, writer, jobs, watch.progress):
@@ -145,21 +175,27 @@ def run(
     outcomes.sort(key=lambda outcome: outcome.name)
     reports = [outcome.report for outcome in outcomes if outcome.report is not None]
     claimed = [report for report in reports if report.verdicts]
-    if claimed:
-        write_atomic(out / "claims.csv", claims_csv(claimed))
-    if page is not None:
-        write_page(reports, out, page)
+    kept = [place for outcome in outcomes for place in outcome.kept]
+    if len(reports) < len(outcomes):
+        what = ["claims.csv"] * bool(claimed) + ["the page"] * (page is not None)
+        if what:
+            complain(f"{' and '.join(what)} is not written, as not every scenario has a report")
+    else:
+        kept += write_claims(claimed, out) if claimed else ()
+        kept += write_page(reports, out, page) if page is not None else ()
+    for place in kept:
+        complain(kept_aside(place))
     if as_json:
         errors = [str(outcome.error) for outcome in outcomes if outcome.error]
         contents = [json.loads(report.to_json()) for report in reports]
-        typer.echo(json.dumps({"reports": contents, "errors": errors}))
+        tell(json.dumps({"reports": contents, "errors": errors}))
     else:
         if reports:
             show(result_table(reports))
         if claimed:
             show(claims_table(claimed))
         if reports:
-            typer.echo(f"{len(reports)} of {len(outcomes)} reports written in {out}")
+            tell(f"{len(reports)} of {len(outcomes)} reports written in {out}")
     _fail_with(outcomes)
 
 
@@ -175,10 +211,10 @@ def _planned(scenarios: dict[str, Scenario], jobs: int, yes: bool) -> int:
     if text := together(plans).announcement(jobs):
         if sys.stdin.isatty() and sys.stderr.isatty() and not yes:
             raise InputError("plan", f"{text}. Or start it with --yes")
-        _complain(text)
+        complain(text)
     fitting = jobs_that_fit(plans, jobs)
     if fitting < jobs:
-        _complain(f"{jobs} jobs do not fit the memory together: {fitting} run side by side")
+        complain(f"{jobs} jobs do not fit the memory together: {fitting} run side by side")
     return fitting
 
 
@@ -186,7 +222,7 @@ def _fail_with(outcomes: list[Outcome]) -> None:
     """Tell every error; exit with the code of the gravest."""
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     for error in errors:
-        _complain(str(error))
+        complain(str(error))
     if errors:
         raise typer.Exit(max(error.exit_code for error in errors))
 
@@ -209,22 +245,24 @@ def check(
     """Run scenarios again and compare every number with its baseline."""
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.experiment.batch import load_all
-    from hammerstein.files import refuse_unwritable, write_atomic
+    from hammerstein.files import refuse_overwriting, refuse_unwritable, write_atomic
     from hammerstein.regression.check import check_files
+    from hammerstein.regression.result import JUNIT, SUMMARY
 
-    for option, file in (("--junit", junit), ("--markdown", markdown)):
+    for option, file, content in (("--junit", junit, JUNIT), ("--markdown", markdown, SUMMARY)):
         if file is not None:
             refuse_unwritable(option, file.parent)
+            refuse_overwriting(option, file, content)
     scenarios = load_all(paths)
     jobs = _planned(scenarios, jobs, yes)
-    compile_once(_complain)
+    compile_once(complain)
     with _Watch(len(scenarios)) as watch:
         result = check_files(paths, baseline, update_baseline, jobs, watch.progress, watch.finished)
     if junit is not None:
         write_atomic(junit, result.junit())
     if markdown is not None:
         write_atomic(markdown, result.markdown())
-    typer.echo(json.dumps(result.as_dict()) if as_json else result.text())
+    tell(json.dumps(result.as_dict()) if as_json else result.text())
     raise typer.Exit(result.exit_code)
 
 
@@ -233,18 +271,18 @@ def schema() -> None:
     """Print the JSON Schema of scenario files, for editors."""
     from hammerstein.scenario import Scenario
 
-    typer.echo(json.dumps(Scenario.model_json_schema(), indent=1, sort_keys=True))
+    tell(json.dumps(Scenario.model_json_schema(), indent=1, sort_keys=True))
 
 
 @app.command()
 def actuators(as_json: AsJson = False) -> None:
     """List the actuators that come with the package."""
-    from hammerstein.commands.tables import actuator_table, show
+    from hammerstein.commands.tables import actuator_table
     from hammerstein.model import HammersteinModel, packaged_actuators
 
     models = [HammersteinModel.load(name) for name in packaged_actuators()]
     if as_json:
-        typer.echo(json.dumps([json.loads(model.to_json()) for model in models]))
+        tell(json.dumps([json.loads(model.to_json()) for model in models]))
     else:
         show(actuator_table(models))
 
@@ -263,17 +301,20 @@ def plot(
     from hammerstein.experiment.run import run as run_scenario
     from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.figures import write_figures
+    from hammerstein.reporting.figures.write import FIGURES
+    from hammerstein.storage.staging import prepare
 
     if path.is_dir():
         raise InputError(str(path), "is a folder; give the file of one scenario")
     refuse_unwritable("--out", out)
     ((name, scenario),) = load_all([path]).items()
     _planned({name: scenario}, jobs, yes)
-    compile_once(_complain)
+    prepare(out / name, FIGURES, ())
+    compile_once(complain)
     with _Watch(1) as watch:
         report = run_scenario(scenario, name, jobs, watch.progress)
     for figure in write_figures(report, out / name):
-        typer.echo(str(figure))
+        tell(str(figure))
 
 
 class _Watch:
@@ -288,7 +329,7 @@ class _Watch:
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-            columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+            columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
             self.bar = Progress(*columns, console=Console(stderr=True), transient=True)
             self.bar.start()
             self.task = self.bar.add_task("running", total=self.scenarios)
@@ -305,14 +346,10 @@ class _Watch:
         return None if self.bar is None else self._within
 
     def _within(self, what: str, done: int, total: int) -> None:
-        self.bar.update(self.inner, description=what, completed=done, total=total, visible=True)
+        self.bar.update(self.inner, description=clean(what), completed=done, total=total, visible=True)
 
     def finished(self, name: str) -> None:
         """Count one more scenario."""
         if self.bar is not None:
-            self.bar.update(self.task, advance=1, description=name)
+            self.bar.update(self.task, advance=1, description=clean(name))
             self.bar.update(self.inner, visible=False)
-
-
-def _complain(message: str) -> None:
-    typer.echo(message, err=True)

@@ -12,7 +12,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hammerstein.commands.terminal import complain, show, tell
+from hammerstein.escaping import clean
+
 if TYPE_CHECKING:
+    from hammerstein.files import Content
     from hammerstein.records.gains import Gain
     from hammerstein.records.record import Record
 
@@ -42,21 +46,15 @@ AcceptGain = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 
-def _refuse_output(out: Path, inputs: list[Path]) -> None:
-    """Refuse an output that cannot be written, is a folder, or one of the files that are read."""
+def _refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
+    """Refuse an output that cannot be written, holds something else, or is one of the files that are read."""
     from hammerstein.errors import InputError
-    from hammerstein.files import refuse_unwritable
+    from hammerstein.files import refuse_overwriting, refuse_unwritable
 
     refuse_unwritable("--out", out.parent)
-    if out.exists() and not out.is_file():
-        what = "a folder" if out.is_dir() else "no ordinary file"
-        raise InputError("--out", f"{out} is {what}; give the name of a file")
     if any(path.resolve() == out.resolve() for path in inputs):
         raise InputError("--out", f"{out} is one of the files that are read; choose another name")
-
-
-def _say(message: str) -> None:
-    typer.echo(message, err=True)
+    refuse_overwriting("--out", out, content)
 
 
 def _columns(words: str) -> list[str]:
@@ -140,13 +138,18 @@ def loops(
     as_json: AsJson = False,
 ) -> None:
     """Find the loops in measured records: height, width, area, closure, drift."""
-    from hammerstein.commands.tables import gains_table, loops_table, show
+    from hammerstein.commands.tables import gains_table, loops_table
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
     from hammerstein.records.loops import loop_table, without_loops
+    from hammerstein.reporting.figures.measured import LOOPS, LOOPS_FILES, loops_of_records
+    from hammerstein.storage.manifest import refuse_name
+    from hammerstein.storage.staging import prepare
 
     if figures:
         refuse_unwritable("--out", out)
+        refuse_name(files[0])
+        prepare(out / _folder_name(files), LOOPS, LOOPS_FILES)
     read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
     records = read(files, all_driven=False)
     gains = _checked_gains(records, accept_gain)
@@ -155,27 +158,26 @@ def loops(
     if len(empty) == len(records):
         raise InputError(*next(iter(empty.items())))
     for source, why in empty.items():
-        _say(f"{source}: {why}")
+        complain(f"{source}: {why}")
     for record in records:
         for lost in record.outliers:
-            _say(f"{record.source}: outliers of {lost.column} are left out: {lost.describe()}")
+            complain(f"{record.source}: outliers of {lost.column} are left out: {lost.describe()}")
     if as_json:
         plain = [
             {"file": source, **asdict(loop), "width_percent": loop.width_percent}
             for source, loops_found in found.items()
             for loop in loops_found
         ]
-        typer.echo(json.dumps({"loops": plain}))
+        tell(json.dumps({"loops": plain}))
     else:
         show(gains_table(gains))
         show(loops_table(found))
     if figures:
         from hammerstein.reporting.figures import save_figures
-        from hammerstein.reporting.figures.measured import loops_of_records
 
         figure = loops_of_records(records, [found[record.source] for record in records])
-        for path in save_figures({"loops": figure} if figure else {}, out / _folder_name(files)):
-            typer.echo(str(path), err=as_json)
+        for path in save_figures({"loops": figure} if figure else {}, out / _folder_name(files), LOOPS):
+            (complain if as_json else tell)(str(path))
 
 
 def identify(
@@ -219,14 +221,16 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify a model from measured records, and say how far it can be trusted."""
-    from hammerstein.commands.tables import fit_table, gains_table, show
+    from hammerstein.commands.tables import fit_table, gains_table, kept_aside
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.identify import identify as identified
     from hammerstein.identification.settings import settings_of
-    from hammerstein.reporting.fit_folder import write_fit
+    from hammerstein.model import CONTENT
+    from hammerstein.reporting.fit_folder import ALWAYS, FIT, write_fit
     from hammerstein.reporting.fit_page import fit_json
+    from hammerstein.storage.staging import prepare
 
     settings = settings_of(
         operators=operators,
@@ -241,7 +245,7 @@ def identify(
         sensor_bandwidth_hz=sensor_bandwidth,
     )
     held = validate or []
-    _refuse_output(out, [*files, *held])
+    _refuse_output(out, [*files, *held], CONTENT)
     twice = sorted({str(f) for f in held if f.resolve() in {g.resolve() for g in files}})
     if twice:
         raise InputError(
@@ -249,7 +253,8 @@ def identify(
         )
     folder = report or out.parent / f"{out.stem}_fit"
     refuse_unwritable("--report", folder)
-    compile_once(_say)
+    prepare(folder, FIT, ALWAYS)
+    compile_once(complain)
     read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
     records, validation = read(files), read(held, all_driven=False) if held else ()
     gains = _checked_gains(records, accept_gain)
@@ -257,16 +262,17 @@ def identify(
         model, fit = identified(
             records, settings, validation=validation, name=out.stem, progress=spinner.tell
         )
-    write_fit(model, fit, out, folder, figures)
+    for place in write_fit(model, fit, out, folder, figures):
+        complain(kept_aside(place))
     if as_json:
-        typer.echo(fit_json(model, fit), nl=False)
+        tell(fit_json(model, fit).rstrip())
         return
     show(gains_table(gains))
     show(fit_table(fit))
-    typer.echo(fit.verdict)
+    tell(fit.verdict)
     for text in (fit.invertibility, *fit.flags, *fit.not_identifiable, *fit.notes):
-        typer.echo(f"* {text}")
-    typer.echo(f"model in {out}, fit report in {folder}")
+        tell(f"* {text}")
+    tell(f"model in {out}, fit report in {folder}")
 
 
 class _Spinner:
@@ -288,7 +294,9 @@ class _Spinner:
     def tell(self, what: str) -> None:
         """Show what is being done."""
         if self.status is not None:
-            self.status.update(what)
+            from rich.text import Text
+
+            self.status.update(Text(clean(what)))
 
 
 def compensate(
@@ -321,25 +329,25 @@ def compensate(
     as_json: AsJson = False,
 ) -> None:
     """Turn a reference into the voltages to send, with the predicted response."""
-    from hammerstein.commands.tables import compensation_table, show
+    from hammerstein.commands.tables import compensation_table
     from hammerstein.commands.warm_up import compile_once
-    from hammerstein.compensators.drive_file import Terms, compensate as compensated
+    from hammerstein.compensators.drive_file import CONTENT, Terms, compensate as compensated
     from hammerstein.errors import InputError
     from hammerstein.files import write_atomic
 
     if gain not in (None, "auto", "identity"):
         raise InputError("--gain", f"must be auto or identity, not {gain!r}; a matrix goes into a scenario")
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
-    _refuse_output(out, [Path(model), reference])
-    compile_once(_say)
+    _refuse_output(out, [Path(model), reference], CONTENT)
+    compile_once(complain)
     ends, begins = _volts("--range", range_v), _volts("--start", start)
     terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
     found = compensated(model, reference, law, options, terms)
     write_atomic(out, found.to_csv())
     if as_json:
-        typer.echo(json.dumps({"drive": str(out), **found.summary()}))
+        tell(json.dumps({"drive": str(out), **found.summary()}))
         return
     show(compensation_table(found))
     for text in found.statements():
-        typer.echo(text)
-    typer.echo(f"voltages in {out}")
+        tell(text)
+    tell(f"voltages in {out}")

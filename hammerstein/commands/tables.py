@@ -141,9 +141,6 @@ def loops_table(found: Mapping[str, Sequence[Loop]]) -> Table:
     return table
 
 
-def show(table: Table) -> None:
-    """Print a table on stdout, as wide as the terminal; wide enough for every column where it is a file."""
-    from rich.console import Console
-
-    console = Console()
-    (console if console.is_terminal else Console(width=160)).print(table)
+def kept_aside(place: Path) -> str:
+    """Say that a file which a person had changed has another name now."""
+    return f"{place} is what was changed by hand in an earlier result"

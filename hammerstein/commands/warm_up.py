@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.compiled import CHECKED
 from hammerstein.model import HammersteinModel
-from hammerstein.runtime.processes import side_by_side
+from hammerstein.runtime.workers import side_by_side
 
 MODEL, RANGE_V, SAMPLE_TIME_S, SAMPLES = "duo_bimorph", 10.0, 50e-6, 800
 
@@ -19,8 +20,8 @@ def compile_once(say: Callable[[str], None]) -> None:
     if not _must_compile():
         return
     say("compiling the time loops, once after installation (15 to 25 s)")
-    for _ in side_by_side((_use_the_others, _use_inverse), 2):
-        pass
+    for _ in side_by_side((_use_the_others, _use_inverse), 2, lost=lambda *_: None):
+        pass  # what is not compiled here is compiled when it is used
 
 
 def _must_compile() -> bool:
@@ -34,9 +35,12 @@ def _must_compile() -> bool:
 
 def _is_cached(loop: object) -> bool:
     """Whether an index file of this loop lies where numba keeps it."""
-    folder = Path(loop.stats.cache_path)  # type: ignore[attr-defined]  # numba's dispatcher has no types
+    place = loop.stats.cache_path  # type: ignore[attr-defined]  # numba's dispatcher has no types
+    if place is None:  # nothing can be kept: each process compiles what it uses
+        return True
+    folder = Path(place)
     name = loop.__name__  # type: ignore[attr-defined]
-    return any(folder.glob(f"*.{name}-*.nbi"))
+    return any(folder.glob(f"*.{name}-*{CHECKED}.nbi"))
 
 
 def _use_inverse() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import InputError
+from hammerstein.escaping import clean
 
 Array = NDArray[np.float64]
 
@@ -47,10 +48,10 @@ def drive_csv(
     if twice:
         raise InputError("drive file", f"two columns would be called {twice[0]}; rename the model's axes")
     table = pd.DataFrame(np.vstack([time_s, *(rows for *_, rows in groups)]).T, columns=names)
-    above = "".join(f"# {' '.join(text.split())}\n" for text in statements)
+    above = "".join(f"# {clean(' '.join(text.split()))}\n" for text in statements)
     return above + str(table.to_csv(index=False, lineterminator="\n"))
 
 
 def _plain(name: str) -> str:
     """Name without what opens a comment or ends a line."""
-    return " ".join(name.replace("#", "").split())
+    return clean(" ".join(name.replace("#", "").split()))

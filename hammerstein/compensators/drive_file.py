@@ -18,11 +18,13 @@ from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.exact.reach import Reach, Shortfall, reach, require_reach, shortfall
 from hammerstein.driving import DriveRange
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, SimulationError
+from hammerstein.files import Content
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import read_signal
 from hammerstein.validation import mistakes_of
 
 Array = NDArray[np.float64]
+CONTENT = Content("drive file", sign="time_s,drive_")
 
 HEADING = "Voltages to send, as they are: absolute, in V. Times in s, positions in um."
 FILTER_TRIALS, FILTER_DECADES = 16, 300.0

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from hammerstein.compiled import compiled
 from hammerstein.hysteresis.play_kernels import move
 
 # A step below this is no movement: two samples at equal distance from a peak differ in their last bits, and
@@ -12,7 +12,7 @@ from hammerstein.hysteresis.play_kernels import move
 STILL_V = 1e-9
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
     reference, gain, pole, iterations, low, high, r, slope, moment, count, end, x, d, below, memory, drive
 ):
@@ -46,7 +46,7 @@ def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
             drive[k, t] = u[k]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def respond_inverse_play(v, r, low, high, last, sign, u):  # type: ignore[no-untyped-def]
     """Inverse of one play of threshold r an axis: u = v + r rising, v - r falling; jumps 2 r at a reversal.
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from hammerstein.compiled import compiled
 
 at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def respond_linear(start, column, value, x, v, y):  # type: ignore[no-untyped-def]
     """x[k+1], y[k] = [[A, B], [C, D]] (x[k], v[k]), the matrix given by its non-zero entries.
 

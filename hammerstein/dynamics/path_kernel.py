@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from hammerstein.compiled import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def respond_copies(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
     """x[k+1] = a x[k] + b v[k], y[k] = c x[k] + d v[k], each row of v through its own copy.
 
@@ -34,7 +35,7 @@ def respond_copies(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
             x[row, i] = now[i]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def respond_modes(poles, b, c, d, z, v, y):  # type: ignore[no-untyped-def]
     """z[k+1] = poles z[k] + b v[k], y[k] = Re(c z[k]) + d v[k], each row of v through its own copy.
 

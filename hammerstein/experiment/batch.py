@@ -8,24 +8,33 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from hammerstein.errors import HammersteinError, InputError, Mistake
+from hammerstein.errors import HammersteinError, InputError, LostProcessError, Mistake
 from hammerstein.experiment.prepare import Progress, Window
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.runtime.faults import as_error
-from hammerstein.runtime.processes import side_by_side
+from hammerstein.runtime.workers import side_by_side
 from hammerstein.scenario import Scenario, load_scenario
+from hammerstein.storage.manifest import refuse_name
+
+WHY_LOST = ". The system does so when the memory is full: run fewer side by side (--jobs 1), or less at once."
+Finish = Callable[[Report], tuple[Path, ...]]
+"""What is done with each report; it gives the places of files that were kept under another name."""
 
 LEAST_SAMPLES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of one scenario file: its report, or the error that stopped it."""
+    """What became of one scenario file: its report, or the error that stopped it.
+
+    kept : files in its folder that a person had changed, under their new names
+    """
 
     name: str
     report: Report | None
     error: HammersteinError | None = None
+    kept: tuple[Path, ...] = ()
 
 
 def find_scenarios(paths: Sequence[Path]) -> list[Path]:
@@ -41,11 +50,13 @@ def find_scenarios(paths: Sequence[Path]) -> list[Path]:
         if not inside[0].exists():
             raise InputError(str(path), "does not exist; give scenario files or folders")
         found += [file for file in inside if file not in found]
-    names = [file.stem for file in found]
-    for name in names:
-        if names.count(name) > 1:
+    for file in found:
+        refuse_name(file)
+    names = [file.stem.casefold() for file in found]  # many systems do not tell capital letters apart
+    for file in found:
+        if names.count(file.stem.casefold()) > 1:
             raise InputError(
-                name, "two scenarios have this name, and their reports would overwrite each other"
+                file.stem, "two scenarios have this name, and their reports would overwrite each other"
             )
     return found
 
@@ -68,7 +79,7 @@ def load_all(paths: Sequence[Path]) -> dict[str, Scenario]:
 
 def run_all(
     scenarios: dict[str, Scenario],
-    finish: Callable[[Report], None],
+    finish: Finish,
     jobs: int,
     progress: Progress | None = None,
 ) -> Iterator[Outcome]:
@@ -84,7 +95,12 @@ def run_all(
     # Long ones first, so that none is left alone at the end.
     by_size = sorted(scenarios.items(), key=lambda item: -_size(item[1]))
     tasks = [partial(_outcome, name, scenario, finish, 1, None) for name, scenario in by_size]
-    yield from side_by_side(tasks, min(jobs, len(scenarios)))
+
+    def lost(number: int, how: str) -> Outcome:
+        name = by_size[number][0]
+        return Outcome(name, None, LostProcessError(f"{name}: its process {how}, twice{WHY_LOST}"))
+
+    yield from side_by_side(tasks, min(jobs, len(scenarios)), lost)
 
 
 def _size(scenario: Scenario) -> float:
@@ -103,16 +119,16 @@ def _size(scenario: Scenario) -> float:
 def _outcome(
     name: str,
     scenario: Scenario,
-    finish: Callable[[Report], None],
+    finish: Finish,
     jobs: int,
     progress: Progress | None,
 ) -> Outcome:
     try:
         report = run(scenario, name, jobs, progress)
-        finish(report)
+        kept = finish(report)
     except Exception as error:  # a fault in one scenario must not take the others with it
         return Outcome(name, None, _of(name, as_error(error)))
-    return Outcome(name, report.without_traces())
+    return Outcome(name, report.without_traces(), kept=kept)
 
 
 def _of(name: str, error: HammersteinError) -> HammersteinError:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.escaping import cell
 from hammerstein.instruments import Instruments
 from hammerstein.metrics import Row
 from hammerstein.scenario import Scenario
@@ -126,8 +127,14 @@ class Report:
         import pandas as pd
 
         table = pd.DataFrame([asdict(band) for band in self.bands])
-        return str(table.to_csv(index=False, lineterminator="\n"))
+        return _csv(table)
 
     def to_csv(self) -> str:
         """Text of ``rms.csv``: one line a row, figures without meaning left empty."""
-        return str(self.to_frame().to_csv(index=False, lineterminator="\n"))
+        return _csv(self.to_frame())
+
+
+def _csv(table: pd.DataFrame) -> str:
+    """Text of a table: words that a spreadsheet cannot take for formulas, numbers as they are."""
+    shown = table.apply(lambda column: column.map(lambda v: cell(v) if isinstance(v, str) else v))
+    return str(shown.to_csv(index=False, lineterminator="\n"))

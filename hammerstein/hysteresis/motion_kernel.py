@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from numba import njit
+from hammerstein.compiled import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def threshold_derivatives(p, before, sign, d):  # type: ignore[no-untyped-def]
     """dp/dr of every play: -1 after it was last moved upwards, 1 after downwards, 0 before it was moved.
 

@@ -33,8 +33,9 @@ Source: Brokate and Sprekels, Hysteresis and Phase Transitions (1996), chapter 2
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from hammerstein.compiled import compiled
 
 # Two habits that these loops owe half of their speed to. An index of unsigned type is not tested for Python's
 # counting from the end; no index is negative here. And helpers use every array on each way through them, and
@@ -44,7 +45,7 @@ at = np.uint64
 BLOCK = 2048  # samples of all inputs and outputs that stay in the processor's cache together
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def play_bank(u, r, plays, p):  # type: ignore[no-untyped-def]
     """Outputs of every play: u (N,), r (n,), plays (n,) updated in place, p (n, N) overwritten."""
     for i in range(r.shape[0]):
@@ -55,7 +56,7 @@ def play_bank(u, r, plays, p):  # type: ignore[no-untyped-def]
         plays[i] = now
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def respond_textbook(u, r, n, w, plays, y):  # type: ignore[no-untyped-def]
     """Textbook loop: every play operator in every sample, shared by all outputs of its input.
 
@@ -92,7 +93,7 @@ def search_guide(
     return guide, scale
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def first_at_least(level, where, r, guide):  # type: ignore[no-untyped-def]
     """First operator with r[i] >= level, for a level from 0 to the largest threshold.
 
@@ -110,7 +111,7 @@ def first_at_least(level, where, r, guide):  # type: ignore[no-untyped-def]
     return i
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def move(i, u, r, w, rw, count, end, x, d, below, v):  # type: ignore[no-untyped-def]
     """Move input i to u and add its outputs to v (p,); its stack is updated in place.
 
@@ -148,14 +149,14 @@ def move(i, u, r, w, rw, count, end, x, d, below, v):  # type: ignore[no-untyped
     count[i] = new + 1
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _wipes_out(i, u, direction, s, r, end, x, d):  # type: ignore[no-untyped-def]
     """Whether moving input i to u engages the last operator of segment s."""
     reach = (1.0 - direction * d[i, at(s)]) * r[i, at(end[i, at(s)] - 1)]
     return direction * (u - x[i, at(s)]) > reach
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _engaged(i, gap, factor, r, k, end):  # type: ignore[no-untyped-def]
     """First operator in k..end that a gap does not engage: factor r[i] >= gap (galloping search)."""
     low, high, step = k, end, 1
@@ -168,7 +169,7 @@ def _engaged(i, gap, factor, r, k, end):  # type: ignore[no-untyped-def]
     return low
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _direction(u, r, x, d, top):  # type: ignore[no-untyped-def]
     """+1 or -1 on the way to u, and whether operator 0 rests, as it does within its dead zone."""
     gap = u - x[at(top)]
@@ -176,7 +177,7 @@ def _direction(u, r, x, d, top):  # type: ignore[no-untyped-def]
     return direction, direction * gap <= (1.0 - direction * d[at(top)]) * r[0]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _base(u, direction, r, top, end, x, d):  # type: ignore[no-untyped-def]
     """Uppermost segment that moving to u does not wipe out, and how many operators move above it."""
     same = d[at(top)] == direction
@@ -188,7 +189,7 @@ def _base(u, direction, r, top, end, x, d):  # type: ignore[no-untyped-def]
     return s, k
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def respond_turning_points(  # type: ignore[no-untyped-def]
     u, r, guide, scale, n, lines, count, end, x, d, below, y, outputs
 ):
@@ -222,7 +223,7 @@ def respond_turning_points(  # type: ignore[no-untyped-def]
     return u.shape[1]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _load(n, lines, count, end, x, d, ends, xs, ds, tips, outputs):  # type: ignore[no-untyped-def]
     """Copy a stack onto a floor of n operators at rest, and follow its tips from the floor upwards."""
     ends[0], xs[0], ds[0] = n, 0.0, 0.0
@@ -234,7 +235,7 @@ def _load(n, lines, count, end, x, d, ends, xs, ds, tips, outputs):  # type: ign
             tips[s + 1, o] = _line(way, turn, end[s], o, s, lines, tips, outputs)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _save(lines, count, ends, xs, ds, end, x, d, below):  # type: ignore[no-untyped-def]
     """Copy the stack back without its floor, and add up what lies below each segment."""
     p = below.shape[1]
@@ -248,7 +249,7 @@ def _save(lines, count, ends, xs, ds, end, x, d, below):  # type: ignore[no-unty
                 below[s, o] = below[s - 1, o] + (x[s - 1] * slope - d[s - 1] * moment)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _finite(u, start, stop):  # type: ignore[no-untyped-def]
     """Whether all samples from start to stop are finite."""
     if np.isfinite(_sum(u, start, stop)):
@@ -259,7 +260,7 @@ def _finite(u, start, stop):  # type: ignore[no-untyped-def]
     return bad == 0
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc"})
+@compiled(fastmath={"reassoc"})
 def _sum(u, start, stop):  # type: ignore[no-untyped-def]
     """Sum in any order, for a question that does not depend on its last digits."""
     total = 0.0
@@ -268,7 +269,7 @@ def _sum(u, start, stop):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _respond_block(  # type: ignore[no-untyped-def]
     u, start, stop, r, guide, scale, lines, top, end, x, d, tip, y, outputs
 ):
@@ -334,7 +335,7 @@ def _respond_block(  # type: ignore[no-untyped-def]
     return top
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _branch(direction, base, r, end, x, d):  # type: ignore[no-untyped-def]
     """What is constant on a branch: where it begins, its turn, threshold per volt, level that ends it."""
     turn = direction - d[at(base)]
@@ -347,7 +348,7 @@ def _branch(direction, base, r, end, x, d):  # type: ignore[no-untyped-def]
     return x[at(base)], turn, unit, reach
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _line(way, turn, k, o, base, lines, tip, outputs):  # type: ignore[no-untyped-def]
     """Output o a way u - x' from the tip of the base, with the first k operators engaged."""
     return tip[at(base), at(o)] + (lines[at(k), at(o)] * way - turn * lines[at(k), at(len(outputs) + o)])

@@ -13,11 +13,12 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.report import Report
-from hammerstein.files import read_limited, write_atomic
+from hammerstein.files import Content, read_limited, refuse_overwriting, write_atomic
 from hammerstein.metrics import KEY
 from hammerstein.validation import mistakes_of
 
 FORMAT = "hammerstein-baseline/1"
+CONTENT = Content("baseline", sign="hammerstein-baseline/")
 CLAIMED = "value"  # the number of a claim
 
 Key = tuple[tuple[str, str | float], ...]
@@ -93,10 +94,14 @@ class Baseline:
         )
 
     def save(self, path: Path) -> bool:
-        """Write the file in one piece, unless it holds the same already; tell whether it was written."""
+        """Write the file in one piece, unless it holds the same already; tell whether it was written.
+
+        Raises InputError if it cannot be written, or if the file that is there is no baseline.
+        """
         data = self.to_json().encode()
         if path.is_file() and path.read_bytes() == data:
             return False
+        refuse_overwriting("--update-baseline", path, CONTENT)
         write_atomic(path, data)
         return True
 

@@ -85,8 +85,9 @@ def check(
     return CheckResult((judge(outcome, Path(name), file),), file.parent)
 
 
-def _keep(report: Report) -> None:
+def _keep(report: Report) -> tuple[Path, ...]:
     """Do nothing with a report but hand it back: a check writes no report."""
+    return ()
 
 
 def _check(outcome: Outcome, path: Path, baseline: Path) -> ScenarioCheck:

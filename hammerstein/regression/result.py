@@ -12,10 +12,15 @@ from typing import Any
 from xml.etree import ElementTree
 
 from hammerstein.errors import HammersteinError, ToleranceError
+from hammerstein.escaping import clean, markdown
+from hammerstein.files import Content
 from hammerstein.metrics import KEY
 from hammerstein.regression.compare import Finding, Kind, deviation, limit
 
 DEFAULT_FOLDER = Path("reports/baseline")
+SUITE, TITLE = "hammerstein check", "# Scenarios against their baselines"
+JUNIT = Content("JUnit file of a check", sign=f'name="{SUITE}"')
+SUMMARY = Content("summary of a check", sign=TITLE)
 SHOWN = 20  # lines of a table; who has moved more than that wants the worst, not all
 MISSING = "missing"
 _AXES = ("excited_axis", "measured_axis")  # shown as one column
@@ -107,16 +112,16 @@ class CheckResult:
 
     def markdown(self) -> str:
         """Give a summary page: one line a scenario, then what differs."""
-        lines = ["# Scenarios against their baselines", "", "| scenario | result |", "|---|---|"]
+        lines = [TITLE, "", "| scenario | result |", "|---|---|"]
         for check in self.checks:
             verdict = check.headline.removeprefix(f"{check.name}: ")
             mark = "pass" if check.passed else "**FAIL**"
-            lines.append(f"| {_cell(check.name)} | {mark}: {_cell(verdict)} |")
+            lines.append(f"| {markdown(check.name)} | {mark}: {markdown(verdict)} |")
         for check in self.checks:
             if not check.passed:
                 body = check.lines(self.baseline_folder)
                 fence = "`" * max(3, 1 + _longest_run_of_ticks(body))
-                lines += ["", f"## {check.name}", "", f"{fence}text", *body, fence]
+                lines += ["", f"## {markdown(check.name)}", "", f"{fence}text", *map(clean, body), fence]
         return "\n".join(lines) + "\n"
 
     def junit(self) -> str:
@@ -125,7 +130,7 @@ class CheckResult:
         errors = sum(check.error is not None for check in self.checks)
         counts = {"tests": str(len(self.checks)), "failures": str(failures), "errors": str(errors)}
         root = ElementTree.Element("testsuites", counts)
-        suite = ElementTree.SubElement(root, "testsuite", {"name": "hammerstein check", **counts})
+        suite = ElementTree.SubElement(root, "testsuite", {"name": SUITE, **counts})
         for check in self.checks:
             names = {"classname": check.path.parent.as_posix(), "name": check.name}
             case = ElementTree.SubElement(suite, "testcase", {k: _xml(v) for k, v in names.items()})
@@ -237,11 +242,6 @@ def _as_dict(check: ScenarioCheck) -> dict[str, Any]:
 def _json(value: float | str | None) -> float | str | None:
     """Value that JSON can hold: NaN and infinity as words."""
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _cell(text: str) -> str:
-    """Text in a cell of a Markdown table."""
-    return text.replace("|", "\\|")
 
 
 def _longest_run_of_ticks(lines: Iterable[str]) -> int:

@@ -5,16 +5,19 @@ from __future__ import annotations
 import csv
 import io
 import math
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hammerstein.errors import InputError
+from hammerstein.escaping import cell, markdown
 from hammerstein.experiment.report import Report
-from hammerstein.files import write_atomic
 from hammerstein.model import HammersteinModel, packaged_actuators
 from hammerstein.scenario.claims import Answer, Verdict
+from hammerstein.storage.manifest import Manifest, Owner
+from hammerstein.storage.staging import Stage, staged
+
+CLAIMS = Owner("claims", sign=("claims.csv", "id,scenario,statement,paper,unit,"))
+PAGE = Owner("page", sign=("README.md", "# The paper, simulated"))
 
 
 @dataclass(frozen=True)
@@ -68,20 +71,33 @@ def claims_csv(reports: Sequence[Report]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, list(table[0]) if table else [], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(table)
+    writer.writerows({k: cell(v) if isinstance(v, str) else v for k, v in line.items()} for line in table)
     return text.getvalue()
 
 
-def write_page(reports: Sequence[Report], out: Path, page: Path) -> None:
+def write_claims(reports: Sequence[Report], out: Path) -> tuple[Path, ...]:
+    """Write ``claims.csv``; give the place of one that a person had changed and that was kept.
+
+    Raises InputError if it cannot be written.
+    """
+    with staged(out, CLAIMS) as stage:
+        stage.write(CLAIMS.sign[0], claims_csv(reports))
+    return stage.kept
+
+
+def write_page(reports: Sequence[Report], out: Path, page: Path) -> tuple[Path, ...]:
     """Write one page from reports that are already written below ``out``: claims, figures, answers.
 
-    Reports that answer a figure of the paper come first, in the order of the figures.
+    Reports that answer a figure of the paper come first, in the order of the figures. Gives the places of
+    files of an earlier page that a person had changed and that were kept.
 
     Raises InputError if the page cannot be written.
     """
     chosen = sorted(reports, key=_in_order)
-    figures = {report.name: _copied(report, out, page) for report in chosen}
-    write_atomic(page / "README.md", _rendered(chosen, figures))
+    with staged(page, PAGE) as stage:
+        figures = {report.name: _copied(report, out, stage) for report in chosen}
+        stage.write(PAGE.sign[0], _rendered(chosen, figures))
+    return stage.kept
 
 
 def _in_order(report: Report) -> tuple[bool, list[int], str]:
@@ -91,20 +107,13 @@ def _in_order(report: Report) -> tuple[bool, list[int], str]:
     return report.scenario.paper_figure is None, numbers, report.name
 
 
-def _copied(report: Report, out: Path, page: Path) -> list[str]:
+def _copied(report: Report, out: Path, stage: Stage) -> list[str]:
     """Copy the figures of a report beside the page; give their names."""
-    names = []
-    try:
-        page.mkdir(parents=True, exist_ok=True)
-        for old in page.glob(f"{report.name}-*.png"):
-            old.unlink()
-        for figure in sorted((out / report.name).glob("*.png")):
-            name = f"{report.name}-{figure.name}"
-            shutil.copyfile(figure, page / name)
-            names.append(name)
-    except OSError as error:
-        raise InputError(str(page), f"cannot be written ({error.strerror})") from None
-    return names
+    folder = out / report.name
+    figures = sorted(name for name in Manifest.read(folder).files if name.endswith(".png"))
+    for figure in figures:
+        stage.write(f"{report.name}-{figure}", (folder / figure).read_bytes())
+    return [f"{report.name}-{figure}" for figure in figures]
 
 
 def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
@@ -116,8 +125,9 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
-        autoescape=False,  # Markdown, not HTML
+        autoescape=False,  # Markdown, which has its own filter
     )
+    environment.filters["md"] = markdown
     verdicts = [verdict for report in reports for verdict in report.verdicts]
     actuators = list(dict.fromkeys(answer.actuator for verdict in verdicts for answer in verdict.answers))
     counted = [verdict for verdict in verdicts if not verdict.calibrated]

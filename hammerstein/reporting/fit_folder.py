@@ -4,24 +4,37 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hammerstein.files import write_atomic
 from hammerstein.identification.fit import Fit
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.fit_page import fit_json, fit_page
+from hammerstein.storage.manifest import Owner
+from hammerstein.storage.staging import staged
+
+FIT = Owner("fit", sign=("fit.json", '"held_records"'))
+ALWAYS = ("fit.json", "report.md")
 
 
-def write_fit(model: HammersteinModel, fit: Fit, path: Path, folder: Path, figures: bool = True) -> None:
-    """Write the model file, ``report.md``, ``fit.json`` and the figures.
+def write_fit(
+    model: HammersteinModel, fit: Fit, path: Path, folder: Path, figures: bool = True
+) -> tuple[Path, ...]:
+    """Write the model file, ``report.md``, ``fit.json`` and the figures: all of them, or none.
 
-    Raises InputError if they cannot be written. The model file comes last.
+    Gives the places of files of an earlier fit that a person had changed and that were kept.
+
+    Raises InputError if they cannot be written.
     """
-    names: list[str] = []
-    if figures:
-        from hammerstein.reporting.figures import save_figures
-        from hammerstein.reporting.figures.identified import identified_figures
+    with staged(folder, FIT) as stage:
+        names = []
+        if figures:
+            from hammerstein.reporting.figures.identified import identified_figures
+            from hammerstein.reporting.figures.write import files_of
 
-        drawn = save_figures(identified_figures(fit), folder)
-        names = sorted(place.name for place in drawn if place.suffix == ".png")
-    write_atomic(folder / "report.md", fit_page(model, fit, names))
-    write_atomic(folder / "fit.json", fit_json(model, fit))
-    model.save(path)
+            for name, content in files_of(identified_figures(fit)):
+                stage.write(name, content)
+                names.append(name)
+        stage.write(
+            "report.md", fit_page(model, fit, sorted(name for name in names if name.endswith(".png")))
+        )
+        stage.write("fit.json", fit_json(model, fit))
+        model.save(path)  # the last thing that can fail
+    return stage.kept

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import PurePath
 from typing import Any
 
+from hammerstein.escaping import markdown
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.score import Score
 from hammerstein.model import HammersteinModel
@@ -41,8 +42,8 @@ def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> 
     figures : names of PNG files beside the page
     """
     parts = [
-        f"# Fit report of {_cell(model.name)}",
-        fit.verdict,
+        f"# Fit report of {markdown(model.name)}",
+        markdown(fit.verdict),
         *_statements(fit),
         "## Errors",
         *_errors(fit),
@@ -68,7 +69,7 @@ def _statements(fit: Fit) -> Iterator[str]:
     ):
         if statements:
             yield f"## {title}"
-            yield "\n".join(f"* {statement}" for statement in statements)
+            yield "\n".join(f"* {markdown(statement)}" for statement in statements)
     if not fit.invertible:
         yield "**This model has no inverse: a compensator cannot be built on it as it is.**"
 
@@ -81,7 +82,10 @@ def _errors(fit: Fit) -> Iterator[str]:
     for title, scores in (("Records held back", fit.validation), ("Fitted records", fit.fit)):
         if scores:
             yield f"### {title}"
-            header = ["model", *(f"{_cell(name)} [{unit}]" for name in fit.outputs for unit in ("%", "um"))]
+            header = [
+                "model",
+                *(f"{markdown(name)} [{unit}]" for name in fit.outputs for unit in ("%", "um")),
+            ]
             yield _table(header, [_score(fit, kind, score) for kind, score in scores.items()])
 
 
@@ -97,17 +101,17 @@ def _facts(model: HammersteinModel, fit: Fit) -> Iterator[tuple[str, str]]:
     rates = ", ".join(dict.fromkeys(f"{record.rate_hz:.6g} Hz" for record in fit.records))
     longest = max(record.samples * record.sample_time_s for record in fit.records)
     yield "sampled at", f"{rates}; the longest record lasts {longest:.4g} s"
-    yield "recorded", _cell(fit.voltages.statement(fit.inputs))
+    yield "recorded", markdown(fit.voltages.statement(fit.inputs))
     yield "delay", f"{fit.delay_samples} sample{'s' * (fit.delay_samples != 1)} of {fit.sample_time_s:.4g} s"
     if fit.sensor_bandwidth_hz is not None:
         yield "sensor bandwidth, as given", f"{fit.sensor_bandwidth_hz:.4g} Hz"
-    yield "inverse", fit.invertibility
+    yield "inverse", markdown(fit.invertibility)
     for record, start, offsets in zip(fit.records, fit.starts, fit.offsets_um, strict=True):
         began = "from rest" if start.kind == "rest" else "in motion"
         if start.first:
             began += f", the first {start.first} samples left out"
         zero = ", ".join(f"{value:.4g}" for value in offsets)
-        yield f"record {_cell(PurePath(record.source).name)}", f"begins {began}; offset {zero} um"
+        yield f"record {markdown(PurePath(record.source).name)}", f"begins {began}; offset {zero} um"
 
 
 def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[list[str]]:
@@ -117,7 +121,7 @@ def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[list[str]]:
                 continue
             errors = pair.weight_errors_um_per_v
             yield [
-                f"{_cell(input_)} to {_cell(name)}",
+                f"{markdown(input_)} to {markdown(name)}",
                 str(len(pair.thresholds_v)),
                 f"{pair.amplitude(model.amplitude_v) / model.amplitude_v:.4g}",
                 f"{pair.slopes.min():.4g} to {pair.slopes.max():.4g}",
@@ -135,7 +139,7 @@ def _dynamics(model: HammersteinModel, fit: Fit) -> Iterator[str]:
         creep = ", ".join(f"{m.gain:.3g} ± {e:.1g} over {m.time_constant_s:.3g} s" for m, e in modes)
         rows.append(
             [
-                _cell(name),
+                markdown(name),
                 f"{axis.axis.resonance_hz:.5g} ± {axis.resonance_error_percent:.1g} %",
                 f"{axis.axis.damping_ratio:.4g} ± {axis.damping_error_percent:.1g} %",
                 creep or "none",
@@ -156,7 +160,3 @@ def _table(header: Sequence[str], rows: Any) -> str:
     lines = [" | ".join(header), " | ".join(["---"] * len(header))]
     lines += [" | ".join(row) for row in rows]
     return "\n".join(f"| {line} |" for line in lines)
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")

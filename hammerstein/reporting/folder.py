@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -11,18 +12,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import InputError
-from hammerstein.experiment.report import Report, Trace
-from hammerstein.files import write_atomic
+from hammerstein.escaping import cell
+from hammerstein.experiment.report import FORMAT, Report, Trace
+from hammerstein.reporting.figures.write import FIGURES
+from hammerstein.storage.manifest import Owner
+from hammerstein.storage.staging import Stage, prepare, staged
 
 TraceFormat = Literal["csv", "mat"]
+LONGEST_NAME = 60  # a character takes up to four of the 255 bytes that most systems allow
+
+
+REPORT = Owner("report", sign=("report.json", f'"format": "{FORMAT}"'), replaces=(FIGURES.name,))
+ALWAYS = ("report.json", "report.md", "rms.csv")
+
+
+@dataclass(frozen=True)
+class Written:
+    """Files of a report, and those of a person that were kept under another name."""
+
+    files: tuple[Path, ...]
+    kept: tuple[Path, ...]
 
 
 def write_report(
     report: Report, folder: Path, *, figures: bool = True, traces: TraceFormat | None = None
-) -> list[Path]:
+) -> Written:
     """Write ``report.json``, ``rms.csv``, ``report.md``, figures and, on request, traces.
 
-    Every file is written in one piece; ``report.json`` comes last, so that a folder that holds it is whole.
+    They take the place of those of an earlier run together; where one cannot be written, that report stays.
+    Files that this program did not write stay as well.
 
     Parameters
     ----------
@@ -33,32 +51,27 @@ def write_report(
 
     Raises
     ------
-    InputError : the folder cannot be written
+    InputError : the folder cannot be written, is a link, or holds other people's files under these names
     """
     from hammerstein.reporting.page import render
 
-    written: list[Path] = []
-    drawn: list[Path] = []
-    _clear(folder)
-    if figures:
-        from hammerstein.reporting.figures import write_figures
+    with staged(folder, REPORT) as stage:
+        drawn = []
+        if figures:
+            from hammerstein.reporting.figures import figures_of
+            from hammerstein.reporting.figures.write import files_of
 
-        drawn = write_figures(report, folder)
-        written += drawn
-    if traces is not None:
-        written += _write_traces(report, folder / "traces", traces)
-    names = sorted(path.name for path in drawn if path.suffix == ".png")
-    texts = {
-        "rms.csv": report.to_csv(),
-        "report.md": render(report, names),
-        "report.json": report.to_json(),
-    }
-    if report.bands:
-        texts = {"bands.csv": report.bands_to_csv()} | texts
-    for name, text in texts.items():
-        write_atomic(folder / name, text)
-        written.append(folder / name)
-    return written
+            for name, content in files_of(figures_of(report)):
+                stage.write(name, content)
+                drawn.append(name)
+        if traces is not None:
+            _write_traces(report, stage, traces)
+        if report.bands:
+            stage.write("bands.csv", report.bands_to_csv())
+        stage.write("rms.csv", report.to_csv())
+        stage.write("report.md", render(report, sorted(name for name in drawn if name.endswith(".png"))))
+        stage.write("report.json", report.to_json())
+    return Written(tuple(stage.written), stage.kept)
 
 
 @dataclass(frozen=True)
@@ -69,41 +82,35 @@ class Writer:
     figures: bool = True
     traces: TraceFormat | None = None
 
-    def __call__(self, report: Report) -> None:
-        """Write one report."""
-        write_report(report, self.out / report.name, figures=self.figures, traces=self.traces)
+    def prepare(self, names: Iterable[str]) -> None:
+        """Refuse folders that cannot take a report, before the work; InputError says why."""
+        for name in names:
+            prepare(self.out / name, REPORT, ALWAYS)
+
+    def __call__(self, report: Report) -> tuple[Path, ...]:
+        """Write one report; give the places of files that were kept."""
+        folder = self.out / report.name
+        return write_report(report, folder, figures=self.figures, traces=self.traces).kept
 
 
-def _clear(folder: Path) -> None:
-    """Remove what an earlier run of the scenario wrote, so that no stale figure stays."""
-    for pattern in ("*.png", "*.svg", "rms.csv", "bands.csv", "report.md", "report.json", "traces/*.*"):
-        for path in folder.glob(pattern):
-            try:
-                path.unlink()
-            except OSError as error:
-                raise InputError(str(path), f"cannot be replaced ({error.strerror})") from None
-
-
-def _write_traces(report: Report, folder: Path, kind: TraceFormat) -> list[Path]:
+def _write_traces(report: Report, stage: Stage, kind: TraceFormat) -> None:
     """One file a case, every wire a column (CSV) or a variable (MATLAB)."""
-    paths = []
     for number, trace in enumerate(report.traces, start=1):
-        path = folder / f"{number:03d}_{_file_name(trace)}.{kind}"
+        name = f"traces/{number:03d}_{_file_name(trace)}.{kind}"
         columns = {"time_s": trace.time_s} | trace.response.columns()
-        write_atomic(path, _csv(columns) if kind == "csv" else _matlab(columns, path))
-        paths.append(path)
-    return paths
+        stage.write(name, _csv(columns) if kind == "csv" else _matlab(columns, stage.folder / name))
 
 
 def _file_name(trace: Trace) -> str:
     words = f"{trace.label or 'drive'} {trace.excited_axis} {trace.signal.highest_frequency_hz:g}Hz"
-    return "".join(c if c.isalnum() or c in ".-" else "_" for c in words)
+    return "".join(c if c.isalnum() or c in ".-" else "_" for c in words[:LONGEST_NAME])
 
 
 def _csv(columns: dict[str, NDArray[np.float64]]) -> str:
     import pandas as pd
 
-    return str(pd.DataFrame(columns).to_csv(index=False, lineterminator="\n"))
+    shown = {cell(name): column for name, column in columns.items()}
+    return str(pd.DataFrame(shown).to_csv(index=False, lineterminator="\n"))
 
 
 def _matlab(columns: dict[str, NDArray[np.float64]], path: Path) -> bytes:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
 
+from hammerstein.escaping import clean, markdown
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.selection import identified_at, number
 from hammerstein.metrics import METRICS
@@ -100,10 +101,10 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"md": escaped, "code": _code, "number": _number}
+    environment.filters |= {"md": markdown, "code": _code, "number": _number}
     page = environment.get_template("report.md.jinja").render(
         report=report,
-        answer=answer(report, quote=lambda label: f"*{escaped(label)}*"),
+        answer=_answer(report),
         figures=[_picture(name, report) for name in sorted(figures, key=_place)],
         statements=report.statements[:MOST_STATEMENTS],
         tables=list(number_tables(report)),
@@ -115,18 +116,15 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
     return re.sub(r"\n{3,}", "\n\n", page)
 
 
-def escaped(text: object) -> str:
-    r"""Text that Markdown leaves as it is.
-
-    >>> escaped("a|b *c* d_e [um]")
-    'a\\|b \\*c\\* d_e [um]'
-    """
-    special = r"[\\`*<>|]|(?<![a-zA-Z0-9])_|_(?![a-zA-Z0-9])|(?<=\])\("
-    return re.sub(special, lambda found: f"\\{found[0]}", str(text)).replace("\n", " ")
+def _answer(report: Report) -> str:
+    """The answer with its labels in italics; no text of the scenario is taken for Markdown."""
+    opening, closing = "\ue000", "\ue001"
+    text = answer(report, quote=lambda label: opening + re.sub(f"[{opening}{closing}]", "", label) + closing)
+    return re.sub(f"[{opening}{closing}]", "*", markdown(text))
 
 
 def _code(text: object) -> str:
-    return f"`{str(text).replace('`', '')}`"
+    return f"`{clean(str(text)).replace('`', '')}`"
 
 
 def _number(value: float | None) -> str:
@@ -190,7 +188,7 @@ def _setting(report: Report) -> Iterator[tuple[str, str]]:
     """What was run, as pairs of a name and a text."""
     scenario, portable = report.scenario, report.scenario.portable()
     model = HammersteinModel.load(scenario.actuator)
-    yield "Actuator", f"{_code(report.actuator)}, dynamics: {escaped(model.dynamics.describe())}"
+    yield "Actuator", f"{_code(report.actuator)}, dynamics: {markdown(model.dynamics.describe())}"
     for name in ("drive", "reference"):
         if name in portable:
             kind = {"kind": portable[name]["kind"]}

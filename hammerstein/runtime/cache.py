@@ -6,9 +6,11 @@ result counts only for the very same source code and the very same arguments.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import sys
+import warnings
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -20,9 +22,12 @@ def folder() -> Path | None:
     named = os.environ.get("HAMMERSTEIN_CACHE")
     if named is not None:
         return Path(named) if named else None
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "hammerstein"
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hammerstein"
+    try:
+        if sys.platform == "win32":
+            return Path(os.environ.get("LOCALAPPDATA") or Path.home()) / "hammerstein"
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hammerstein"
+    except RuntimeError:  # a user without a home
+        return None
 
 
 def kept(function: Callable[..., str]) -> Callable[..., str]:
@@ -34,14 +39,30 @@ def kept(function: Callable[..., str]) -> Callable[..., str]:
     def remembered(*arguments: str | int) -> str:
         key = repr((function.__qualname__, _code(), arguments))
         path = place / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.json"
-        try:
-            return path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError):
-            result = function(*arguments)
-        _store(path, result)
-        return result
+        found = _read(path)
+        if found is None:
+            found = function(*arguments)
+            _store(path, found)
+        return found
 
     return remembered
+
+
+def _read(path: Path) -> str | None:
+    """Give a result that was kept; None if there is none, or if it is not what was written."""
+    from hammerstein.errors import InputError, Notice
+    from hammerstein.files import read_limited
+
+    if not os.path.lexists(path):
+        return None
+    try:
+        digest, _, text = read_limited(path, "kept result").partition("\n")
+        if digest == _digest(text):
+            return text
+        warnings.warn(f"{path}: the kept result was spoilt and is worked out again", Notice, stacklevel=2)
+    except InputError as error:
+        warnings.warn(f"{error}; the result is worked out again", Notice, stacklevel=2)
+    return None
 
 
 def _store(path: Path, text: str) -> None:
@@ -49,10 +70,12 @@ def _store(path: Path, text: str) -> None:
     from hammerstein.errors import InputError
     from hammerstein.files import write_atomic
 
-    try:
-        write_atomic(path, text)
-    except InputError:
-        return
+    with contextlib.suppress(InputError):
+        write_atomic(path, f"{_digest(text)}\n{text}")
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
 @cache

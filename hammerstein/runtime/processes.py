@@ -1,4 +1,4 @@
-"""Processes beside this one, which begin with the libraries loaded."""
+"""How processes beside this one begin, with the libraries loaded, and how they end."""
 
 from __future__ import annotations
 
@@ -7,20 +7,16 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing.process import BaseProcess
-from typing import TypeVar
+from multiprocessing.context import BaseContext
 
 from hammerstein.files import discard_unfinished
-
-T = TypeVar("T")
+from hammerstein.runtime.notices import tell_notices
 
 ENDED = 143
 GARBAGE = (50_000, 20, 50)
 """How seldom garbage is searched: figures are many small objects, and most of them stay until the end."""
-PATIENCE_S = 3.0
 
 LOADED_ONCE = (
     "hammerstein.commands.cli",
@@ -36,23 +32,6 @@ LOADED_ONCE = (
 """What every run needs and takes seconds to load."""
 
 
-def side_by_side(tasks: Iterable[Callable[[], T]], processes: int) -> Iterator[T]:
-    """Results of the tasks in the order in which they end; the first ones begin first.
-
-    Where it is left early, as by Ctrl-C, the tasks that still run are stopped.
-    """
-    with _pool(processes) as pool:
-        try:
-            with _deferred_interrupts():  # one in the middle would leave a process that nobody knows
-                waiting = [pool.submit(task) for task in tasks]
-            for future in as_completed(waiting):
-                yield future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            _stop(multiprocessing.active_children())
-            raise
-
-
 def begin_loading() -> None:
     """Let the libraries be loaded beside what this process does before it needs the others."""
     if not _has_server():
@@ -62,19 +41,6 @@ def begin_loading() -> None:
     multiprocessing.set_forkserver_preload(list(LOADED_ONCE))
     with _ignored_interrupts():
         forkserver.ensure_running()
-
-
-@contextmanager
-def _deferred_interrupts() -> Iterator[None]:
-    """Let Ctrl-C wait until the end, where the system can."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
@@ -95,35 +61,34 @@ def _has_server() -> bool:
     return "forkserver" in multiprocessing.get_all_start_methods()
 
 
-def _pool(processes: int) -> ProcessPoolExecutor:
+def context() -> BaseContext:
+    """How processes begin on this system."""
     begin_loading()
-    context = multiprocessing.get_context("forkserver" if _has_server() else None)
-    return ProcessPoolExecutor(processes, mp_context=context, initializer=_ready)
+    return multiprocessing.get_context("forkserver" if _has_server() else None)
 
 
-def _ready() -> None:
+def make_ready() -> None:
     """Make a new process ready.
 
-    Ctrl-C is for its parent, which then ends it. The libraries stay for good, so that the search for garbage
-    can pass them by.
+    Ctrl-C is for its parent, which then ends it. Where the parent dies itself, it ends as well. The libraries
+    stay for good, so that the search for garbage can pass them by.
     """
-    gc.freeze()
-    gc.set_threshold(*GARBAGE)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_leave_with_the_parent, daemon=True).start()
+    tell_notices()
+    gc.freeze()
+    gc.set_threshold(*GARBAGE)
+
+
+def _leave_with_the_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()  # the end of its pipe comes however it dies
+        _leave()
 
 
 def _leave(*_: object) -> None:
     """End at once, wherever the process is, without a half-written file; an exception could be swallowed."""
     discard_unfinished()
     os._exit(ENDED)
-
-
-def _stop(processes: Sequence[BaseProcess]) -> None:
-    """End processes, by force where they do not hear."""
-    for process in processes:
-        process.terminate()
-    for process in processes:
-        process.join(PATIENCE_S)
-        if process.is_alive():
-            process.kill()

@@ -24,7 +24,6 @@ index).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hammerstein.compensators.exact.pieces import (
     ABOUT,
@@ -65,11 +64,12 @@ from hammerstein.compensators.exact.pieces import (
     previous_piece,
     push,
 )
+from hammerstein.compiled import compiled
 
 GONE = 1e-12
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def respond_exact(reference, virtual, a, b, gain, x, w, drive):  # type: ignore[no-untyped-def]
     """Drive (m, N), overwritten, whose model output is the reference (p, N); the memory is updated.
 
@@ -98,7 +98,7 @@ def respond_exact(reference, virtual, a, b, gain, x, w, drive):  # type: ignore[
             away = _drift(reference, t, a, b, x, new, w)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _drift(reference, t, a, b, x, new, w):  # type: ignore[no-untyped-def]
     """Move the distance x of the linear block by one sample; False once it is gone."""
     for s in range(x.shape[0]):
@@ -115,7 +115,7 @@ def _drift(reference, t, a, b, x, new, w):  # type: ignore[no-untyped-def]
     return largest > GONE
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def prepare(w):  # type: ignore[no-untyped-def]
     """Put the walk where the memory is; True where ``stay`` may start from there."""
     ready = True
@@ -129,7 +129,7 @@ def prepare(w):  # type: ignore[no-untyped-def]
     return ready and w[HERE, 0, NOW, QUALITY] == 2.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def stay(w):  # type: ignore[no-untyped-def]
     """Solve within the pieces of the last sample; False, and no memory changed, where they do not hold q."""
     m = w.shape[1]
@@ -157,7 +157,7 @@ def stay(w):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def walk(ready, virtual, w):  # type: ignore[no-untyped-def]
     """Solve one sample from the memory, whatever it takes; drive and memory are those of what was reached.
 
@@ -191,7 +191,7 @@ def walk(ready, virtual, w):  # type: ignore[no-untyped-def]
     return ready
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _aim(w):  # type: ignore[no-untyped-def]
     """Aim of the present pieces, J^-1 (y - c), corrected once against a poorly conditioned J."""
     m = w.shape[1]
@@ -212,7 +212,7 @@ def _aim(w):  # type: ignore[no-untyped-def]
         w[HERE, k, NOW, AIM] += more
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _to_target(w):  # type: ignore[no-untyped-def]
     """Walk to the target from the first pieces; False where the model lets no walk get there."""
     m = w.shape[1]
@@ -237,7 +237,7 @@ def _to_target(w):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _first_to_leave(w):  # type: ignore[no-untyped-def]
     """Input that leaves its piece first on the way to the aim, or m if none, and the share until then."""
     first, share = w.shape[1], 1.0
@@ -251,7 +251,7 @@ def _first_to_leave(w):  # type: ignore[no-untyped-def]
     return first, share
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _fix_one(virtual, w):  # type: ignore[no-untyped-def]
     """Fix the input that is furthest outside its range at the range; False where none is outside.
 
@@ -281,14 +281,14 @@ def _fix_one(virtual, w):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _ends(w, k):  # type: ignore[no-untyped-def]
     """Least and largest q that input k can get to from its memory."""
     last = w[STACK, k, int(w[HERE, k, HAND, COUNT]) - 1, X]
     return min(w[HERE, k, ABOUT, LOW], last), max(w[HERE, k, ABOUT, HIGH], last)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _commit(w, k):  # type: ignore[no-untyped-def]
     """Put the end of the walk of input k into the memory, and its drive.
 

@@ -17,7 +17,8 @@ k is the input (or the row o of the model); what has one entry a row o stands in
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from hammerstein.compiled import compiled
 
 SINGULAR, POOR = 1e-14, 1e3
 
@@ -36,7 +37,7 @@ Y, TOTAL, LEFT, MISSED, QUALITY = range(11, 16)
 CONSTANT = 16
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def first_piece(w, k, direction):  # type: ignore[no-untyped-def]
     """Piece of input k that begins at its memory, in a direction or (0) in that of the last movement.
 
@@ -59,7 +60,7 @@ def first_piece(w, k, direction):  # type: ignore[no-untyped-def]
     return d != 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _describe(w, k):  # type: ignore[no-untyped-def]
     """End of the piece of input k, and what it adds to every row: slope q + constant."""
     m = w.shape[1]
@@ -74,7 +75,7 @@ def _describe(w, k):  # type: ignore[no-untyped-def]
         w[HERE, k, NOW, CONSTANT + o] = below - direction * w[GRID, k, j, SLOPE + m + o]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _below(w, m, k, i, j, o):  # type: ignore[no-untyped-def]
     """What the operators from j on add to row o while segment i and those under it stand still."""
     value = 0.0
@@ -86,7 +87,7 @@ def _below(w, m, k, i, j, o):  # type: ignore[no-untyped-def]
     return value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def next_piece(w, k):  # type: ignore[no-untyped-def]
     """Input k passes the end of its piece: the next operators engage."""
     depth, i = int(w[HERE, k, NOW, DEPTH]), int(w[HERE, k, NOW, OWNER])
@@ -102,7 +103,7 @@ def next_piece(w, k):  # type: ignore[no-untyped-def]
     _describe(w, k)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def previous_piece(w, k):  # type: ignore[no-untyped-def]
     """Input k turns back over the beginning of its piece; from the memory itself it turns around."""
     depth = int(w[HERE, k, NOW, DEPTH]) - 1
@@ -116,7 +117,7 @@ def previous_piece(w, k):  # type: ignore[no-untyped-def]
         _describe(w, k)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def push(w, k):  # type: ignore[no-untyped-def]
     """Make the piece that input k stands on the top segment of its stack."""
     m = w.shape[1]
@@ -130,7 +131,7 @@ def push(w, k):  # type: ignore[no-untyped-def]
     w[HERE, k, HAND, COUNT] = new + 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def output(w, o):  # type: ignore[no-untyped-def]
     """Output of the memory in row o."""
     m = w.shape[1]
@@ -144,7 +145,7 @@ def output(w, o):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def jacobian(w):  # type: ignore[no-untyped-def]
     """Sum of the constants and inverse of the Jacobian of the present pieces."""
     m = w.shape[1]
@@ -162,7 +163,7 @@ def jacobian(w):  # type: ignore[no-untyped-def]
     w[HERE, 0, NOW, QUALITY] = _invert(w)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _invert(w):  # type: ignore[no-untyped-def]
     """Inverse of the Jacobian by elimination with row exchange, and its quality (see QUALITY)."""
     m = w.shape[1]

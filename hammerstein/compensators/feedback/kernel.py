@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from hammerstein.compiled import compiled
 from hammerstein.hysteresis.play_kernels import move
 
 # Columns of the controller's memory, a row an output: the last reference, what the sensor should read, the
@@ -15,7 +15,7 @@ REFERENCE, SEEN, INTEGRAL, ERROR, CORRECTION = range(5)
 POLE, OLD, NEW, PROPORTIONAL, INTEGRATING, DERIVATIVE = range(6)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def correct(reference, reading, settings, memory):  # type: ignore[no-untyped-def]
     """One step of the controller: from reference and reading (p,) of a sample to the next correction."""
     for o in range(memory.shape[0]):
@@ -28,7 +28,7 @@ def correct(reference, reading, settings, memory):  # type: ignore[no-untyped-de
         memory[o, REFERENCE], memory[o, SEEN], memory[o, ERROR] = reference[o], seen, error
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def request(feedforward, inverse_gain, gain, limits, memory, requested):  # type: ignore[no-untyped-def]
     """Voltages (m,) for the correction in the memory, beside a feedforward (m,).
 
@@ -45,7 +45,7 @@ def request(feedforward, inverse_gain, gain, limits, memory, requested):  # type
             memory[o, INTEGRAL] += gain[o, k] * cut
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def run_closed_loop(  # type: ignore[no-untyped-def]
     reference,
     feedforward,
@@ -96,14 +96,14 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
         correct(now, heard, settings, memory)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def converted(value, low, high, step):  # type: ignore[no-untyped-def]
     """Clip to a range and round to a step, as ``Drive.apply`` and ``Sensor.read`` do."""
     held = min(max(value, low), high)
     return held if step == 0.0 else np.rint(held / step) * step
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _static_output(u, bank, plays, v):  # type: ignore[no-untyped-def]
     """Output v (p,) of the hysteresis for voltages u (m,); its memory moves on."""
     r, slope, moment = bank
@@ -115,7 +115,7 @@ def _static_output(u, bank, plays, v):  # type: ignore[no-untyped-def]
         move(k, u[k], r, slope, moment, count, end, x, d, below, v)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _linear_step(rows, x, v, z, new, both):  # type: ignore[no-untyped-def]
     """One sample of a linear block, given by the non-zero entries of [[A, B], [C, D]]."""
     start, column, value = rows

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from numba import njit
+from hammerstein.compiled import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def filtered(taps, y, out):  # type: ignore[no-untyped-def]
     """out[i, k] = sum over j of taps[j] y[i, k+j]: y (p, N + taps - 1), out (p, N) overwritten."""
     out[:] = 0.0
@@ -15,7 +15,7 @@ def filtered(taps, y, out):  # type: ignore[no-untyped-def]
                 out[i, k] += taps[j] * y[i, k + j]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def run_inverse(a, b, c, taps, ahead, x, y, v):  # type: ignore[no-untyped-def]
     """x[k+1] = a x[k] + b y+[k], v[k] = c x[k] + sum of taps[j] y+[k+j], with y+_i[k] = y[i, k + ahead_i].
 

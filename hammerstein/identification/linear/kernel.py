@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from hammerstein.compiled import compiled
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def add_normal_equations(Z, X, error, left, row, column, hessian, gradient):  # type: ignore[no-untyped-def]
     """Add J^T J (its upper triangle) and J^T e of every line.
 

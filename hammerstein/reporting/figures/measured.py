@@ -10,10 +10,13 @@ from hammerstein.records.loops import Loop
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures.loops import LoopRun, loops_figure
 from hammerstein.reporting.figures.style import axis_label
+from hammerstein.storage.manifest import Owner
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+LOOPS = Owner("loops", sign=("loops.svg", "<dc:title>hammerstein"))
+LOOPS_FILES = ("loops.svg", "loops.png")
 MOST_AMPLITUDES = 4  # line styles that can be told apart
 
 

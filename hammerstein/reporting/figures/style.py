@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.escaping import clean
 from hammerstein.records.units import is_unit, without_unit
 
 if TYPE_CHECKING:
@@ -146,7 +147,7 @@ def plain(label: str) -> str:
     >>> plain("_5 $")
     ' _5 \\$'
     """
-    return (" " if label.startswith("_") else "") + label.replace("$", r"\$")
+    return (" " if label.startswith("_") else "") + clean(label).replace("$", r"\$")
 
 
 def column_words(column: str) -> str:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hammerstein.experiment.report import Report
-from hammerstein.files import write_atomic
 from hammerstein.reporting.figures.choice import figures_of
 from hammerstein.reporting.figures.style import PNG_DPI, styled
+from hammerstein.storage.manifest import Owner
+from hammerstein.storage.staging import staged
 
 PNG_COMPRESSION = 6
 SHADES = [min(255, round(round(v / 25.5) * 25.5)) for v in range(256)]  # eleven of each colour
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+FIGURES = Owner("figures", sign=("report.json", '"format": "hammerstein-report/'))
 
 
 def write_figures(report: Report, folder: Path) -> list[Path]:
@@ -29,25 +33,29 @@ def write_figures(report: Report, folder: Path) -> list[Path]:
 
     Raises
     ------
-    InputError : the folder cannot be written
+    InputError : the folder cannot be written, or holds other people's files under these names
     """
     return save_figures(figures_of(report), folder)
 
 
-def save_figures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
-    """Write figures, by name, as SVG and PNG.
+def save_figures(figures: Mapping[str, Figure], folder: Path, owner: Owner = FIGURES) -> list[Path]:
+    """Write figures, by name, as SVG and PNG, in place of those that the same owner wrote before.
 
     Raises
     ------
-    InputError : the folder cannot be written
+    InputError : the folder cannot be written, or holds other people's files under these names
     """
-    written = []
+    with staged(folder, owner) as stage:
+        for name, content in files_of(figures):
+            stage.write(name, content)
+    return stage.written
+
+
+def files_of(figures: Mapping[str, Figure]) -> Iterator[tuple[str, bytes]]:
+    """Name and bytes of each file of the figures."""
     for name, figure in figures.items():
         for kind, content in images(figure).items():
-            path = folder / f"{name}.{kind}"
-            write_atomic(path, content)
-            written.append(path)
-    return written
+            yield f"{name}.{kind}", content
 
 
 def images(figure: Figure) -> dict[str, bytes]:

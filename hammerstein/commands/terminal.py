@@ -1,0 +1,85 @@
+"""What a person reads: on any terminal, from any file, also where nobody can listen any more."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from typing import TYPE_CHECKING, TextIO
+
+from hammerstein.errors import HammersteinError
+from hammerstein.escaping import clean
+from hammerstein.files import reason_of
+from hammerstein.runtime.notices import tell_notices
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+WIDTH_OF_A_FILE = 160
+
+
+class OutputError(HammersteinError):
+    """What was to be printed cannot be: the disk behind the terminal is full."""
+
+    exit_code = 2
+
+
+def make_ready() -> None:
+    """Let a character that the terminal lacks be a question mark and no end, and a notice one line."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    tell_notices()
+
+
+def tell(text: str) -> None:
+    """Print what was asked for; OutputError if it cannot be written."""
+    try:
+        print(clean(text), flush=True)
+    except OSError as error:
+        nobody_listens(error)
+
+
+def complain(text: str) -> None:
+    """Print on stderr; where that cannot be written, nobody can be told."""
+    with contextlib.suppress(OSError):
+        print(clean(text), file=sys.stderr, flush=True)
+
+
+def show(table: Table) -> None:
+    """Print a table, as wide as the terminal; wide enough for every column where it is a file."""
+    from rich.console import Console
+
+    for column in table.columns:
+        column._cells = [clean(cell) if isinstance(cell, str) else cell for cell in column._cells]
+    plain = {"markup": False, "emoji": False, "highlight": False}
+    console = Console(**plain)  # type: ignore[arg-type]
+    try:
+        (console if console.is_terminal else Console(width=WIDTH_OF_A_FILE, **plain)).print(table)  # type: ignore[arg-type]
+        sys.stdout.flush()
+    except OSError as error:
+        nobody_listens(error)
+
+
+def settle() -> None:
+    """Write what libraries have left in the buffers; OutputError if it cannot be written."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        nobody_listens(error)
+    except ValueError:  # closed
+        return
+
+
+def nobody_listens(error: OSError) -> None:
+    """Drop what is left to print; a reader who has seen enough, as ``head``, is no mistake."""
+    _drop(sys.stdout)
+    if not isinstance(error, BrokenPipeError):
+        raise OutputError(f"the output cannot be written ({reason_of(error)})") from None
+
+
+def _drop(stream: TextIO) -> None:
+    with contextlib.suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)

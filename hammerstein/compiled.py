@@ -1,0 +1,135 @@
+"""Time loops as machine code, kept on the disk: what was spoilt there is noticed and made anew."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import pickle
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import numba
+from numba.core import caching
+
+from hammerstein.errors import Notice
+
+FunctionCache: Any = caching.FunctionCache  # numba has no types
+NullCache: Any = caching.NullCache
+IndexDataCacheFile: Any = caching.IndexDataCacheFile
+
+Loop = Callable[..., Any]
+
+CHECKED = ".checked"
+"""In the names of the files, which are not those of numba alone."""
+MARK = b"hammerstein sha256"
+"""Stands at the end of each file, before the digest of what is above it."""
+
+
+def compiled(**options: Any) -> Callable[[Loop], Loop]:
+    """Compile a loop when it is first used; other threads run meanwhile.
+
+    Parameters
+    ----------
+    options : what ``numba.njit`` is told besides
+    """
+
+    def decorate(loop: Loop) -> Loop:
+        dispatcher = numba.njit(nogil=True, **options)(loop)
+        try:
+            dispatcher._cache = _Cache(loop)
+        except RuntimeError:  # as numba says that no folder can be written
+            dispatcher._cache = _NoCache()
+        return dispatcher  # type: ignore[no-any-return]  # numba has no types
+
+    return decorate
+
+
+class _NoCache(NullCache):  # type: ignore[misc]
+    """Tells once, when there is something to keep, that nothing can be kept."""
+
+    def save_overload(self, *_: object) -> None:
+        _tell_once("compiled loops cannot be kept: set NUMBA_CACHE_DIR to a folder that can be written")
+
+
+class _Cache(FunctionCache):  # type: ignore[misc]
+    def __init__(self, loop: Callable[..., Any]) -> None:
+        super().__init__(loop)
+        plain: Any = vars(self)["_cache_file"]
+        self._cache_file = _CheckedFile(
+            cache_path=self._cache_path,
+            filename_base=f"{self._impl.filename_base}{CHECKED}",
+            source_stamp=plain._source_stamp,
+        )
+
+
+class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
+    """Files of one loop, each with a digest: machine code of which a byte has changed may do anything."""
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep a compiled loop, where that is possible."""
+        try:
+            super().save(key, data)
+        except (OSError, _SpoiltError) as error:
+            why = error.strerror if isinstance(error, OSError) else f"{error} cannot be replaced"
+            _tell_once(f"compiled loops cannot be kept in {self._cache_path} ({why})")
+
+    def load(self, key: Any) -> Any:
+        """Give a compiled loop that was kept; None if there is none, or if it was spoilt."""
+        try:
+            return super().load(key)
+        except _SpoiltError as error:
+            _tell_once(f"compiled loops in {os.path.dirname(str(error))} were spoilt and are compiled again")
+            return None
+
+    def _load_index(self) -> Any:
+        try:
+            file = io.BytesIO(_checked(self._index_path))
+            if pickle.load(file) != self._version:
+                return {}
+            stamp, overloads = pickle.load(file)
+        except FileNotFoundError:
+            return {}
+        except _SpoiltError:
+            with suppress(OSError):
+                os.unlink(self._index_path)
+            raise
+        return overloads if stamp == self._source_stamp else {}
+
+    def _load_data(self, name: str) -> Any:
+        return pickle.loads(_checked(self._data_path(name)))
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        content = io.BytesIO()
+        yield content
+        data = content.getvalue()
+        with super()._open_for_write(filepath) as file:
+            file.write(data + MARK + hashlib.sha256(data).digest())
+
+
+class _SpoiltError(Exception):
+    """A file that does not hold what was written."""
+
+
+def _checked(path: str) -> bytes:
+    """Bytes of a file, if they are those that were written."""
+    if not os.path.isfile(path) and os.path.exists(path):
+        raise _SpoiltError(path)
+    with open(path, "rb") as file:
+        content = file.read()
+    data, mark, digest = content.rpartition(MARK)
+    if not mark or hashlib.sha256(data).digest() != digest:
+        raise _SpoiltError(path)
+    return data
+
+
+_told: set[str] = set()
+
+
+def _tell_once(text: str) -> None:
+    if text not in _told:
+        _told.add(text)
+        warnings.warn(text, Notice, stacklevel=2)

@@ -1,0 +1,1 @@
+"""Files on the disk that are written whole, together, and never over somebody else's."""

@@ -1,0 +1,213 @@
+"""Processes that are ended from outside: nothing stays behind, and what can go on goes on."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+
+import psutil
+import pytest
+
+from hammerstein.runtime.workers import side_by_side
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of this kind are POSIX")
+
+SMALL = """
+question = "How large is a loop?"
+actuator = "duo_bimorph_static"
+[drive]
+kind = "sine"
+amplitude_v = 10
+frequency_hz = 50
+"""
+
+
+def swept(values):
+    return SMALL + f"[sweep]\nfrequency_hz = {[5 + 0.01 * k for k in range(values)]}\n"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scenarios").mkdir()
+    for name in ("a", "b"):
+        (tmp_path / f"scenarios/{name}.toml").write_text(SMALL)
+    for name in ("slow1", "slow2"):
+        (tmp_path / f"scenarios/{name}.toml").write_text(swept(4000))
+    return tmp_path
+
+
+class Run:
+    """The command line in a process of its own, and everything that it starts."""
+
+    def __init__(self, *arguments, **more):
+        command = [sys.executable, "-m", "hammerstein", *arguments]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        self.process = subprocess.Popen(command, **pipes, start_new_session=True, **more)
+        self.seen = []
+        self.top = psutil.Process(self.process.pid)
+
+    def wait_for(self, path, seconds=60):
+        until = time.monotonic() + seconds
+        while not path.exists() and time.monotonic() < until and self.process.poll() is None:
+            time.sleep(0.02)
+        assert path.exists()
+
+    def family(self):
+        self.seen = self.top.children(recursive=True)
+        return self.seen
+
+    def workers(self):
+        """Processes that do the work: forked by the server, which has the libraries loaded."""
+        return [p for p in self.family() if p.ppid() != self.process.pid]
+
+    def end(self, timeout=60):
+        out, error = self.process.communicate(timeout=timeout)
+        return self.process.returncode, out, error
+
+
+@pytest.fixture
+def started():
+    """Start the command line; whatever it leaves behind is ended with the test."""
+    runs = []
+
+    def start(*arguments, **more):
+        runs.append(Run(*arguments, **more))
+        return runs[-1]
+
+    yield start
+    for run in runs:
+        for process in [*run.seen, *([run.top] if run.process.poll() is None else [])]:
+            if process.is_running():
+                process.kill()
+        run.process.communicate()
+
+
+def assert_gone(family, seconds=5.0):
+    _, alive = psutil.wait_procs(family, timeout=seconds)
+    names = [(p.pid, p.status(), p.cmdline()) for p in alive]
+    for process in alive:
+        process.kill()
+    assert not names
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP])
+def test_nothing_stays_behind_when_the_parent_is_ended(folder, started, number):
+    run = started("run", "scenarios", "--jobs", "3", "--no-figures", "--out", "r")
+    run.wait_for(folder / "r/a/report.json")
+    family = run.family()
+    assert len(family) >= 3
+    os.kill(run.process.pid, number)
+    code, _, error = run.end(10)
+    assert_gone(family)
+    if number != signal.SIGKILL:
+        assert code == 130
+        assert error == "interrupted; what was finished is written, and nothing else\n"
+    assert json.loads((folder / "r/a/report.json").read_text())["name"] == "a"
+    assert not [p for p in (folder / "r").rglob(".*") if p.name != ".hammerstein.json"]
+
+
+def test_sigterm_ends_a_single_scenario_like_ctrl_c(folder, started):
+    run = started("run", "scenarios/slow1.toml", "--no-figures", "--out", "r")
+    time.sleep(3.0)
+    os.kill(run.process.pid, signal.SIGTERM)
+    code, _, error = run.end(10)
+    assert (code, error) == (130, "interrupted; what was finished is written, and nothing else\n")
+
+
+def test_what_nohup_ignores_stays_ignored(folder, started):
+    run = started("run", "scenarios/a.toml", "--no-figures", "--out", "r", preexec_fn=ignore_hang_up)
+    time.sleep(1.0)
+    os.kill(run.process.pid, signal.SIGHUP)
+    assert run.end()[0] == 0
+
+
+def ignore_hang_up():
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+
+def test_a_killed_worker_s_scenario_is_run_again(folder, started):
+    for name in ("slow1", "slow2"):
+        (folder / f"scenarios/{name}.toml").write_text(swept(60))
+    run = started("run", "scenarios", "--jobs", "3", "--no-figures", "--out", "r")
+    run.wait_for(folder / "r/a/report.json")
+    run.family()
+    workers = [p for p in run.seen if p.ppid() != run.process.pid]
+    assert len(workers) == 3
+    for worker in workers[1:]:
+        worker.kill()
+    code, out, error = run.end()
+    assert (code, error) == (0, "")
+    assert "4 of 4 reports" in out
+    assert_gone(workers)
+
+
+def ended_by(number, name, log):
+    with log.open("a") as file:
+        file.write(name)
+    if number:
+        os.kill(os.getpid(), number)
+    return name
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
+def test_a_task_that_ends_its_process_is_tried_twice_and_does_not_stop_the_others(tmp_path, number):
+    log = tmp_path / "log"
+    tasks = [partial(ended_by, number if name == "c" else 0, name, log) for name in "abcdefg"]
+    found = list(side_by_side(tasks, 2, lost=lambda index, how: f"{index} {how}"))
+    assert sorted(found) == [f"2 was ended by {signal.Signals(number).name}", *"abdefg"]
+    assert sorted(log.read_text()) == sorted("abccdefg")
+
+
+def test_a_scenario_whose_process_dies_twice_is_reported_and_the_rest_goes_on(folder, started):
+    (folder / "sitecustomize.py").write_text(
+        "import os, signal, hammerstein.experiment.run as e\n"
+        "real = e.run\n"
+        "def run(scenario, name='scenario', *more):\n"
+        "    if name == 'a': os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    return real(scenario, name, *more)\n"
+        "e.run = run\n"
+    )
+    for name in ("slow1", "slow2"):
+        (folder / f"scenarios/{name}.toml").write_text(SMALL)
+    run = started(
+        *("run", "scenarios", "--jobs", "3", "--no-figures", "--out", "r"),
+        env=os.environ | {"PYTHONPATH": str(folder)},
+    )
+    code, out, error = run.end()
+    assert code == 70
+    assert "a: its process was ended by SIGKILL, twice" in error
+    assert "Traceback" not in error
+    assert "3 of 4 reports" in out
+    assert not (folder / "r/a").exists()
+
+
+def fails(kind):
+    raise kind("in a worker")
+
+
+def test_an_error_of_a_task_comes_back_with_its_place():
+    with pytest.raises(ZeroDivisionError, match="in a worker") as caught:
+        list(side_by_side([partial(fails, ZeroDivisionError)], 2, lost=str))
+    assert "in fails" in "".join(caught.value.__notes__)
+
+
+def size_of_a_result():
+    return b"x" * 5_000_000
+
+
+def test_large_results_come_back_from_more_tasks_than_processes():
+    found = list(side_by_side([size_of_a_result] * 9, 3, lost=str))
+    assert [len(data) for data in found] == [5_000_000] * 9
+
+
+def test_leaving_early_ends_the_workers():
+    before = psutil.Process().children(recursive=True)
+    results = side_by_side([partial(time.sleep, 0.0), partial(time.sleep, 60.0)], 2, lost=str)
+    assert next(results) is None
+    results.close()
+    after = [p for p in psutil.Process().children(recursive=True) if p not in before]
+    assert_gone([p for p in after if "resource_tracker" not in "".join(p.cmdline())][1:], 2.0)

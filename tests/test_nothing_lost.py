@@ -1,0 +1,300 @@
+"""What a person keeps beside our files, and an earlier report, outlive every run."""
+
+import hashlib
+import json
+import os
+from contextlib import contextmanager
+
+import pytest
+
+from hammerstein.commands.cli import main
+
+SMALL = """
+question = "How large is a loop?"
+actuator = "duo_bimorph_static"
+[drive]
+kind = "sine"
+amplitude_v = 10
+frequency_hz = 50
+[measure]
+settle_s = 0
+settle_cycles = 1
+measured_cycles = 1
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    place = tmp_path / "work"
+    place.mkdir()
+    monkeypatch.chdir(place)
+    (place / "small.toml").write_text(SMALL)
+    return place
+
+
+def call(*arguments):
+    with pytest.raises(SystemExit) as caught:
+        main([str(argument) for argument in arguments])
+    return caught.value.code or 0
+
+
+def contents(place):
+    """Bytes of every file below a folder."""
+    return {p.relative_to(place).as_posix(): p.read_bytes() for p in place.rglob("*") if p.is_file()}
+
+
+def hidden(place):
+    return [p for p in place.rglob(".*") if p.name != ".hammerstein.json"]
+
+
+def test_photographs_in_a_folder_named_like_a_scenario_stay(folder, capsys):
+    (folder / "small").mkdir()
+    for name in ("beach.png", "sketch.svg", "rms.csv.bak"):
+        (folder / "small" / name).write_text("mine")
+    (folder / "small" / "traces").mkdir()
+    (folder / "small" / "traces" / "notes.txt").write_text("mine")
+    mine = contents(folder / "small")
+    for _ in range(2):
+        assert call("run", "small.toml", "--out", ".") == 0
+        now = contents(folder / "small")
+        assert {name: now[name] for name in mine} == mine
+        assert "report.md" in now
+
+
+def test_a_file_that_is_not_ours_is_never_overwritten(folder, capsys):
+    (folder / "small").mkdir()
+    (folder / "small" / "report.md").write_text("my thesis")
+    before = contents(folder)
+    assert call("run", "small.toml", "--out", ".", "--no-figures") == 2
+    error = capsys.readouterr().err
+    assert "report.md" in error
+    assert "not written by hammerstein" in error
+    assert contents(folder) == before
+
+
+def test_a_picture_that_is_not_ours_is_never_overwritten(folder, capsys):
+    (folder / "small").mkdir()
+    (folder / "small" / "loops.png").write_text("a photograph of the set-up")
+    before = contents(folder)
+    assert call("run", "small.toml", "--out", ".") == 2
+    assert "loops.png" in capsys.readouterr().err
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize(
+    "name", ["...toml", "con.toml", "lpt1.toml", "a\nb.toml", "a\x1b[31m.toml", "a\\b.toml"]
+)
+def test_a_scenario_whose_name_is_no_name_for_a_folder_is_refused(folder, capsys, name):
+    (folder / "scenarios").mkdir()
+    (folder / "beach.png").write_text("mine")
+    (folder / "report.md").write_text("mine")
+    (folder / "scenarios" / name).write_text(SMALL)
+    before = contents(folder)
+    assert call("run", "scenarios", "--out", "reports", "--no-figures") == 2
+    error = capsys.readouterr().err
+    assert "cannot be the name of a folder" in error
+    assert "\x1b" not in error
+    assert contents(folder) == before
+
+
+def test_a_linked_report_folder_is_not_followed(folder, tmp_path, capsys):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "beach.png").write_text("mine")
+    (folder / "reports").mkdir()
+    (folder / "reports" / "small").symlink_to(elsewhere)
+    assert call("run", "small.toml") == 2
+    assert "link" in capsys.readouterr().err
+    assert contents(elsewhere) == {"beach.png": b"mine"}
+
+
+def test_a_linked_file_or_subfolder_is_not_followed(folder, tmp_path, capsys):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "report.md").write_text("mine")
+    (folder / "reports/small").mkdir(parents=True)
+    (folder / "reports/small/report.md").symlink_to(elsewhere / "report.md")
+    assert call("run", "small.toml", "--no-figures") == 2
+    (folder / "reports/small/report.md").unlink()
+    (folder / "reports/small/traces").symlink_to(elsewhere)
+    assert call("run", "small.toml", "--no-figures", "--traces", "csv") == 2
+    assert contents(elsewhere) == {"report.md": b"mine"}
+
+
+def test_what_a_person_has_edited_is_kept_aside_and_told(folder, capsys):
+    assert call("run", "small.toml", "--no-figures") == 0
+    page = folder / "reports/small/report.md"
+    fresh = page.read_bytes()
+    page.write_bytes(fresh + b"\nmy remark\n")
+    capsys.readouterr()
+    assert call("run", "small.toml", "--no-figures") == 0
+    assert page.read_bytes() == fresh
+    assert (folder / "reports/small/report.md.edited").read_bytes() == fresh + b"\nmy remark\n"
+    assert "report.md.edited" in capsys.readouterr().err
+    page.write_bytes(b"again")
+    assert call("run", "small.toml", "--no-figures") == 0
+    assert (folder / "reports/small/report.md.edited-2").read_bytes() == b"again"
+
+
+def test_figures_of_an_earlier_run_go_and_edited_ones_stay(folder):
+    assert call("run", "small.toml", "--traces", "csv") == 0
+    report = folder / "reports/small"
+    (report / "loops.svg").write_bytes(b"edited in a drawing program")
+    assert call("run", "small.toml", "--no-figures") == 0
+    assert set(contents(report)) == {"report.md", "report.json", "rms.csv", ".hammerstein.json", "loops.svg"}
+    assert not (report / "traces").exists()
+
+
+def test_a_report_from_before_the_manifest_is_replaced_and_nothing_else_is_touched(folder):
+    assert call("run", "small.toml") == 0
+    report = folder / "reports/small"
+    (report / ".hammerstein.json").unlink(missing_ok=True)
+    (report / "old-figure.png").write_text("of an earlier version, or a photograph")
+    (report / "report.md").write_text("of an earlier version")
+    assert call("run", "small.toml") == 0
+    assert b"How large" in (report / "report.md").read_bytes()
+    assert (report / "old-figure.png").exists()
+
+
+def test_a_manifest_cannot_name_a_file_elsewhere(folder, capsys):
+    assert call("run", "small.toml", "--no-figures") == 0
+    (folder / "precious.txt").write_text("mine")
+    manifest = folder / "reports/small/.hammerstein.json"
+    content = json.loads(manifest.read_text())
+    entry = next(iter(content["files"].values()))
+    digest = hashlib.sha256(b"mine").hexdigest()
+    content["files"] = {"../../precious.txt": entry | {"sha256": digest}}
+    manifest.write_text(json.dumps(content))
+    assert call("run", "small.toml", "--no-figures") == 0
+    assert (folder / "precious.txt").read_text() == "mine"
+
+
+def test_two_runs_give_the_same_bytes_manifest_included(folder):
+    for out in "ab":
+        assert call("run", "small.toml", "--out", out) == 0
+    assert contents(folder / "a") == contents(folder / "b")
+    before = contents(folder / "a")
+    assert call("run", "small.toml", "--out", "a") == 0
+    assert contents(folder / "a") == before
+    assert not hidden(folder)
+
+
+@contextmanager
+def no_room_beyond(size):
+    """Let the system refuse to make a file any larger."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("size", [100, 300, 5_000, 30_000])
+def test_a_full_disk_leaves_the_old_report(folder, capsys, size):
+    assert call("run", "small.toml") == 0
+    before = contents(folder)
+    (folder / "small.toml").write_text(SMALL.replace("= 10\n", "= 9\n"))
+    with no_room_beyond(size):
+        assert call("run", "small.toml") == 2
+    error = capsys.readouterr().err
+    assert "reports/small: cannot be written (file too large)" in error
+    assert contents(folder / "reports") == {
+        name.removeprefix("reports/"): data for name, data in before.items() if name.startswith("reports/")
+    }
+    assert not hidden(folder)
+
+
+def test_a_full_disk_leaves_no_folder_where_there_was_none(folder):
+    with no_room_beyond(100):
+        assert call("run", "small.toml") == 2
+    assert not (folder / "reports").exists()
+
+
+def test_a_failing_run_leaves_the_old_report(folder):
+    assert call("run", "small.toml") == 0
+    before = contents(folder / "reports")
+    (folder / "small.toml").write_text(SMALL.replace("duo_bimorph_static", "gone.json"))
+    assert call("run", "small.toml") == 2
+    assert contents(folder / "reports") == before
+
+
+def test_plot_replaces_figures_only(folder):
+    assert call("run", "small.toml", "--no-figures") == 0
+    before = contents(folder / "reports/small")
+    (folder / "reports/small/mine.png").write_text("mine")
+    for _ in range(2):
+        assert call("plot", "small.toml") == 0
+    now = contents(folder / "reports/small")
+    assert {"loops.svg", "loops.png", "mine.png"} < set(now)
+    assert {k: v for k, v in now.items() if k in before and k != ".hammerstein.json"} == {
+        k: v for k, v in before.items() if k != ".hammerstein.json"
+    }
+    (folder / "reports/small/loops.png").write_text("a photograph")
+    assert call("plot", "small.toml") == 0
+    assert (folder / "reports/small/loops.png.edited").read_text() == "a photograph"
+
+
+def test_a_page_beside_a_person_s_files(folder, capsys):
+    page = folder / "site"
+    page.mkdir()
+    (page / "small-beach.png").write_text("mine")
+    assert call("run", "small.toml", "--page", "site") == 0
+    (folder / "reports/small/photo.png").write_text("mine, and not of the report")
+    assert call("run", "small.toml", "--page", "site") == 0
+    assert (page / "small-beach.png").read_text() == "mine"
+    assert (page / "small-loops.png").exists()
+    assert not (page / "small-photo.png").exists()
+    other = folder / "other"
+    other.mkdir()
+    (other / "README.md").write_text("the README of my project")
+    capsys.readouterr()
+    assert call("run", "small.toml", "--page", "other") == 2
+    assert "README.md" in capsys.readouterr().err
+    assert contents(other) == {"README.md": b"the README of my project"}
+
+
+def test_a_page_is_not_replaced_by_one_that_lacks_what_failed(folder, capsys):
+    (folder / "s").mkdir()
+    (folder / "s" / "small.toml").write_text(SMALL)
+    (folder / "s" / "far.toml").write_text(SMALL)
+    assert call("run", "s", "--page", "site", "--jobs", "1") == 0
+    before = contents(folder / "site")
+    (folder / "s" / "far.toml").write_text(
+        SMALL.replace("[drive]", "[reference]").replace("amplitude_v = 10", "amplitude_um = 70")
+        + '[[compensators]]\nlabel = "a"\nlaw = "exact_inverse"\nmodel = "duo_bimorph_static"\n'
+    )
+    assert call("run", "s", "--page", "site", "--jobs", "1") == 3
+    assert contents(folder / "site") == before
+    assert "page is not written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("check", "small.toml", "--junit", "notes.txt"),
+        ("check", "small.toml", "--markdown", "notes.txt"),
+        ("compensate", "duo_bimorph", "path.csv", "--out", "notes.txt"),
+        ("identify", "r.csv", "--inputs", "u", "--outputs", "x", "--time", "t", "--out", "notes.txt"),
+    ],
+)
+def test_a_file_named_as_an_output_that_is_not_ours_stays(folder, capsys, arguments):
+    (folder / "notes.txt").write_text("mine")
+    assert call(*arguments) == 2
+    assert "notes.txt" in capsys.readouterr().err
+    assert (folder / "notes.txt").read_text() == "mine"
+
+
+def test_no_device_is_replaced_by_a_file(folder, capsys):
+    os.mkfifo(folder / "pipe")
+    for option in ("--junit", "--markdown"):
+        assert call("check", "small.toml", option, "pipe") == 2
+    assert (folder / "pipe").is_fifo()
+
+
+def test_a_baseline_never_overwrites_a_file_that_is_none(folder, capsys):
+    (folder / "small.json").write_text('{"name": "my settings"}')
+    assert call("check", "small.toml", "--baseline", ".", "--update-baseline") == 2
+    assert "no baseline" in capsys.readouterr().out
+    assert (folder / "small.json").read_text() == '{"name": "my settings"}'

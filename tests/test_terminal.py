@@ -1,0 +1,109 @@
+"""What is printed, on any terminal, into any file, and to nobody."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="closed and full files are made by a shell")
+
+ODD = """
+question = "円は [bold]丸い[/bold] か?"
+actuator = "duo_bimorph_static"
+[reference]
+kind = "sine"
+amplitude_um = 15
+frequency_hz = 50
+[[compensators]]
+label = "逆 [red]a[/red] \\u001b[31m \\u202e"
+law = "exact_inverse"
+model = "duo_bimorph_static"
+"""
+RUN = ("run", "odd.toml", "--no-figures")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "odd.toml").write_text(ODD, encoding="utf-8")
+    return tmp_path
+
+
+def shell(redirection, *arguments, **environment):
+    command = f'exec "{sys.executable}" -m hammerstein "$@" {redirection}'
+    return subprocess.run(
+        ["bash", "-c", command, "bash", *arguments],
+        capture_output=True,
+        env=os.environ | environment,
+        check=False,
+        timeout=100,
+    )
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-8"])
+def test_characters_that_a_terminal_lacks(folder, encoding):
+    done = shell("", *RUN, PYTHONIOENCODING=encoding)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"1 of 1 reports" in done.stdout
+    assert b"[red]a[/red]" in done.stdout
+    assert b"\x1b" not in done.stdout
+    assert ("逆" in done.stdout.decode(encoding)) == (encoding == "utf-8")
+
+
+def test_an_error_message_gives_the_terminal_no_orders(folder):
+    (folder / "\x1b[31mred.toml").write_text("", encoding="utf-8")
+    done = shell("", "run", "\x1b[31mred.toml")
+    assert done.returncode == 2
+    assert b"\x1b" not in done.stderr
+    assert rb"\x1b[31mred" in done.stderr
+
+
+@pytest.mark.parametrize("arguments", [RUN, ("actuators",), ("schema",), ("--help",), (*RUN, "--json")])
+def test_output_that_cannot_be_written_is_one_message(folder, arguments):
+    done = shell("> /dev/full", *arguments)
+    assert done.returncode == 2
+    assert done.stderr == b"the output cannot be written (no space left on device)\n"
+
+
+@pytest.mark.parametrize("redirection", ["2>&-", "2>/dev/full", ">&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_streams_that_nobody_reads_change_nothing(folder, redirection):
+    assert shell(redirection, *RUN).returncode == 0
+    assert json.loads((folder / "reports/odd/report.json").read_text())["name"] == "odd"
+    assert shell(redirection, "run", "missing.toml").returncode == 2
+
+
+def test_a_reader_who_has_seen_enough_is_no_mistake(folder):
+    done = shell("| true; exit ${PIPESTATUS[0]}".replace("exec", ""), "schema")
+    assert done.returncode in (0, 2)
+    assert b"Traceback" not in done.stderr
+    reading, writing = os.pipe()
+    os.close(reading)
+    with subprocess.Popen(
+        [sys.executable, "-m", "hammerstein", "schema"], stdout=writing, stderr=subprocess.PIPE
+    ) as process:
+        os.close(writing)
+        assert process.communicate()[1] == b""
+    assert process.returncode == 0
+
+
+# What the interpreter does before our first line answers Ctrl-C with a traceback of its own.
+BEGUN = "import sys; sys.stderr.write('\\n'); sys.stderr.flush(); sys.argv[0] = 'hammerstein'; "
+OURS = BEGUN + "from hammerstein.__main__ import main; main()"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("wait_s", [0.015, 0.03, 0.06, 0.1, 0.2, 0.4, 0.8])
+def test_ctrl_c_is_one_line_from_our_first_line_on(folder, number, wait_s):
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", OURS, *RUN], **pipes) as process:
+        process.stderr.readline()
+        time.sleep(wait_s)
+        process.send_signal(number)
+        _, error = process.communicate(timeout=60)
+    if process.returncode != 0:  # it may have been quicker
+        assert error == "interrupted; what was finished is written, and nothing else\n"
+        assert process.returncode == 130
