@@ -188,7 +188,7 @@ def _settled_loop(
     voltage = np.repeat(drive.rest_v[:, None], samples, axis=1)
     time_s = np.arange(samples, dtype=np.float64) * bench.sample_time_s
     kind = Triangle if spec.waveform == "triangle" else Sine
-    wave = kind(amplitude=drive.amplitude_v[k], frequency_hz=spec.frequency_hz)
+    wave = kind(amplitude=drive.amplitude_v[k], frequency_hz=spec.frequency_hz, axis=1)
     voltage[k] = drive.centre_v[k] + wave.sample(time_s, 1)[0]
     response = bench.respond(voltage, [*seeds, k])
     phases = 2 * max(1, round(0.5 * period / bench.sample_time_s))
