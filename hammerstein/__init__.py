@@ -17,104 +17,17 @@ array([[58.4 ,  1.41],
        [ 2.08, 50.57]])
 """
 
-from __future__ import annotations
+from importlib.metadata import version as _version
+from typing import Any
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+import lazy_loader as _lazy
 
-if TYPE_CHECKING:
-    from hammerstein.dynamics import (
-        AxesDynamics,
-        Axis,
-        CreepMode,
-        LinearBlock,
-        StateSpaceDynamics,
-        StaticDynamics,
-        cantilever,
-        discretise,
-    )
-    from hammerstein.errors import (
-        HammersteinError,
-        IdentificationError,
-        InputError,
-        SimulationError,
-        ToleranceError,
-    )
-    from hammerstein.experiment.report import Report
-    from hammerstein.experiment.run import run, simulate, simulate_in_stretches
-    from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii, play
-    from hammerstein.instruments import Drive, Instruments, Sensor
-    from hammerstein.model import HammersteinModel
-    from hammerstein.scenario import Scenario, load_scenario
-    from hammerstein.simulation import Plant, Response
-
-# Where each public name lives. Names are imported when they are used: the command line must answer at once.
-_HOMES = {
-    "dynamics": (
-        "AxesDynamics",
-        "Axis",
-        "CreepMode",
-        "LinearBlock",
-        "StateSpaceDynamics",
-        "StaticDynamics",
-        "cantilever",
-        "discretise",
-    ),
-    "errors": (
-        "HammersteinError",
-        "IdentificationError",
-        "InputError",
-        "SimulationError",
-        "ToleranceError",
-    ),
-    "experiment.run": ("run", "simulate", "simulate_in_stretches"),
-    "hysteresis": ("Pair", "PlayState", "PrandtlIshlinskii", "play"),
-    "instruments": ("Drive", "Instruments", "Sensor"),
-    "model": ("HammersteinModel",),
-    "simulation": ("Plant", "Response"),
-    "experiment.report": ("Report",),
-    "scenario": ("Scenario", "load_scenario"),
-}
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
-
-__all__ = [
-    "AxesDynamics",
-    "Axis",
-    "CreepMode",
-    "Drive",
-    "HammersteinError",
-    "HammersteinModel",
-    "IdentificationError",
-    "InputError",
-    "Instruments",
-    "LinearBlock",
-    "Pair",
-    "Plant",
-    "PlayState",
-    "PrandtlIshlinskii",
-    "Report",
-    "Response",
-    "Scenario",
-    "Sensor",
-    "SimulationError",
-    "StateSpaceDynamics",
-    "StaticDynamics",
-    "ToleranceError",
-    "cantilever",
-    "discretise",
-    "load_scenario",
-    "play",
-    "run",
-    "simulate",
-    "simulate_in_stretches",
-]
+# The public names stand in ``__init__.pyi`` alone. They are imported when they are used: the command line
+# must answer at once.
+_find, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME_OF:
-        raise AttributeError(f"module 'hammerstein' has no attribute {name!r}")
-    return getattr(import_module(f"hammerstein.{_HOME_OF[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+    if name == "__version__":  # looking it up reads the metadata of the installation, which takes a while
+        return _version("hammerstein-control")
+    return _find(name)

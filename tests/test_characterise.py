@@ -77,7 +77,7 @@ def test_too_many_operators_for_the_samples():
 
 
 def test_a_voltage_that_the_drive_cuts_is_refused():
-    with pytest.raises(IdentificationError, match="the drive gives 10 V"):
+    with pytest.raises(IdentificationError, match="asks for 11 V about 0 V, the drive gives -10 to 10 V"):
         identify_by_experiment(_plant("duo_bimorph"), ClosedFormSpec(amplitude_v=11), 1)
 
 

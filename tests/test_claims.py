@@ -4,12 +4,13 @@ import pytest
 from pydantic import ValidationError
 
 from hammerstein.errors import InputError
-from hammerstein.rows import Row
+from hammerstein.metrics import Row
 from hammerstein.scenario.claims import Agreement, Claim, Quantity, verdicts
 
 
 def _row(rms, frequency=50.0, measured="x", true=None, label="a"):
-    return Row(label, "x", measured, frequency, amplitude_v=10.0, rms_um=rms, rms_true_um=true)
+    figures = {"rms_um": rms} | ({} if true is None else {"rms_true_um": true})
+    return Row(label, "x", measured, frequency, amplitude_v=10.0, figures=figures)
 
 
 ROWS = (_row(1.0, 10), _row(2.0, 50), _row(8.0, 200), _row(5.0, 50, "y"), _row(3.0, 50, label="b"))

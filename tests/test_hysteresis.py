@@ -7,8 +7,7 @@ import control
 import numpy as np
 import pytest
 import theory
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii, play
@@ -326,12 +325,12 @@ def test_the_exported_system_gives_the_same_numbers_in_interconnect():
     for model in (published(), rectangular):
         m, p = model.n_inputs, model.n_outputs
         dt = 5e-5
-        block = model.to_nlsys(dt, name="gamma")
+        block = model.to_iosys(dt, name="gamma")
         gain = control.nlsys(None, lambda t, x, u, params: 2.0 * u, dt=dt, name="gain", inputs=p, outputs=p)
         loop = control.interconnect(
             [block, gain],
-            connections=[[f"gain.u[{o}]", f"gamma.v[{o}]"] for o in range(p)],
-            inplist=[f"gamma.u[{k}]" for k in range(m)],
+            connections=[[f"gain.u[{o}]", f"gamma.hysteresis_um[{o}]"] for o in range(p)],
+            inplist=[f"gamma.drive_v[{k}]" for k in range(m)],
             outlist=[f"gain.y[{o}]" for o in range(p)],
         )
         time = np.arange(120) * dt

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.hysteresis.play_kernels import BLOCK, first_at_least, move, respond_textbook, search_guide

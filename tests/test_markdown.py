@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,10 @@ import pytest
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.experiment.selection import number
-from hammerstein.reporting.page import GLOSSARY, escaped, render
+from hammerstein.metrics import KEY, METRICS, Row
+from hammerstein.reporting.page import KEYS, escaped, render
 from hammerstein.reporting.summary import answer
 from hammerstein.reporting.tables import MOST_FREQUENCIES, number_tables
-from hammerstein.rows import Row
 from hammerstein.scenario import Scenario
 
 SINE_V = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}
@@ -55,7 +55,8 @@ def with_rms(report: Report, rms_of: Any) -> Report:
 
     def changed(row: Row) -> Row:
         share = 1.0 if row.excited_axis == row.measured_axis else 0.1
-        return replace(row, rms_um=share * rms_of(row.compensator, row.frequency_hz))
+        rms = share * rms_of(row.compensator, row.frequency_hz)
+        return replace(row, figures={**row.figures, "rms_um": rms})
 
     return replace(report, rows=tuple(changed(row) for row in report.rows), statements=())
 
@@ -80,7 +81,14 @@ def test_equal_reports_give_equal_pages() -> None:
 def test_answer_gives_the_worst_distances_with_their_part_of_the_radius() -> None:
     report = circle()
     rows = [
-        replace(row, euclidean_max_um=2.0 if row.compensator == "paper" else 10.0, euclidean_max_true_um=1.5)
+        replace(
+            row,
+            figures={
+                **row.figures,
+                "euclidean_max_um": 2.0 if row.compensator == "paper" else 10.0,
+                "euclidean_max_true_um": 1.5,
+            },
+        )
         for row in report.rows
     ]
     text = answer(replace(report, rows=tuple(rows)), quote=str.upper)
@@ -216,7 +224,8 @@ def test_spread_of_an_uncertain_actuator_is_shown() -> None:
 
 
 def test_every_column_of_a_row_is_explained() -> None:
-    assert set(GLOSSARY) == {field.name for field in fields(Row)}
+    assert set(KEYS) == set(KEY)
+    assert all(metric.meaning for metric in METRICS.values())
 
 
 def test_only_columns_that_are_filled_are_explained() -> None:
@@ -255,7 +264,7 @@ def test_how_it_was_run_is_told_without_clock_and_place(tmp_path: Path) -> None:
         "`path = scan.csv`",
         "`noise_um = 0.02`",
         "`bandwidth_hz = 2000`",
-        "`range_v = 10`",
+        "`range_v = [-10, 10]`",
         "Seed of the noise: 7",
         report.digest,
         report.model_digest,

@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
+import hammerstein
 from hammerstein import metrics
+from hammerstein.reporting.page import render
 
 f, T = 50.0, 50e-6
 t = np.arange(4000) * T
@@ -45,3 +47,53 @@ def test_epsilon_is_the_printed_formula():
     reference, position = np.array([[30.0], [40.0]]), np.array([[30.1], [40.0]])
     theta = 70.0**2 - 70.1**2
     assert metrics.epsilon(reference, position)[0] == pytest.approx(-np.sqrt(-theta))
+
+
+@pytest.fixture
+def crossing_um():
+    """A figure of merit as a plug-in would add it: the largest reading of an axis."""
+
+    @metrics.metric("largest reading of either sign [um]")
+    def crossing_um(measured):
+        return [metrics.worst(row) for row in measured.reading_um]
+
+    yield crossing_um
+    del metrics.METRICS["crossing_um"]
+
+
+def test_a_metric_from_outside_has_column_glossary_claim_tolerance_and_baseline(crossing_um, tmp_path):
+    claim = {
+        "id": "P1",
+        "statement": "It moves far.",
+        "quantity": {"metric": "crossing_um", "measured_axis": "x"},
+        "agreement": {"at_least": 50.0},
+    }
+    scenario = {
+        "question": "How far does it move?",
+        "actuator": "duo_bimorph_static",
+        "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0},
+        "measure": {"settle_cycles": 1, "measured_cycles": 1},
+        "claims": [claim],
+        "tolerances": {"crossing_um": {"relative": 0.5}},
+    }
+    report = hammerstein.run(scenario)
+    largest = float(report.to_frame()["crossing_um"].max())
+    assert largest == pytest.approx(58.4, abs=0.3)  # facts: half height of the loop of x
+    assert report.verdicts[0].agrees
+    assert "largest reading of either sign" in render(report)
+    baseline = tmp_path / "far.json"
+    hammerstein.check(scenario, baseline, update=True)
+    assert "crossing_um" in baseline.read_text()
+    assert hammerstein.check(scenario, baseline).exit_code == 0
+
+
+def test_a_metric_needs_a_name_of_its_own(crossing_um):
+    with pytest.raises(hammerstein.InputError, match="is taken"):
+        metrics.metric("twice")(crossing_um.of)
+
+
+def test_a_claim_on_a_metric_that_is_not_there_names_the_nearest():
+    claim = {"id": "P", "statement": "s", "quantity": {"metric": "rms_umm"}, "agreement": {"at_most": 1.0}}
+    drive = {"kind": "sine", "amplitude_v": 1.0, "frequency_hz": 50.0}
+    with pytest.raises(hammerstein.InputError, match="did you mean rms_um"):
+        hammerstein.run({"question": "?", "drive": drive, "claims": [claim]})

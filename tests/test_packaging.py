@@ -14,7 +14,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "hammerstein"
-NAMES = {"PIL": "pillow"}  # what is imported under another name than it is installed
+# what is imported under another name than it is installed, or belongs to another package
+NAMES = {"PIL": "pillow", "lazy_loader": "lazy-loader", "pydantic_core": "pydantic"}
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,50 @@
 import subprocess
 import sys
+from importlib.metadata import version
+
+import pytest
 
 import hammerstein
+
+LOOP = {
+    "question": "How large is the loop?",
+    "actuator": "duo_bimorph_static",
+    "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0},
+    "measure": {"settle_cycles": 1, "measured_cycles": 1},
+}
+FILE = """
+question = "How large is the loop?"
+actuator = "duo_bimorph_static"
+drive = { kind = "sine", amplitude_v = 10.0, frequency_hz = 50.0 }
+measure = { settle_cycles = 1, measured_cycles = 1 }
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "loop.toml"
+    path.write_text(FILE)
+    return path
 
 
 def test_every_public_name_is_there():
     for name in hammerstein.__all__:
-        assert getattr(hammerstein, name) is not None
-    assert set(hammerstein.__all__) == set(hammerstein._HOME_OF)
+        assert getattr(hammerstein, name).__module__.startswith("hammerstein.")
+    nouns = {"identify", "read_records", "Record", "simulate", "run", "check", "Circle", "ExactInverse"}
+    assert nouns <= set(hammerstein.__all__) == set(dir(hammerstein))
+
+
+def test_a_name_that_is_not_there():
+    with pytest.raises(AttributeError, match="indentify"):
+        _ = hammerstein.indentify
+
+
+def test_the_version_is_that_of_the_installation():
+    said = subprocess.run(
+        [sys.executable, "-m", "hammerstein", "--version"], capture_output=True, text=True, check=True
+    )
+    assert said.stdout == f"hammerstein {version('hammerstein-control')}\n"
+    assert hammerstein.__version__ == version("hammerstein-control")
 
 
 def test_the_command_line_imports_nothing_heavy():
@@ -15,3 +52,28 @@ def test_the_command_line_imports_nothing_heavy():
     code = f"import sys, hammerstein.commands.cli; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_scenario_is_a_value_a_file_or_a_mapping(file):
+    value = hammerstein.Scenario.model_validate(LOOP)
+    reports = [hammerstein.run(given, "loop").to_json() for given in (value, file, str(file), LOOP)]
+    assert len(set(reports)) == 1
+    wires = [hammerstein.simulate(given).position_um for given in (value, file, LOOP)]
+    assert all((wire == wires[0]).all() for wire in wires)
+    assert hammerstein.run(file).name == "loop"
+
+
+def test_a_mistake_in_a_mapping_is_told_like_one_in_a_file():
+    with pytest.raises(hammerstein.InputError, match=r"drive.amplitude_w.*did you mean amplitude_v"):
+        hammerstein.run({**LOOP, "drive": {"kind": "sine", "amplitude_w": 10.0, "frequency_hz": 50.0}})
+
+
+def test_check_of_files_and_values(file, tmp_path):
+    assert hammerstein.check(file, tmp_path).findings != ()  # no baseline yet
+    hammerstein.check(file, tmp_path, update=True)
+    assert hammerstein.check(file, tmp_path).findings == ()
+    assert hammerstein.check(LOOP, tmp_path / "loop.json").findings == ()
+    other = {**LOOP, "drive": {"kind": "sine", "amplitude_v": 9.0, "frequency_hz": 50.0}}
+    assert hammerstein.check(other, tmp_path / "loop.json").exit_code == 1
+    with pytest.raises(hammerstein.InputError, match="give the file of its baseline"):
+        hammerstein.check(LOOP)

@@ -15,11 +15,11 @@ import pytest
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.report import Band, Report
 from hammerstein.experiment.run import run
+from hammerstein.metrics import METRICS, Row
 from hammerstein.regression.baseline import Baseline, key_of, numbers_of
 from hammerstein.regression.check import check_files
-from hammerstein.regression.compare import METRICS, Finding, Kind, compare
+from hammerstein.regression.compare import Finding, Kind, compare
 from hammerstein.regression.result import CheckResult, ScenarioCheck
-from hammerstein.rows import Row
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.claims import Answer, Verdict
 from hammerstein.scenario.scenario import Tolerance
@@ -44,7 +44,7 @@ label = "none"
 law = "none"
 model = "duo_bimorph_static"
 """
-ROW = Row("exact", "all", "y", 50.0, amplitude_um=30.0, rms_um=0.5, max_true_um=2.0)
+ROW = Row("exact", "all", "y", 50.0, amplitude_um=30.0, figures={"rms_um": 0.5, "max_true_um": 2.0})
 
 
 @pytest.fixture(scope="module")
@@ -89,8 +89,8 @@ def kinds(findings: Iterable[Finding]) -> list[Kind]:
 def compared(report: Report, before: dict[str, Any], now: dict[str, Any], **more: Any) -> list[Kind]:
     """Kinds of finding when a row's numbers were ``before`` and are ``now``."""
     bare = Row("exact", "all", "y", 50.0)
-    baseline = Baseline.of(with_rows(report, replace(bare, **before)))
-    return kinds(compare(with_rows(report, replace(bare, **now)), baseline, **more))
+    baseline = Baseline.of(with_rows(report, replace(bare, figures=before)))
+    return kinds(compare(with_rows(report, replace(bare, figures=now)), baseline, **more))
 
 
 def files_in(folder: Path) -> dict[str, bytes]:
@@ -114,9 +114,8 @@ def test_a_number_may_move_by_a_thousandth_either_way(
 
 
 def test_every_figure_of_a_report_is_guarded(loop: Report) -> None:
-    figures = [name for name in METRICS if name in Row.__dataclass_fields__]
-    before = {name: 1.0 + i for i, name in enumerate(figures)}
-    for name in figures:
+    before = {name: 1.0 + i for i, name in enumerate(METRICS)}
+    for name in METRICS:
         assert compared(loop, before, before | {name: 1.01 * before[name]}) == [Kind.MOVED], name
 
 
@@ -148,7 +147,7 @@ def test_the_phase_and_the_relative_width_of_nothing_do_not_count(loop: Report) 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_what_is_not_finite_equals_nothing_and_is_never_accepted(loop: Report, value: float) -> None:
     assert compared(loop, {"rms_um": 0.5}, {"rms_um": value}) == [Kind.MOVED]
-    broken = with_rows(loop, replace(ROW, rms_um=value))
+    broken = with_rows(loop, replace(ROW, figures={"rms_um": value}))
     with pytest.raises(SimulationError, match=r"rms_um is (nan|inf) .*compensator exact"):
         Baseline.of(broken)
     stored = replace(Baseline.of(loop), rows=numbers_of(broken))

@@ -41,6 +41,23 @@ INTERRUPTED = 130
 PROCESSORS = os.cpu_count() or 1
 
 
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        import hammerstein
+
+        typer.echo(f"hammerstein {hammerstein.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _before(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_say_version, help="Print the version.")
+    ] = False,
+) -> None:
+    """What stands before a command."""
+
+
 class _Interrupted(BaseException):
     """Ctrl-C. Not KeyboardInterrupt, which Typer would answer itself."""
 

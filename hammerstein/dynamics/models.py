@@ -20,6 +20,8 @@ from hammerstein.errors import InputError
 if TYPE_CHECKING:
     import control
 
+    from hammerstein.interop.block_system import BlockSystem
+
 Array = NDArray[np.float64]
 CONTINUOUS = 0.0  # sample time [s] of a block in continuous time, as python-control writes it
 
@@ -147,11 +149,25 @@ class StateSpaceDynamics(BaseModel):
         return f"state space of order {len(self.A)}, {kind}"
 
     @classmethod
-    def of(cls, system: control.StateSpace, input_delay_s: float = 0.0) -> StateSpaceDynamics:
-        """Keep a ``control.StateSpace`` of the user's."""
-        matrices = {k: tuple(map(tuple, np.asarray(getattr(system, k)).tolist())) for k in "ABCD"}
-        dt = float(system.dt) if system.isdtime(strict=True) else None
-        return cls(**matrices, sample_time_s=dt, input_delay_s=input_delay_s)
+    def of(cls, system: control.LTI, input_delay_s: float = 0.0) -> StateSpaceDynamics:
+        """Keep a linear system of python-control, continuous or discrete: state space or transfer function.
+
+        Raises
+        ------
+        InputError : anything else (a frequency response has no state), an improper transfer function, or a
+            discrete system without a sample time
+
+        Examples
+        --------
+        >>> import control
+        >>> StateSpaceDynamics.of(control.tf([1.0], [1e-6, 1e-4, 1.0])).describe()
+        'state space of order 2, continuous'
+        """
+        from hammerstein.interop.linear_system import matrices_of
+
+        a, b, c, d, sample_time_s = matrices_of(system)
+        rows = {k: tuple(map(tuple, m.tolist())) for k, m in zip("ABCD", (a, b, c, d), strict=True)}
+        return cls(**rows, sample_time_s=sample_time_s, input_delay_s=input_delay_s)
 
     @property
     def n_outputs(self) -> int:
@@ -270,6 +286,12 @@ class LinearBlock:
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
 
+    def __repr__(self) -> str:
+        return (
+            f"LinearBlock(order {len(self.A)}, {self.n_inputs} inputs, {self.n_outputs} outputs, "
+            f"{self.sample_time_s:g} s a sample)"
+        )
+
     @property
     def n_inputs(self) -> int:
         """Number of inputs."""
@@ -330,6 +352,18 @@ class LinearBlock:
         """Output (p,) for one sample (m,), and the state after it; equal to ``respond`` to the last bit."""
         y, after = self.respond(np.reshape(np.asarray(v_um, dtype=np.float64), (-1, 1)), state)
         return y[:, 0], after
+
+    def to_iosys(self, sample_time_s: float, name: str = "dynamics") -> BlockSystem:
+        """Give the block as a discrete python-control system, ``hysteresis_um[i]`` to ``position_um[o]``.
+
+        It stands on its own sample grid; InputError for another sample time.
+        """
+        from hammerstein.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+
+        require_grid(self.sample_time_s, sample_time_s, "linear block")
+        block = Stepwise(self.rest(), self.step, lambda x: {"x": x}, lambda data: np.asarray(data["x"]))
+        wires = signals("hysteresis_um", self.n_inputs), signals("position_um", self.n_outputs)
+        return BlockSystem(block, *wires, sample_time_s, name)
 
     @cached_property
     def rows(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:

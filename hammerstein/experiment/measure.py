@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein import metrics
 from hammerstein.dynamics import StaticDynamics, discretise
 from hammerstein.experiment.prepare import Case, SetUp, Window, scenario_axes
 from hammerstein.experiment.report import Prediction, Trace
+from hammerstein.metrics import METRICS, LoopFigures, Measured, Metric, Row, loop_figures
 from hammerstein.model import HammersteinModel
-from hammerstein.rows import Row
 from hammerstein.signals import OneFrequency
 from hammerstein.simulation import Response
 
 Array = NDArray[np.float64]
 
-RECOVERY_S = 0.01  # a cut voltage leaves a resonance ringing
 LAGGING = 2.0  # reading against true position: from here on most of the error is the sensor's
 SETTLED_FRACTION = 1e-3  # cycles may differ by this part of the range, beside the sensor's noise
 
@@ -51,10 +48,7 @@ def rows_of(setup: SetUp, case: Case) -> Result:
     window = Window.of(setup.scenario, case.signal, setup.plant.sample_time_s)
     targets = _targets(setup, case, response)
     loops = _loops(setup, case, response, window)
-    rows = tuple(
-        replace(row, **loop)
-        for row, loop in zip(_rows(setup, case, response, targets), itertools.cycle(loops), strict=False)
-    )
+    rows = tuple(_rows(setup, case, response, targets, METRICS.values(), loops))
     names = scenario_axes(setup.scenario, setup.plant.model)
     predictions = tuple(
         Prediction(t.label, t.reading_um[:, window.first :], t.position_um[:, window.first :])
@@ -72,23 +66,41 @@ def rows_of(setup: SetUp, case: Case) -> Result:
     return Result(rows, trace, _settled(setup, case, response, window))
 
 
-def error_rows(setup: SetUp, case: Case, response: Response) -> tuple[Row, ...]:
-    """Rows of one case without the figures of its loops."""
-    return tuple(_rows(setup, case, response, _targets(setup, case, response)))
+def drawn_rows(setup: SetUp, case: Case, response: Response) -> tuple[Row, ...]:
+    """Rows of one case with the figures alone of which an uncertain actuator gives a band."""
+    drawn = [metric for metric in METRICS.values() if metric.drawn]
+    return tuple(_rows(setup, case, response, _targets(setup, case, response), drawn))
 
 
-def _rows(setup: SetUp, case: Case, response: Response, targets: Sequence[Target | None]) -> Iterator[Row]:
+def _rows(
+    setup: SetUp,
+    case: Case,
+    response: Response,
+    targets: Sequence[Target | None],
+    wanted: Iterable[Metric],
+    loops: Sequence[LoopFigures] | None = None,
+) -> Iterator[Row]:
     """Rows target by target, within each of them axis by axis."""
     first = Window.of(setup.scenario, case.signal, setup.plant.sample_time_s).first
-    axes, cycle = setup.plant.model.outputs, _whole_cycle(setup, case)
-    figures = _case_figures(setup, case, response, first)
+    axes, key, wanted = setup.plant.model.outputs, _key(setup, case), list(wanted)
+    run = response.after(first)
     for target in targets:
-        errors: list[dict[str, Any]] = (
-            [{}] * len(axes) if target is None else _errors(response, target, first, cycle)
+        measured = Measured(
+            run.sample_time_s,
+            run.reading_um,
+            run.position_um,
+            run.saturated,
+            None if target is None else target.reading_um[:, first:],
+            None if target is None else target.position_um[:, first:],
+            run.reference_um if case.axis is None else None,
+            _whole_cycle(setup, case),
+            loops,
         )
         label = case.label if target is None else target.label
-        for axis, error in zip(axes, errors, strict=True):
-            yield Row(compensator=label, measured_axis=axis, **figures, **error)
+        found = {metric.name: metric.values(measured) for metric in wanted}
+        for i, axis in enumerate(axes):
+            figures = {name: value for name, values in found.items() if (value := values[i]) is not None}
+            yield Row(compensator=label, measured_axis=axis, **key, figures=figures)
 
 
 def _targets(setup: SetUp, case: Case, response: Response) -> list[Target] | list[None]:
@@ -105,7 +117,7 @@ def _targets(setup: SetUp, case: Case, response: Response) -> list[Target] | lis
 
 def _prediction(setup: SetUp, model: HammersteinModel, response: Response) -> tuple[Array, Array]:
     """What a model says the sensor reads, and where it says the actuator is."""
-    v, _ = model.hysteresis.respond(response.drive_v)
+    v, _ = model.static_response(response.drive_v)
     if isinstance(model.dynamics, StaticDynamics):
         return v, v  # a static model was found from readings: it stands for both
     sensor = setup.plant.instruments.sensor
@@ -114,18 +126,15 @@ def _prediction(setup: SetUp, model: HammersteinModel, response: Response) -> tu
     return reading, position
 
 
-def _case_figures(setup: SetUp, case: Case, response: Response, first: int) -> dict[str, Any]:
-    """What the rows say of their case, whatever the response is compared with."""
+def _key(setup: SetUp, case: Case) -> dict[str, Any]:
+    """What tells the rows of a case from those of others, whatever the response is compared with."""
     names = scenario_axes(setup.scenario, setup.plant.model)
     signal = case.signal.model_dump()
-    path = _path_figures(response, first) if case.axis is None else {}
     return {
         "excited_axis": "all" if case.axis is None else names[case.axis],
         "frequency_hz": case.signal.highest_frequency_hz,
         "amplitude_v": signal.get("amplitude_v", signal.get("radius_v")),
         "amplitude_um": signal.get("amplitude_um", signal.get("radius_um")),
-        "saturated_samples": int(response.saturated[:, first:].sum()),
-        **path,
     }
 
 
@@ -137,62 +146,14 @@ def _whole_cycle(setup: SetUp, case: Case) -> int | None:
     return round(samples) if whole and several else None
 
 
-def _errors(response: Response, target: Target, first: int, cycle: int | None) -> list[dict[str, Any]]:
-    """Errors of reading and true position, axis by axis, and as a distance."""
-    error = (response.reading_um - target.reading_um)[:, first:]
-    true = (response.position_um - target.position_um)[:, first:]
-    distance, true_distance = metrics.euclidean(error), metrics.euclidean(true)
-    drift = None if cycle is None else metrics.drift(true, cycle)
-    free = unsaturated(response.saturated[:, first:], response.sample_time_s)
-    together = {
-        "euclidean_max_unsaturated_um": metrics.worst(true_distance[free]) if free.any() else None,
-        "euclidean_rms_um": metrics.rms(distance),
-        "euclidean_max_um": metrics.worst(distance),
-        "euclidean_rms_true_um": metrics.rms(true_distance),
-        "euclidean_max_true_um": metrics.worst(true_distance),
-    }
-    return [
-        {
-            "rms_um": metrics.rms(error[axis]),
-            "max_um": metrics.worst(error[axis]),
-            "rms_true_um": metrics.rms(true[axis]),
-            "max_true_um": metrics.worst(true[axis]),
-            "drift_true_um": None if drift is None else float(drift[axis]),
-            **together,
-        }
-        for axis in range(len(error))
-    ]
-
-
-def unsaturated(saturated: NDArray[np.bool_], sample_time_s: float) -> NDArray[np.bool_]:
-    """Samples (sample,) at which no voltage is cut, nor was within the last ``RECOVERY_S``."""
-    if not saturated.any():
-        return np.ones(saturated.shape[1], dtype=np.bool_)
-    cut = np.asarray(saturated.any(axis=0), dtype=np.float64)
-    recovery = np.ones(round(RECOVERY_S / sample_time_s) + 1)
-    return np.asarray(np.convolve(cut, recovery)[: cut.size] < 0.5)
-
-
-def _path_figures(response: Response, start: int) -> dict[str, Any]:
-    """Radial error and the paper's epsilon of a path in the plane."""
-    if response.reference_um is None or len(response.reference_um) != 2:
-        return {}
-    reference, reading = response.reference_um[:, start:], response.reading_um[:, start:]
-    return {
-        "radial_max_um": metrics.worst(metrics.radial(reference, reading)),
-        "radial_max_true_um": metrics.worst(metrics.radial(reference, response.position_um[:, start:])),
-        "epsilon_max_um": metrics.worst(metrics.epsilon(reference, reading)),
-    }
-
-
-def _loops(setup: SetUp, case: Case, response: Response, window: Window) -> list[dict[str, Any]]:
+def _loops(setup: SetUp, case: Case, response: Response, window: Window) -> list[LoopFigures] | None:
     """Loops of the readings, axis by axis, against the one signal that is driven."""
     if case.axis is None or not isinstance(case.signal, OneFrequency) or not case.signal.periodic:
-        return [{}]
+        return None
     frequency, sensor = case.signal.frequency_hz, setup.plant.instruments.sensor
     nyquist = 0.5 / response.sample_time_s
     input_ = response.drive_v if response.reference_um is None else response.reference_um
-    found = metrics.loop_figures(
+    return loop_figures(
         input_[case.axis],
         response.reading_um,
         frequency,
@@ -200,7 +161,6 @@ def _loops(setup: SetUp, case: Case, response: Response, window: Window) -> list
         window.settle_cycles,
         max(1, int(min(sensor.bandwidth_hz, nyquist) / frequency)),
     )
-    return [asdict(figures) | {"width_percent": figures.width_percent} for figures in found]
 
 
 def _settled(setup: SetUp, case: Case, response: Response, window: Window) -> bool:

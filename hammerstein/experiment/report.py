@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.instruments import Instruments
-from hammerstein.rows import Row
+from hammerstein.metrics import Row
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.claims import Verdict
 from hammerstein.signals import Excitation, Reference
@@ -90,6 +90,11 @@ class Report:
     bands: tuple[Band, ...] = ()
     traces: tuple[Trace, ...] = ()
 
+    def __repr__(self) -> str:
+        claims = f", {len(self.verdicts)} claims" if self.verdicts else ""
+        counts = f"{len(self.rows)} rows, {len(self.traces)} traces{claims}"
+        return f"Report({self.name!r} on {self.actuator}: {counts})"
+
     def without_traces(self) -> Report:
         """Give the report without its traces, as small as its file."""
         return replace(self, traces=())
@@ -98,7 +103,7 @@ class Report:
         """Rows as a pandas table; a figure without meaning is NaN."""
         import pandas as pd
 
-        return pd.DataFrame([asdict(row) for row in self.rows])
+        return pd.DataFrame([row.columns() for row in self.rows])
 
     def to_json(self) -> str:
         """Text of ``report.json``: full precision, sorted keys, no clock and no host."""
@@ -112,7 +117,7 @@ class Report:
             "statements": list(self.statements),
             "claims": [verdict.as_dict() for verdict in self.verdicts],
             "bands": [{k: v for k, v in asdict(band).items() if v is not None} for band in self.bands],
-            "rows": [row.key() | row.numbers() for row in self.rows],
+            "rows": [row.key() | dict(row.figures) for row in self.rows],
         }
         return json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n"
 

@@ -12,20 +12,24 @@ from hammerstein.experiment.measure import rows_of, statements_of
 from hammerstein.experiment.prepare import Case, Progress, SetUp, prepare, scenario_axes
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.uncertainty_bands import bands_of
-from hammerstein.rows import Row
-from hammerstein.scenario import Scenario
+from hammerstein.metrics import Row
+from hammerstein.scenario import Scenario, scenario_of
 from hammerstein.scenario.claims import verdicts
+from hammerstein.scenario.scenario import ScenarioSource
 from hammerstein.simulation import Response
 
 
 def simulate(
-    scenario: Scenario, compensator: str | None = None, excited_axis: str | None = None, **values: float
+    scenario: ScenarioSource,
+    compensator: str | None = None,
+    excited_axis: str | None = None,
+    **values: float,
 ) -> Response:
     """Simulate one case of a scenario and keep every wire.
 
     Parameters
     ----------
-    scenario : what to run
+    scenario : what to run: a scenario, its file, or a mapping with what a file would hold
     compensator : label of the compensator; the first one if not given
     excited_axis : name of the axis, where each is driven in turn; the first one if not given
     values : values of the sweep, such as ``frequency_hz=50.0``; the first ones if not given
@@ -36,14 +40,13 @@ def simulate(
 
     Raises
     ------
-    InputError : no such case
+    InputError : no such case, or a mistake in the scenario
 
     Examples
     --------
-    >>> scenario = Scenario.model_validate({
+    >>> response = simulate({
     ...     "question": "How large is a loop?", "actuator": "duo_bimorph_static",
     ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}})
-    >>> response = simulate(scenario)
     >>> response.position_um.shape
     (2, 2000)
     """
@@ -52,7 +55,7 @@ def simulate(
 
 
 def simulate_in_stretches(
-    scenario: Scenario,
+    scenario: ScenarioSource,
     samples: int = 1_000_000,
     compensator: str | None = None,
     excited_axis: str | None = None,
@@ -74,9 +77,9 @@ def simulate_in_stretches(
 
     Examples
     --------
-    >>> scenario = Scenario.model_validate({
+    >>> scenario = {
     ...     "question": "How far does it get?", "actuator": "duo_bimorph_static",
-    ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}})
+    ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}}
     >>> stretches = simulate_in_stretches(scenario, 600)
     >>> round(max(float(abs(part.position_um).max()) for part in stretches), 2)
     58.4
@@ -86,8 +89,9 @@ def simulate_in_stretches(
 
 
 def _chosen(
-    scenario: Scenario, compensator: str | None, excited_axis: str | None, values: Mapping[str, float]
+    source: ScenarioSource, compensator: str | None, excited_axis: str | None, values: Mapping[str, float]
 ) -> tuple[SetUp, Case]:
+    _, scenario = scenario_of(source)
     swept = {key: (value,) for key, value in values.items()}
     chosen = scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update=swept)})
     setup = prepare(chosen)
@@ -100,14 +104,14 @@ def _chosen(
 
 
 def run(
-    scenario: Scenario, name: str = "scenario", jobs: int = 1, progress: Progress | None = None
+    scenario: ScenarioSource, name: str | None = None, jobs: int = 1, progress: Progress | None = None
 ) -> Report:
     """Run every case of a scenario and measure it.
 
     Parameters
     ----------
-    scenario : what to run
-    name : what the report is called
+    scenario : what to run: a scenario, its file, or a mapping with what a file would hold
+    name : what the report is called; the name of the file, or "scenario", if not given
     jobs : threads; the numbers do not depend on it
     progress : called with what is done, how much of it, and of how much
 
@@ -121,6 +125,8 @@ def run(
     """
     from joblib import Parallel, delayed
 
+    own_name, scenario = scenario_of(scenario)
+    name = name or own_name
     setup = prepare(scenario, name, progress)
     cases = list(setup.cases())
     results = []

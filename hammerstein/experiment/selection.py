@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from hammerstein.experiment.report import Report
-from hammerstein.rows import Row
+from hammerstein.metrics import Row
 
 TINY = 1e-6  # um; smaller values are rounding errors
 

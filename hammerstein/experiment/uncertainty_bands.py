@@ -6,13 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hammerstein.experiment.measure import error_rows
+from hammerstein.experiment.measure import drawn_rows
 from hammerstein.experiment.prepare import Case, Progress, SetUp
 from hammerstein.experiment.report import Band
-from hammerstein.rows import Row
+from hammerstein.metrics import METRICS, Row
 from hammerstein.simulation import Plant
 
-METRICS = ("rms_um", "rms_true_um", "max_true_um", "euclidean_max_true_um")
 SEED_STEP = 7919  # keeps the noise of one draw apart from that of another scenario's seed
 
 
@@ -43,7 +42,7 @@ def _over_draws(setup: SetUp, case: Case, plants: Sequence[Plant]) -> list[tuple
     """Rows of one case, draw by draw; each draw has another noise."""
     experiment, seed = setup.experiment(case), setup.scenario.seed
     return [
-        error_rows(setup, case, experiment(plant, seed + SEED_STEP * number))
+        drawn_rows(setup, case, experiment(plant, seed + SEED_STEP * number))
         for number, plant in enumerate(plants, start=1)
     ]
 
@@ -52,7 +51,7 @@ def _bands(same: Sequence[Row]) -> list[Band]:
     """Bands of one row over its draws."""
     bands = []
     for metric in METRICS:
-        values = [value for row in same if (value := getattr(row, metric)) is not None]
+        values = [value for row in same if (value := row.figures.get(metric)) is not None]
         if values:
             low, middle, high = np.percentile(values, [5.0, 50.0, 95.0]).tolist()
             bands.append(Band(metric=metric, p5_um=low, median_um=middle, p95_um=high, **same[0].key()))

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.report import Report
 from hammerstein.files import read_limited, write_atomic
-from hammerstein.rows import KEY
+from hammerstein.metrics import KEY
 from hammerstein.validation import mistakes_of
 
 FORMAT = "hammerstein-baseline/1"
@@ -110,7 +110,7 @@ def numbers_of(report: Report) -> Numbers:
     for band in report.bands:
         numbers = bands.setdefault(key_of({name: getattr(band, name) for name in KEY}), {})
         numbers |= {f"{band.metric}.{part}": getattr(band, f"{part}_um") for part in ("p5", "median", "p95")}
-    rows = [(row.key(), row.numbers() | bands.get(key_of(row.key()), {})) for row in report.rows]
+    rows = [(row.key(), dict(row.figures) | bands.get(key_of(row.key()), {})) for row in report.rows]
     claims = [
         ({"claim": verdict.id, "actuator": answer.actuator}, {CLAIMED: answer.value})
         for verdict in report.verdicts

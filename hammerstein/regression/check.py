@@ -12,6 +12,8 @@ from hammerstein.experiment.report import Report
 from hammerstein.regression.baseline import Baseline, numbers_of
 from hammerstein.regression.compare import Finding, Kind, compare
 from hammerstein.regression.result import DEFAULT_FOLDER, CheckResult, ScenarioCheck
+from hammerstein.scenario import scenario_of
+from hammerstein.scenario.scenario import ScenarioSource
 
 
 def check_files(
@@ -50,6 +52,37 @@ def check_files(
             finished(outcome.name)
     ordered = [checks[name] for name in files]
     return CheckResult((*ordered, *_orphans(paths, set(files), baseline_folder)), baseline_folder)
+
+
+def check(
+    scenario: ScenarioSource,
+    baseline: str | Path | None = None,
+    update: bool = False,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> CheckResult:
+    """Run one scenario, or every scenario of a folder, and compare the numbers with what was accepted.
+
+    Parameters
+    ----------
+    scenario : a scenario, its file, a folder of files, or a mapping with what a file would hold
+    baseline : folder of the baselines; of a scenario that is no file, the file of its baseline
+    update : accept the numbers: write the baselines, in place of comparing. Nothing is written otherwise.
+    jobs, progress : as for ``check_files``
+
+    Raises
+    ------
+    InputError : a scenario is wrong, or one that is no file comes without the file of its baseline
+    """
+    if isinstance(scenario, str | Path):
+        folder = DEFAULT_FOLDER if baseline is None else Path(baseline)
+        return check_files([Path(scenario)], folder, update, jobs, progress)
+    if baseline is None:
+        raise InputError("check", "a scenario that is no file has no name: give the file of its baseline")
+    file, judge = Path(baseline), _update if update else _check
+    name, validated = file.stem, scenario_of(scenario)[1]
+    (outcome,) = run_all({name: validated}, _keep, jobs, progress)
+    return CheckResult((judge(outcome, Path(name), file),), file.parent)
 
 
 def _keep(report: Report) -> None:

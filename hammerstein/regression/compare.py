@@ -5,13 +5,13 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import StrEnum
 
 from hammerstein.errors import InputError, Mistake
 from hammerstein.experiment.report import Report
+from hammerstein.metrics import METRICS
 from hammerstein.regression.baseline import CLAIMED, Baseline, Key, Numbers, numbers_of
-from hammerstein.rows import KEY, Row
 from hammerstein.scenario.scenario import Tolerance
 
 # Another processor or NumPy differs in the last bits of sines, sums and decompositions. Tried on the shipped
@@ -22,12 +22,6 @@ from hammerstein.scenario.scenario import Tolerance
 # inverse: they hold nothing but last bits.
 DEFAULT = Tolerance(relative=1e-3, absolute=1e-6)
 COUNT = Tolerance(relative=0.0, absolute=0.0)
-DEFAULTS: Mapping[str, Tolerance] = {"saturated_samples": COUNT}
-
-METRICS = (*(field.name for field in fields(Row) if field.name not in KEY), CLAIMED)
-
-# Without height a loop has no relative width, and what is zero has no phase: last bits over last bits.
-RATIO_OF = {"width_percent": "height_um", "phase_deg": "gain"}
 
 
 class Kind(StrEnum):
@@ -100,7 +94,8 @@ def compare(
     >>> compare(report, Baseline.of(report))
     ()
     """
-    allowed = dict(DEFAULTS) | dict(tolerances or {})
+    counts = {name: COUNT for name, metric in METRICS.items() if metric.exact}
+    allowed = counts | dict(tolerances or {})
     _refuse_unknown(allowed, report.name)
     return (
         *_changes(report, baseline),
@@ -128,11 +123,11 @@ def limit(baseline: float, tolerance: Tolerance) -> float:
 
 
 def _refuse_unknown(tolerances: Mapping[str, Tolerance], name: str) -> None:
-    mistakes = []
+    mistakes, names = [], [*METRICS, CLAIMED]
     for metric in tolerances:
-        if metric not in METRICS:
-            near = difflib.get_close_matches(metric, METRICS, n=1)
-            hint = f"; did you mean {near[0]}?" if near else f"; numbers are {', '.join(METRICS)}"
+        if metric not in names:
+            near = difflib.get_close_matches(metric, names, n=1)
+            hint = f"; did you mean {near[0]}?" if near else f"; numbers are {', '.join(names)}"
             mistakes.append(Mistake(f"tolerances.{metric}", f"is no number of a report{hint}"))
     if mistakes:
         raise InputError(name, mistakes)
@@ -176,8 +171,8 @@ def _is_void(
     metric: str, sides: tuple[Mapping[str, float], ...], tolerances: Mapping[str, Tolerance]
 ) -> bool:
     """Whether a number is a ratio to something that is zero, now and in the baseline."""
-    base = RATIO_OF.get(metric)
+    base = METRICS[metric].ratio_of if metric in METRICS else None
     if base is None:
-        return False
+        return False  # else without height a loop has no relative width, and what is zero has no phase
     floor = tolerances.get(base, DEFAULT).absolute
     return all(abs(side.get(base, math.inf)) <= floor for side in sides)

@@ -12,8 +12,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from hammerstein.errors import HammersteinError, ToleranceError
+from hammerstein.metrics import KEY
 from hammerstein.regression.compare import Finding, Kind, deviation, limit
-from hammerstein.rows import KEY
 
 DEFAULT_FOLDER = Path("reports/baseline")
 SHOWN = 20  # lines of a table; who has moved more than that wants the worst, not all

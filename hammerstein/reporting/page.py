@@ -13,6 +13,7 @@ from typing import Any
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.selection import identified_at, number
 from hammerstein.identification.source import ModelSource
+from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
 from hammerstein.reporting.summary import answer
@@ -58,40 +59,14 @@ PAPER = (
     "of a nonlinear 2-dof piezoactuator"
 )
 
-# What each column of rms.csv is.
-GLOSSARY = {
+# What tells the rows of rms.csv apart; each figure of merit says itself what it is.
+KEYS = {
     "compensator": "label of the compensator or model in the scenario; empty if the actuator is alone",
     "excited_axis": 'axis that was driven, the others being held at zero; "all" if they were driven together',
     "measured_axis": "axis whose position the row is about",
     "frequency_hz": "frequency of the signal [Hz], the higher of two; 0 for a signal from a file",
     "amplitude_v": "amplitude or radius of the driving voltage [V]",
     "amplitude_um": "amplitude or radius of the reference [um]",
-    "rms_um": "root mean square of the error of the sensor's reading [um]; the error is reading less "
-    "reference, or reading less prediction of a model",
-    "max_um": "largest absolute error of the sensor's reading [um]",
-    "rms_true_um": "root mean square of the error of the true position [um], which no sensor disturbs",
-    "max_true_um": "largest absolute error of the true position [um]",
-    "euclidean_rms_um": "root mean square of the distance between reading and reference over all axes [um]",
-    "euclidean_max_um": "largest distance between reading and reference over all axes [um]",
-    "euclidean_rms_true_um": "root mean square of that distance for the true position [um]",
-    "euclidean_max_true_um": "largest such distance for the true position [um]",
-    "euclidean_max_unsaturated_um": "largest such distance over the samples at which no voltage is cut, nor "
-    "was in the 10 ms before [um]",
-    "radial_max_um": "largest error of the radius of a path, distance from the origin less that of the "
-    "reference, from the reading [um]",
-    "radial_max_true_um": "the same for the true position [um]",
-    "epsilon_max_um": "largest absolute value of the paper's error measure, as printed: sgn(theta) "
-    "sqrt(|theta|) with theta = (x_r + y_r)^2 - (x + y)^2 [um]. It turns a small error into a large value "
-    "where x_r + y_r is large: at 50 um, an error of 0.1 um gives several um. It cannot be what the paper "
-    "plots; judge a path by the error of each axis, the distance and the radius",
-    "drift_true_um": "mean error of the true position over the last cycle less that over the first [um]",
-    "height_um": "loop from its lowest to its highest point, twice the amplitude; of a cross-coupling, its "
-    "whole range [um]",
-    "width_um": "opening of the loop in the middle of its input's range [um]",
-    "width_percent": "width over height, h/H in the paper [%]",
-    "gain": "first harmonic of the reading over that of what is driven [um/V, or um/um for a reference]",
-    "phase_deg": "phase of the same ratio; negative if the reading lags [deg]",
-    "saturated_samples": "samples in which the drive's range cut the voltage",
 }
 
 
@@ -183,9 +158,10 @@ def _picture(name: str, report: Report) -> Picture:
 
 def _glossary(report: Report) -> list[tuple[str, str]]:
     """The columns that this report fills."""
+    meanings = KEYS | {name: metric.meaning for name, metric in METRICS.items()}
     return [
         (name, meaning)
-        for name, meaning in GLOSSARY.items()
+        for name, meaning in meanings.items()
         if any(getattr(row, name) not in (None, "") for row in report.rows)
     ]
 

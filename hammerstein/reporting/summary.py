@@ -17,7 +17,7 @@ from hammerstein.experiment.selection import (
     number,
     told_apart,
 )
-from hammerstein.rows import Row
+from hammerstein.metrics import Row
 from hammerstein.signals import OneFrequency
 
 MOST_CLAUSES = 4  # conditions that are told one by one; more are told as ranges of frequency
@@ -186,7 +186,7 @@ def _conduct(report: Report) -> Iterator[str]:
     """Whether the drive's range was enough, and whether what repeats had settled."""
     compared = report.scenario.reference is not None  # each compensator is a run, models share theirs
     runs = {(r.compensator if compared else "", r.excited_axis, Condition.of(r)): r for r in report.rows}
-    cut = sum(row.saturated_samples > 0 for row in runs.values())
+    cut = sum(bool(row.saturated_samples) for row in runs.values())
     unsettled = sum(NOT_SETTLED in statement for statement in report.statements)
     yield (
         f"The drive's range cut the voltage in {cut} of {len(runs)} runs."

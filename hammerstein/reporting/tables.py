@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from hammerstein.experiment.report import Band, Report
 from hammerstein.experiment.selection import Condition, identified_at, is_path, number, selected_frequencies
-from hammerstein.rows import KEY, Row
+from hammerstein.metrics import KEY, Row
 
 MOST_FREQUENCIES = 6
 MOST_LOOPS = 32  # more are left to rms.csv

@@ -1,5 +1,5 @@
 """What to run: one validated value for each scenario file."""
 
-from hammerstein.scenario.scenario import Scenario, load_scenario
+from hammerstein.scenario.scenario import Scenario, load_scenario, scenario_of
 
-__all__ = ["Scenario", "load_scenario"]
+__all__ = ["Scenario", "load_scenario", "scenario_of"]

@@ -4,20 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat, model_validator
+from pydantic_core import PydanticKnownError
 
 from hammerstein.errors import InputError
-from hammerstein.rows import KEY, Row
+from hammerstein.metrics import KEY, METRICS, Row
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
-if TYPE_CHECKING:
-    Metric = str
-else:  # one of the columns of a row
-    Metric = Literal[tuple(f.name for f in fields(Row) if f.name not in KEY)]
+
+
+def _known(name: str) -> str:
+    if name not in METRICS:
+        raise PydanticKnownError("literal_error", {"expected": ", ".join(map(repr, METRICS))})
+    return name
+
+
+def _named(schema: dict[str, Any]) -> None:
+    schema["enum"] = list(METRICS)
+
+
+MetricName = Annotated[str, AfterValidator(_known), Field(json_schema_extra=_named)]
+"""Name of a figure of merit, those of plug-ins included."""
 
 _REDUCE: dict[str, Callable[[Sequence[float]], float]] = {
     "max": max,
@@ -36,7 +47,7 @@ class Quantity(BaseModel):
 
     model_config = _STRICT
 
-    metric: Metric
+    metric: MetricName
     compensator: str | None = None
     excited_axis: str | None = None
     measured_axis: str | None = None
@@ -116,7 +127,7 @@ class Claim(BaseModel):
     def of_true_position(self) -> Claim | None:
         """The same claim on the true position, where its metric has such a twin."""
         twin = self.quantity.metric.replace("_um", "_true_um")
-        if twin not in Row.__dataclass_fields__ or "true" in self.quantity.metric:
+        if twin not in METRICS or "true" in self.quantity.metric:
             return None
         return self.model_copy(update={"quantity": self.quantity.model_copy(update={"metric": twin})})
 

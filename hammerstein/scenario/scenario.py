@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import json
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -25,9 +25,10 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited
 from hammerstein.identification.source import ModelSource
 from hammerstein.instruments import Instruments
+from hammerstein.plugins import load_plugins
 from hammerstein.scenario.claims import Claim
 from hammerstein.scenario.uncertainty import Uncertainty
-from hammerstein.signals import Excitation, FromFile, Reference
+from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference
 from hammerstein.validation import mistakes_of
 
 Frequencies = Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
@@ -73,7 +74,7 @@ class Tolerance(BaseModel):
 class Scenario(BaseModel):
     """One experiment: an actuator, a signal, and what is compared."""
 
-    model_config = _STRICT
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     question: Annotated[str, Field(min_length=1)]
     paper_figure: str | None = Field(default=None, description='the figure it answers, such as "Fig. 9"')
@@ -151,6 +152,12 @@ class Scenario(BaseModel):
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
+SIGNALS.used_by(Scenario)
+
+ScenarioSource = Scenario | str | Path | Mapping[str, Any]
+"""A scenario as it is, its file, or what a file would hold."""
+
+
 def _without_folders(value: Any, key: str = "") -> Any:
     """The same content wherever the files lie: of a path only its last part is kept."""
     if isinstance(value, dict):
@@ -160,6 +167,19 @@ def _without_folders(value: Any, key: str = "") -> Any:
     return Path(value).name if key in {"actuator", "model", "path"} and isinstance(value, str) else value
 
 
+def scenario_of(source: ScenarioSource) -> tuple[str, Scenario]:
+    """Name and value of a scenario, given as it is, as its file, or as what a file would hold.
+
+    Paths in a mapping are relative to the working folder. Raises InputError with every mistake.
+    """
+    if isinstance(source, Scenario):
+        return "scenario", source
+    load_plugins()
+    if isinstance(source, Mapping):
+        return "scenario", _validated(source, "scenario")
+    return Path(source).stem, load_scenario(source)
+
+
 def load_scenario(path: str | Path) -> Scenario:
     """Read a scenario file.
 
@@ -167,6 +187,7 @@ def load_scenario(path: str | Path) -> Scenario:
 
     Raises InputError with every mistake in the file, each with its key, and the nearest known name.
     """
+    load_plugins()
     path = Path(path)
     text = read_limited(path, what="scenario file", limit=1_000_000)
     try:
@@ -174,12 +195,15 @@ def load_scenario(path: str | Path) -> Scenario:
     except tomllib.TOMLDecodeError as error:
         what = f"is not TOML: {error}; a line is a [table], or key = value with text in quotes"
         raise InputError(str(path), what) from None
+    return _relative_to(_validated(data, str(path)), path.parent)
+
+
+def _validated(data: Mapping[str, Any], source: str) -> Scenario:
     try:
         # As JSON, so that a number in quotes is refused while a list still makes a tuple.
-        scenario = Scenario.model_validate_json(json.dumps(data, default=str), strict=True)
+        return Scenario.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
-        raise InputError(str(path), _split(mistakes_of(error, Scenario))) from None
-    return _relative_to(scenario, path.parent)
+        raise InputError(source, _split(mistakes_of(error, Scenario))) from None
 
 
 def _split(mistakes: list[Mistake]) -> list[Mistake]:

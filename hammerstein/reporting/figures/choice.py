@@ -9,6 +9,7 @@ import numpy as np
 
 from hammerstein.experiment.report import Band, Report, Trace
 from hammerstein.experiment.selection import identified_at
+from hammerstein.metrics import KEY, Row
 from hammerstein.reporting.figures.loop_data import (
     MOST_CURVES,
     error_runs,
@@ -20,7 +21,6 @@ from hammerstein.reporting.figures.loops import errors_figure, loops_figure
 from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
 from hammerstein.reporting.figures.style import Array, Role, plain, symbol
 from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
-from hammerstein.rows import KEY, Row
 from hammerstein.signals import OnAxes
 
 if TYPE_CHECKING:

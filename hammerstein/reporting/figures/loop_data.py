@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hammerstein.cycles import settled_cycle
 from hammerstein.experiment.report import Report, Trace
+from hammerstein.metrics.cycle import settled_cycle
 from hammerstein.reporting.figures.loops import ErrorRun, LoopRun
 from hammerstein.reporting.figures.style import Array
 from hammerstein.scenario.scenario import Sweep

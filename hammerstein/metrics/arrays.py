@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.cycles import settled_cycle
+from hammerstein.metrics.cycle import settled_cycle
 
 Array = NDArray[np.float64]
 

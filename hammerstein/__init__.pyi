@@ -1,0 +1,66 @@
+from .compensators.decoupled_inverse import DecoupledInverse as DecoupledInverse
+from .compensators.exact.inverse import ExactInverse as ExactInverse
+from .compensators.feedback.pid import Feedback as Feedback
+from .compensators.inverse_multiplicative import InverseMultiplicative as InverseMultiplicative
+from .compensators.linear_gain import LinearGain as LinearGain
+from .compensators.preview.hammerstein_inverse import HammersteinInverse as HammersteinInverse
+from .dynamics import (
+    AxesDynamics as AxesDynamics,
+    Axis as Axis,
+    CreepMode as CreepMode,
+    LinearBlock as LinearBlock,
+    StateSpaceDynamics as StateSpaceDynamics,
+    StaticDynamics as StaticDynamics,
+    cantilever as cantilever,
+    discretise as discretise,
+)
+from .errors import (
+    HammersteinError as HammersteinError,
+    IdentificationError as IdentificationError,
+    InputError as InputError,
+    SimulationError as SimulationError,
+    ToleranceError as ToleranceError,
+)
+from .experiment.report import Report as Report
+from .experiment.run import run as run, simulate as simulate, simulate_in_stretches as simulate_in_stretches
+from .hysteresis import (
+    Pair as Pair,
+    PlayState as PlayState,
+    PrandtlIshlinskii as PrandtlIshlinskii,
+    play as play,
+)
+from .identification.fit import Fit as Fit
+from .identification.identify import identify as identify
+from .identification.linear.frequency_response import (
+    FrequencyResponse as FrequencyResponse,
+    frequency_response as frequency_response,
+)
+from .identification.linear.state_space import fit_state_space as fit_state_space
+from .identification.settings import Settings as Settings
+from .identification.static.closed_form import closed_form as closed_form
+from .identification.static.static_block import fit_static as fit_static
+from .instruments import Drive as Drive, Instruments as Instruments, Sensor as Sensor
+from .interop.limit_cycles import LimitCycle as LimitCycle, limit_cycles as limit_cycles
+from .model import HammersteinModel as HammersteinModel
+from .plugins import register as register
+from .records.loops import Loop as Loop, loop_table as loop_table
+from .records.record import (
+    Record as Record,
+    read_paired_records as read_paired_records,
+    read_records as read_records,
+)
+from .records.time_responses import records_of_time_response as records_of_time_response
+from .regression.check import check as check
+from .scenario import Scenario as Scenario, load_scenario as load_scenario
+from .signals import (
+    Circle as Circle,
+    FromFile as FromFile,
+    Lissajous as Lissajous,
+    Multisine as Multisine,
+    Sine as Sine,
+    Spiral as Spiral,
+    Triangle as Triangle,
+)
+from .simulation import Plant as Plant, Response as Response
+
+__version__: str

@@ -1,0 +1,69 @@
+"""The measured window of one case: what every figure of merit is a function of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.metrics.arrays import LoopFigures, euclidean
+
+Array = NDArray[np.float64]
+
+RECOVERY_S = 0.01  # a cut voltage leaves a resonance ringing
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """The wires of one case over the samples that are measured, and what they are compared with.
+
+    reading_um, position_um : (output, sample) what the sensor says, and where the actuator is [um]
+    saturated : (input, sample) where the drive's range cut the voltage
+    target_reading_um, target_position_um : (output, sample) what reading and position are compared with: a
+        reference, or the prediction of a model [um]; None where there is nothing
+    reference_um : (output, sample) path that was asked for [um], where all axes are driven together
+    cycle_samples : samples of a cycle, where several equal ones of a whole number of samples are measured
+    loops : (output,) loops of the readings against the one signal that is driven, where there is one
+    """
+
+    sample_time_s: float
+    reading_um: Array
+    position_um: Array
+    saturated: NDArray[np.bool_]
+    target_reading_um: Array | None = None
+    target_position_um: Array | None = None
+    reference_um: Array | None = None
+    cycle_samples: int | None = None
+    loops: Sequence[LoopFigures] | None = None
+
+    @cached_property
+    def error_um(self) -> Array | None:
+        """Reading less what it is compared with (output, sample) [um]."""
+        return None if self.target_reading_um is None else self.reading_um - self.target_reading_um
+
+    @cached_property
+    def true_error_um(self) -> Array | None:
+        """True position less what it is compared with (output, sample) [um]."""
+        return None if self.target_position_um is None else self.position_um - self.target_position_um
+
+    @cached_property
+    def distance_um(self) -> Array | None:
+        """Distance (sample,) of the reading from what it is compared with [um]."""
+        return None if self.error_um is None else euclidean(self.error_um)
+
+    @cached_property
+    def true_distance_um(self) -> Array | None:
+        """The same of the true position [um]."""
+        return None if self.true_error_um is None else euclidean(self.true_error_um)
+
+    @cached_property
+    def unsaturated(self) -> NDArray[np.bool_]:
+        """Samples (sample,) at which no voltage is cut, nor was within the last ``RECOVERY_S``."""
+        if not self.saturated.any():
+            return np.ones(self.saturated.shape[1], dtype=np.bool_)
+        cut = np.asarray(self.saturated.any(axis=0), dtype=np.float64)
+        recovery = np.ones(round(RECOVERY_S / self.sample_time_s) + 1)
+        return np.asarray(np.convolve(cut, recovery)[: cut.size] < 0.5)

@@ -1,0 +1,209 @@
+"""Every figure of merit: name, unit, meaning, and how it is found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import InputError
+from hammerstein.metrics.arrays import LoopFigures, drift, epsilon, radial, rms, worst
+from hammerstein.metrics.measured import Measured
+
+Array = NDArray[np.float64]
+Values = Sequence[float | None] | float | None
+"""One value an output, or one for all of them; None where the figure has no meaning."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One figure of merit.
+
+    name : its column, with the unit at its end
+    meaning : what a reader must know of it, with the unit
+    of : its value for the measured window of a case
+    ratio_of : name of the figure that it is a ratio to: where that is zero, it is last bits over last bits
+    exact : whether it is a count, which no tolerance lets move
+    drawn : whether an uncertain actuator gives a band of it
+    """
+
+    name: str
+    meaning: str
+    of: Callable[[Measured], Values]
+    ratio_of: str | None = None
+    exact: bool = False
+    drawn: bool = False
+
+    def values(self, measured: Measured) -> list[float | None]:
+        """One value an output; None where the figure has no meaning."""
+        found, outputs = self.of(measured), len(measured.reading_um)
+        if found is None or isinstance(found, int | float):
+            return [found] * outputs
+        if len(found) != outputs:
+            raise ValueError(f"metric {self.name} gives {len(found)} values for {outputs} outputs")
+        return list(found)
+
+
+METRICS: dict[str, Metric] = {}
+"""Every figure by its name, in the order of the columns."""
+
+
+def metric(
+    meaning: str, *, ratio_of: str | None = None, exact: bool = False, drawn: bool = False
+) -> Callable[[Callable[[Measured], Values]], Metric]:
+    """Register a function of a ``Measured`` as the figure of merit of its name.
+
+    Raises InputError where the name is taken.
+
+    Examples
+    --------
+    >>> @metric("smallest reading [um]")
+    ... def lowest_um(measured):
+    ...     return [float(row.min()) for row in measured.reading_um]
+    >>> lowest_um.values(Measured(1.0, np.array([[2.0, 1.0]]), np.zeros((1, 2)), np.zeros((1, 2), bool)))
+    [1.0]
+    >>> del METRICS["lowest_um"]
+    """
+
+    def register(function: Callable[[Measured], Values]) -> Metric:
+        name = function.__name__
+        if name in METRICS:
+            raise InputError(f"metric {name}", "this name is taken")
+        METRICS[name] = Metric(name, meaning, function, ratio_of, exact, drawn)
+        return METRICS[name]
+
+    return register
+
+
+def _each(of: Callable[[Array], float], errors: Array | None) -> Values:
+    return None if errors is None else [of(row) for row in errors]
+
+
+def _whole(of: Callable[[Array], float], values: Array | None) -> Values:
+    return None if values is None else of(values)
+
+
+@metric(
+    "root mean square of the error of the sensor's reading [um]; the error is reading less reference, or "
+    "reading less prediction of a model",
+    drawn=True,
+)
+def rms_um(m: Measured) -> Values:
+    return _each(rms, m.error_um)
+
+
+@metric("largest absolute error of the sensor's reading [um]")
+def max_um(m: Measured) -> Values:
+    return _each(worst, m.error_um)
+
+
+@metric("root mean square of the error of the true position [um], which no sensor disturbs", drawn=True)
+def rms_true_um(m: Measured) -> Values:
+    return _each(rms, m.true_error_um)
+
+
+@metric("largest absolute error of the true position [um]", drawn=True)
+def max_true_um(m: Measured) -> Values:
+    return _each(worst, m.true_error_um)
+
+
+@metric("root mean square of the distance between reading and reference over all axes [um]")
+def euclidean_rms_um(m: Measured) -> Values:
+    return _whole(rms, m.distance_um)
+
+
+@metric("largest distance between reading and reference over all axes [um]")
+def euclidean_max_um(m: Measured) -> Values:
+    return _whole(worst, m.distance_um)
+
+
+@metric("root mean square of that distance for the true position [um]")
+def euclidean_rms_true_um(m: Measured) -> Values:
+    return _whole(rms, m.true_distance_um)
+
+
+@metric("largest such distance for the true position [um]", drawn=True)
+def euclidean_max_true_um(m: Measured) -> Values:
+    return _whole(worst, m.true_distance_um)
+
+
+@metric("largest such distance over the samples at which no voltage is cut, nor was in the 10 ms before [um]")
+def euclidean_max_unsaturated_um(m: Measured) -> Values:
+    if m.true_distance_um is None or not m.unsaturated.any():
+        return None
+    return worst(m.true_distance_um[m.unsaturated])
+
+
+@metric(
+    "largest error of the radius of a path, distance from the origin less that of the reference, from the "
+    "reading [um]"
+)
+def radial_max_um(m: Measured) -> Values:
+    return _in_the_plane(radial, m, m.reading_um)
+
+
+@metric("the same for the true position [um]")
+def radial_max_true_um(m: Measured) -> Values:
+    return _in_the_plane(radial, m, m.position_um)
+
+
+@metric(
+    "largest absolute value of the paper's error measure, as printed: sgn(theta) sqrt(|theta|) with "
+    "theta = (x_r + y_r)^2 - (x + y)^2 [um]. It turns a small error into a large value where x_r + y_r is "
+    "large: at 50 um, an error of 0.1 um gives several um. It cannot be what the paper plots; judge a path "
+    "by the error of each axis, the distance and the radius"
+)
+def epsilon_max_um(m: Measured) -> Values:
+    return _in_the_plane(epsilon, m, m.reading_um)
+
+
+@metric("mean error of the true position over the last cycle less that over the first [um]")
+def drift_true_um(m: Measured) -> Values:
+    if m.true_error_um is None or m.cycle_samples is None:
+        return None
+    return [float(value) for value in drift(m.true_error_um, m.cycle_samples)]
+
+
+@metric(
+    "loop from its lowest to its highest point, twice the amplitude; of a cross-coupling, its whole range "
+    "[um]"
+)
+def height_um(m: Measured) -> Values:
+    return _loops(m, lambda loop: loop.height_um)
+
+
+@metric("opening of the loop in the middle of its input's range [um]")
+def width_um(m: Measured) -> Values:
+    return _loops(m, lambda loop: loop.width_um)
+
+
+@metric("width over height, h/H in the paper [%]", ratio_of="height_um")
+def width_percent(m: Measured) -> Values:
+    return _loops(m, lambda loop: loop.width_percent)
+
+
+@metric("first harmonic of the reading over that of what is driven [um/V, or um/um for a reference]")
+def gain(m: Measured) -> Values:
+    return _loops(m, lambda loop: loop.gain)
+
+
+@metric("phase of the same ratio; negative if the reading lags [deg]", ratio_of="gain")
+def phase_deg(m: Measured) -> Values:
+    return _loops(m, lambda loop: loop.phase_deg)
+
+
+@metric("samples in which the drive's range cut the voltage", exact=True)
+def saturated_samples(m: Measured) -> Values:
+    return int(m.saturated.sum())
+
+
+def _in_the_plane(error: Callable[[Array, Array], Array], m: Measured, path_um: Array) -> Values:
+    """Worst error of a path of two axes against its reference."""
+    reference = m.reference_um
+    return None if reference is None or len(reference) != 2 else worst(error(reference, path_um))
+
+
+def _loops(m: Measured, of: Callable[[LoopFigures], float | None]) -> Values:
+    return None if m.loops is None else [of(loop) for loop in m.loops]

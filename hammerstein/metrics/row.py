@@ -1,0 +1,43 @@
+"""One row of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from hammerstein.metrics.metric import METRICS
+
+
+@dataclass(frozen=True)
+class Row:
+    """Figures of one case on one measured axis; None where a figure has no meaning.
+
+    Errors are those of the sensor's reading, as in the paper; names with ``true`` are of the true position.
+    A figure is read by its name: ``row.rms_um``.
+    """
+
+    compensator: str
+    excited_axis: str
+    measured_axis: str
+    frequency_hz: float
+    amplitude_v: float | None = None
+    amplitude_um: float | None = None
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+    def __getattr__(self, name: str) -> float | None:
+        if name not in METRICS:
+            raise AttributeError(f"a row has no figure {name!r}")
+        return self.figures.get(name)
+
+    def key(self) -> dict[str, Any]:
+        """Give what tells this row from the others."""
+        return {name: getattr(self, name) for name in KEY}
+
+    def columns(self) -> dict[str, Any]:
+        """Everything in the row by name, None where a figure has no meaning."""
+        return self.key() | {name: self.figures.get(name) for name in METRICS}
+
+
+KEY = tuple(field.name for field in fields(Row) if field.name != "figures")
+"""What tells one row from the others."""
