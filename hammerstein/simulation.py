@@ -132,6 +132,28 @@ class Response(Pictured):
             found |= dict(zip(signals(name, len(wire)), wire, strict=True))
         return found
 
+    def every(self, samples: int) -> Response:
+        """Record one of so many samples, from the first on; one cut voltage among them counts."""
+        if samples == 1:
+            return self
+        starts = np.arange(0, self.drive_v.shape[1], samples)
+        wires = {name: getattr(self, name) for name in WIRES}
+        kept: dict[str, Any] = {
+            name: wire[:, ::samples].copy() for name, wire in wires.items() if wire is not None
+        }
+        kept["saturated"] = np.logical_or.reduceat(self.saturated, starts, axis=1)
+        return replace(self, sample_time_s=samples * self.sample_time_s, **kept)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Response]) -> Response:
+        """Put the parts of one run together."""
+        first = parts[0]
+        if len(parts) == 1:
+            return first
+        there = [name for name in (*WIRES, "saturated") if getattr(first, name) is not None]
+        whole: dict[str, Any] = {n: np.concatenate([getattr(p, n) for p in parts], axis=1) for n in there}
+        return replace(first, **whole)
+
 
 class PlantState(NamedTuple):
     """Memory of the plays, state (n,) of the linear block and the sensor, and the generator of the noise."""

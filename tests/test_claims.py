@@ -1,11 +1,15 @@
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
+import theory_linear
 from pydantic import ValidationError
 
 from hammerstein.errors import InputError
+from hammerstein.experiment.run import run
 from hammerstein.metrics import Row
-from hammerstein.scenario.claims import Agreement, Claim, Quantity, verdicts
+from hammerstein.scenario.claims import Agreement, Change, Claim, Quantity, verdicts
 
 
 def _row(rms, frequency=50.0, measured="x", true=None, label="a"):
@@ -64,20 +68,83 @@ def test_agreement(agreement, value, paper, holds):
     assert Agreement(**agreement).holds(value, paper) is holds
 
 
-def test_verdict_names_the_measured_cause():
+def _changed(*changes):
+    return lambda claim: [Change(*change) for change in changes]
+
+
+def test_the_cause_is_the_factor_that_brings_agreement_with_both_numbers():
     claim = _claim({"at_most": 2.0}, paper=4.0)
+    changes = _changed(
+        ("passes", "with 16 passes", 7.5), ("dynamics", "without dynamics", 1.5), ("sensor", "ideal", 1.9)
+    )
     rows = {"plant": (_row(8.0, 200, true=7.0),), "still": (_row(1.5, 200, true=1.2),)}
-    (verdict,) = verdicts([claim], rows, static="still")
+    (verdict,) = verdicts([claim], rows, changes)
     assert not verdict.agrees
     assert verdict.ratio == 2.0
     assert [a.value for a in verdict.answers] == [8.0, 1.5]
-    assert verdict.reason == "the dynamics: at the true position 7, without dynamics 1.5, without both 1.2"
+    assert verdict.reason == (
+        "the dynamics: 8, without dynamics 1.5 (one at a time: ideal 1.9; with 16 passes 7.5)"
+    )
 
 
-def test_verdict_of_the_sensor():
-    rows = {"plant": (_row(8.0, 200, true=1.0),), "still": (_row(8.0, 200, true=1.0),)}
-    (verdict,) = verdicts([_claim({"at_most": 2.0})], rows, static="still")
-    assert verdict.reason.startswith("the sensor's lag and noise: at the true position 1")
+def test_a_factor_that_is_not_enough_and_none_at_all():
+    claim, rows = _claim({"at_least": 1.0, "at_most": 2.0}), {"plant": (_row(8.0, 200),)}
+    (half,) = verdicts([claim], rows, _changed(("sensor", "ideal", 4.0), ("passes", "more", math.nan)))
+    assert half.reason.endswith("not enough alone: 8, ideal 4")
+    (none,) = verdicts([claim], rows, _changed(("sensor", "ideal", 7.9)))
+    assert none.reason == "no single factor: 8; ideal 7.9"
+    (below,) = verdicts([claim], {"plant": (_row(0.2, 200),)}, _changed(("sensor", "ideal", 0.9)))
+    assert below.reason.startswith("the sensor")
+    assert verdicts([claim.model_copy(update={"calibrated": True})], rows, _changed())[0].changes == ()
+
+
+def test_cut_voltages_are_told_beside_the_claim():
+    row = Row("a", "x", "x", 200.0, figures={"rms_um": 1.0, "saturated_samples": 12})
+    (verdict,) = verdicts([_claim({"at_most": 2.0})], {"plant": (row,)})
+    assert verdict.agrees
+    assert verdict.reason == "the reference exceeds the range: the drive cut 12 samples"
+
+
+def test_rows_are_divided_by_those_of_their_own_place():
+    rows = [
+        Row(label, "x", axis, 50.0, figures={"rms_um": value})
+        for label, axis, value in (("a", "x", 2.0), ("a", "y", 9.0), ("b", "x", 1.0), ("b", "y", 3.0))
+    ]
+    quantities = {
+        "quantity": {"metric": "rms_um", "compensator": "a"},
+        "over": {"metric": "rms_um", "compensator": "b"},
+    }
+    assert _claim({"at_most": 2.0}, **quantities).value(rows) == 3.0  # 9 / 3, each the largest of its own
+    assert _claim({"at_most": 2.0}, row_by_row=True, **quantities).value(rows) == 3.0
+    turned = [replace(rows[0], figures={"rms_um": 8.0}), *rows[1:]]
+    assert _claim({"at_most": 2.0}, row_by_row=True, **quantities).value(turned) == 8.0
+
+
+def test_the_cause_of_a_lagging_sensor_is_found_on_the_chain_itself():
+    content = {
+        "question": "?",
+        "actuator": "duo_bimorph_static",
+        "instruments": {"sensor": {"bandwidth_hz": 500, "noise_um": 0, "resolution_um": 0}},
+        "reference": {"kind": "sine", "amplitude_um": 20, "frequency_hz": 100, "axis": 1},
+        "compensators": [{"label": "exact", "law": "exact_inverse", "model": "duo_bimorph_static"}],
+        "claims": [
+            {
+                "id": "C",
+                "statement": "follows",
+                "quantity": {"metric": "rms_um", "measured_axis": "x"},
+                "agreement": {"at_most": 0.5},
+            }
+        ],
+    }
+    (verdict,) = run(content).verdicts
+    half_a_hold = np.exp(-1j * np.pi * 100.0 * 50e-6)
+    lag = 1.0 - theory_linear.first_order(100.0, 500.0) * half_a_hold
+    assert verdict.answers[0].value == pytest.approx(abs(lag) * 20 / np.sqrt(2), rel=0.02)
+    changed = {change.factor: change.value for change in verdict.changes}
+    assert changed["sensor"] < 1e-3
+    assert changed["dynamics"] == pytest.approx(verdict.answers[0].value, rel=1e-9)
+    assert "passes" not in changed  # the law has none
+    assert verdict.reason.startswith("the sensor, in identification and judgement: 3, with an ideal sensor")
 
 
 def test_met_claims_need_no_reason():

@@ -4,6 +4,7 @@ import math
 import control
 import numpy as np
 import pytest
+import theory as table
 import theory_linear as theory
 
 from hammerstein.errors import InputError, SimulationError
@@ -270,3 +271,58 @@ def test_a_law_that_knows_the_actuator_itself_says_so():
     assert said == [
         "law 0: its model is the simulated actuator itself. On a real one the model's error comes on top."
     ]
+
+
+def test_a_run_of_which_one_in_n_samples_is_recorded(tmp_path):
+    """The same numbers as the whole run has on those samples; models predict from every sample."""
+    content = {
+        "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 1.0, "axis": 1},
+        "models": [{"label": "table", "model": "duo_bimorph_static"}],
+        "measure": {"settle_cycles": 4, "measured_cycles": 2, "record_every": 40},
+    }
+    scenario = _scenario(actuator="duo_bimorph_creep", **content)
+    report = run(scenario)
+    (trace,) = report.traces
+    whole = simulate(scenario)
+    assert whole.drive_v.shape[1] > 100_000  # more than one piece
+    assert trace.response.sample_time_s == pytest.approx(40 * 50e-6)
+    for name in ("drive_v", "position_um", "reading_um"):
+        expected = getattr(whole, name)[:, ::40][:, trace.first_sample :]
+        np.testing.assert_array_equal(getattr(trace.response, name), expected, name)
+    thresholds = [[table.R_V] * 2] * 2
+    predicted = table.prandtl_ishlinskii(whole.drive_v, thresholds, table.W_UM_PER_V)
+    error = (whole.reading_um - predicted)[:, ::40][:, trace.first_sample :]
+    assert trace.first_sample == 4 * 20_000 // 40
+    rms = [row.rms_um for row in report.rows]
+    np.testing.assert_allclose(rms, np.sqrt(np.mean(error**2, axis=1)), rtol=1e-9)
+    assert any("One of 40 samples was recorded" in text for text in report.statements)
+
+
+def test_one_cut_voltage_among_the_samples_not_recorded_counts():
+    drive = {"kind": "sine", "amplitude_v": 10.02, "frequency_hz": 50.0, "axis": 1}
+    counts = {}
+    for every in (1, 20):
+        measure = {"settle_s": 0.0, "measured_cycles": 1, "record_every": every}
+        counts[every] = run(_scenario(drive=drive, measure=measure)).rows[0].saturated_samples
+    beyond = np.abs(10.02 * np.sin(2 * np.pi * 50.0 * 50e-6 * np.arange(800, 1200))) > 10.0
+    assert counts[1] == beyond.sum()
+    assert counts[20] == beyond.reshape(-1, 20).any(axis=1).sum()
+
+
+@pytest.mark.parametrize(("sample_time_s", "told"), [(50e-6, False), (2e-3, True)])
+def test_what_the_hold_alone_costs_is_told(sample_time_s, told):
+    """A held sine against the sine itself: fundamental by the sum, not by a formula."""
+    scenario = _scenario(
+        drive={"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 10.0, "axis": 1},
+        instruments={"drive": {"sample_time_s": sample_time_s}},
+        models=[{"label": "m", "identification": {"frequency_hz": 50, "sample_time_s": 50e-6}}],
+    )
+    said = [text for text in run(scenario).statements if "held for" in text or "sample times" in text]
+    assert bool(said) is told
+    if told:
+        time = (np.arange(10_000) + 0.5) * 1e-5
+        held = np.sin(2 * np.pi * 10.0 * 2e-3 * np.floor(time / 2e-3))
+        error = held - np.sin(2 * np.pi * 10.0 * time)
+        off = 2.0 * abs(np.mean(error * np.exp(-2j * np.pi * 10.0 * time)))
+        assert f"a sine {100 * off:.2g} % of its amplitude off" in said[0]
+        assert "found at 50 us, the run has 2000 us" in said[1]

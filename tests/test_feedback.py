@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -10,9 +11,11 @@ from hammerstein.compensators.feedback.tuning import Gains
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
+from hammerstein.experiment.prepare import prepare
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.instruments import Drive, Instruments, Sensor, standard_noise
 from hammerstein.model import HammersteinModel
+from hammerstein.scenario import Scenario
 
 T = 50e-6
 SENSOR = Sensor()
@@ -194,3 +197,29 @@ def test_the_sensors_own_lag_is_no_error(model):
     for k in range(len(time)):
         asked, state = law.step(path[:, k], reading[:, k], state)
         assert np.abs(asked).max() < 1e-10
+
+
+def test_a_law_from_a_model_file_works_on_the_scenarios_sensor(tmp_path):
+    """A slow sensor must not pass as an error, wherever the model comes from."""
+    slow = Sensor(bandwidth_hz=200.0)
+    actuator = HammersteinModel.load("duo_bimorph")
+    told = replace(actuator, instruments=actuator.instruments.model_copy(update={"sensor": slow}))
+    told.save(tmp_path / "told.json")
+
+    def prepared(model):
+        return prepare(
+            Scenario.model_validate(
+                {
+                    "question": "?",
+                    "instruments": {"sensor": {"bandwidth_hz": 200.0}},
+                    "reference": {"kind": "sine", "amplitude_um": 20, "frequency_hz": 20, "axis": 1},
+                    "compensators": [{"label": "pi", "law": "feedback", "model": model}],
+                }
+            )
+        )
+
+    own, other = prepared("duo_bimorph"), prepared(str(tmp_path / "told.json"))
+    np.testing.assert_allclose(own.laws["pi"]._settings[:, 0], np.exp(-2.0 * np.pi * 200.0 * T), rtol=1e-12)
+    np.testing.assert_array_equal(own.laws["pi"]._settings, other.laws["pi"]._settings)
+    (case,) = own.cases()
+    assert np.array_equal(own.simulate(case).position_um, other.simulate(case).position_um)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -191,7 +192,11 @@ def test_sweep_of_an_uncertain_actuator_has_bands() -> None:
     drawn = area.get_paths()[0].vertices
     heights = drawn[np.isclose(drawn[:, 0], band.frequency_hz), 1]
     assert sorted({heights.min(), heights.max()}) == pytest.approx([band.p5_um, band.p95_um])
-    assert legend_texts(figure)[-1] == "5 to 95 % of drawn actuators"
+    assert legend_texts(figure)[-2:] == ["median, 5 to 95 % of drawn actuators", "nominal actuator"]
+    nominal = next(r for r in report.rows if r.key() == {n: getattr(band, n) for n in r.key()})
+    at = list(FIVE["frequency_hz"]).index(band.frequency_hz)
+    thin, middle = (line.get_ydata()[at] for line in figure.axes[0].lines[:2])
+    assert (thin, middle) == (nominal.rms_um, band.median_um)
 
 
 def test_path_shows_every_radius_and_its_legend_the_worst_distance_of_the_largest() -> None:
@@ -223,9 +228,43 @@ def test_distance_is_logarithmic_where_one_curve_would_hide_another() -> None:
         reference=CIRCLE, compensators=[many_passes, NONE], instruments={"sensor": {"bandwidth_hz": "inf"}}
     )
     distances = {axes.get_ylabel(): axes.get_yscale() for axes in figures_of(report)["path"].axes}
-    assert distances["distance [µm]"] == "log"
-    assert distances["$e_x$ [µm]"] == "linear"
+    assert distances["distance\n[µm]"] == "log"
+    assert distances["$e_x$ [µm]"] == "symlog"
     assert {axes.get_yscale() for axes in figures_of(circles())["path"].axes} == {"linear"}
+
+
+def test_errors_of_an_axis_are_seen_beside_those_of_a_compensator_that_fails() -> None:
+    failing = {"label": "fails", "law": "feedback", "model": "duo_bimorph"}
+    good = {"label": "good", "law": "hammerstein_inverse", "model": "duo_bimorph"}
+    ideal = {"bandwidth_hz": "inf", "noise_um": 0, "resolution_um": 0}
+    content = {"actuator": "duo_bimorph", "instruments": {"sensor": ideal}}
+    report = report_of(reference=CIRCLE, compensators=[failing, good], **content)
+    assert any(axes.get_yscale() == "symlog" for axes in figures_of(report)["path"].axes)
+
+
+def test_the_plane_shows_one_frequency_where_the_paths_lie_upon_each_other() -> None:
+    swept = report_of(reference=CIRCLE, sweep={"frequency_hz": [50.0, 100.0]}, compensators=[NONE])
+    sized = report_of(reference=CIRCLE, sweep={"radius_um": [20.0, 40.0]}, compensators=[NONE])
+    lines = {n: len(figures_of(r)["path"].axes[0].lines) for n, r in (("swept", swept), ("sized", sized))}
+    assert lines == {"swept": 2, "sized": 4}  # a path and its reference each
+    assert figures_of(swept)["path"].axes[0].get_title(loc="right") == "50 Hz"
+
+
+def test_a_question_on_drift_is_drawn_as_drift() -> None:
+    slow = {"kind": "sine", "axis": 1, "amplitude_um": 10.0, "frequency_hz": 10.0}
+    report = report_of(
+        actuator="duo_bimorph_creep",
+        reference=slow,
+        compensators=[NONE],
+        measure={"measured_cycles": 6},
+        answered_by="drift_true_um",
+    )
+    (name,) = figures = figures_of(report)
+    assert name == "drift"
+    means = figures[name].axes[0].lines[0].get_ydata()
+    row = next(row for row in report.rows if row.measured_axis == "x")
+    assert len(means) == 6
+    assert means[-1] - means[0] == pytest.approx(row.drift_true_um, abs=1e-12)
 
 
 def test_models_of_a_path_in_volts_are_compared_with_the_reading() -> None:
@@ -253,6 +292,16 @@ def test_files_are_the_same_every_time_and_whatever_the_user_s_style(tmp_path: P
     assert [path.name for path in first] == ["path.svg", "path.png"]
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
     assert "<dc:date>" not in first[0].read_text()
+
+
+def test_a_line_drawing_is_a_small_file() -> None:
+    from PIL import Image
+
+    for figure in (figures_of(loops()) | figures_of(circles())).values():
+        png = images(figure)["png"]
+        assert len(png) < 75_000  # without a palette four times as much
+        with Image.open(io.BytesIO(png)) as picture:
+            assert picture.mode == "P"
 
 
 def test_threads_draw_the_same_as_one_alone() -> None:

@@ -221,6 +221,45 @@ def test_a_path_shorter_than_the_preview_is_refused():
         law.drive_for(np.zeros((1, 50)))
 
 
+@pytest.mark.parametrize("filter_hz", [None, 900.0])
+@pytest.mark.parametrize(
+    "dynamics",
+    [
+        _axes(280.0, 306.0),
+        _axes(280.0, 306.0, delay=3),
+        _axes(280.0, 306.0, creep=(CreepMode(gain=0.05, time_constant_s=30.0),)),
+        _of((1.0 - S / 3e3) / (1.0 + S / 3e3) * RESONANT),
+    ],
+)
+def test_a_stream_with_the_stated_preview_is_the_batch(dynamics, filter_hz):
+    """To the last bit, from the same start, up to where the path must be continued beyond its end."""
+    model = _model(dynamics)
+    angle = 2.0 * np.pi * 50.0 * T * np.arange(1500) + 0.7
+    path = 30.0 * np.stack([np.cos(angle), np.sin(angle)])[: model.hysteresis.n_outputs]
+    law = HammersteinInverse(model, 10.0, T, filter_hz=filter_hz)
+    batch = law.drive_for(path)
+    state, ahead, pieces = law.primed(path[:, : law.start_samples])[0], law.preview_samples, []
+    for first, stop in ((0, 1), (1, 2), (2, 40), (40, 700), (700, path.shape[1] - ahead)):
+        drive, state = law.respond(path[:, ahead + first : ahead + stop], state)
+        state = law.restore(state.as_dict())
+        pieces.append(drive)
+    np.testing.assert_array_equal(np.hstack(pieces), batch[:, : path.shape[1] - ahead])
+
+
+def test_the_start_hears_of_the_samples_that_it_states_and_of_no_other():
+    law = HammersteinInverse(_model(_axes(280.0, 306.0)), 10.0, T)
+    angle = 2.0 * np.pi * 50.0 * T * np.arange(800)
+    path = 30.0 * np.stack([np.cos(angle), np.sin(angle)])
+    first = law.drive_for(path)[:, 0]
+    for sample, moves in ((law.start_samples - 1, True), (law.start_samples, False), (300, False)):
+        bent = path.copy()
+        bent[:, sample] += 0.1
+        assert bool(np.abs(law.drive_for(bent)[:, 0] - first).max() > 0.0) is moves
+    assert f"the first {law.start_samples} samples of the path" in law.statement()
+    known = path[:, : law.start_samples]
+    assert law.primed(path)[0].as_dict() == law.primed(known)[0].as_dict()
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

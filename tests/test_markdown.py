@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hammerstein.experiment.report import Report
@@ -114,7 +115,7 @@ def test_beyond_the_paper_the_true_position_comes_first() -> None:
         for report in (circle(), sine())
     )
     assert answer(paths).startswith("The worst distance of the true position from the reference is")
-    assert answer(sines).startswith("The rms error of the true position, direct transfers, is")
+    assert answer(sines).startswith("The rms error of the true position (direct transfers) is")
 
 
 def test_answer_tells_who_is_best_where_and_the_course_of_the_best() -> None:
@@ -123,15 +124,16 @@ def test_answer_tells_who_is_best_where_and_the_course_of_the_best() -> None:
 
     text = answer(with_rms(swept(), rms))
     assert text.startswith(
-        "The rms error of the direct transfers is smallest with paper from 10 Hz to 30 Hz and none from "
-        "40 Hz to 60 Hz. With paper it is 11.0 um at 10 Hz, 1.00 um at 20 Hz (smallest) and 41.0 um at 60 Hz "
+        "The rms error of the direct transfers is smallest with paper from 10 Hz to 30 Hz and none "
+        "(no compensator is better) from 40 Hz to 60 Hz. With paper it is 11.0 um at 10 Hz, 1.00 um at 20 Hz "
+        "(smallest) and 41.0 um at 60 Hz "
         "(largest). The rms error of the cross-couplings is smallest with"
     )
 
 
 def test_answer_counts_where_the_best_changes_too_often() -> None:
     text = answer(with_rms(swept(), lambda label, f: float((f % 20.0 == 0.0) == (label == "paper")) + 1.0))
-    assert "smallest with paper in 3 of 6 runs and none in 3 of 6 runs." in text
+    assert "smallest with paper in 3 of 6 runs and none (no compensator is better) in 3 of 6 runs." in text
 
 
 def test_answer_describes_loops_where_there_is_nothing_to_compare_with() -> None:
@@ -154,6 +156,50 @@ def test_answer_says_what_was_cut_and_what_had_not_settled() -> None:
     hurried = report_of(drive=SINE_V, actuator="duo_bimorph", measure={"settle_cycles": 0, "settle_s": 0.0})
     assert "In 2 of 2 runs the loop had not settled." in answer(hurried)
     assert "settled" not in answer(report_of(drive=SINE_V, measure={"measured_cycles": 1}))
+
+
+def test_a_law_that_does_not_converge_never_wins() -> None:
+    said = "paper: The inner iteration does not converge: slopes -2.77 to 15.2 um/V, spectral radius 1.182."
+    best = with_rms(swept(), lambda label, f: 1.0 if label == "paper" else 15.0)
+    assert "smallest with paper throughout" in answer(best)
+    text = answer(replace(best, statements=(said,)))
+    assert "smallest with" not in text
+    assert "paper" not in text.split("cross-couplings")[0]
+    few = replace(circle(), statements=(said,))
+    assert "with paper (does not converge)" in answer(few)
+
+
+def test_the_figure_that_the_scenario_names_answers_first() -> None:
+    report, name = circle(), "radial_max_true_um"
+    asked = replace(report, scenario=report.scenario.model_copy(update={"answered_by": name}))
+    values = {row.compensator: row.radial_max_true_um for row in report.rows}
+    told = " and ".join(f"{number(values[n])} with {n}" for n in sorted(values, key=values.__getitem__))
+    assert answer(asked).startswith(f"The {METRICS[name].meaning} is {told}.")
+
+
+@cache
+def uncertain() -> Report:
+    return report_of(reference=SINE_UM, compensators=[NONE], uncertainty={"draws": 40, "weights": 0.05})
+
+
+def test_an_uncertain_actuator_is_told_by_its_band_first() -> None:
+    report = uncertain()
+    direct = [b for b in report.bands if b.metric == "rms_true_um" and b.excited_axis == b.measured_axis]
+    worst = max(direct, key=lambda band: band.p95_um)
+    assert (
+        f"{number(worst.median_um)} and {number(worst.p95_um)} um with none" in answer(report).split(".  ")[0]
+    )
+    assert answer(report).startswith("Over 40 drawn actuators")
+
+
+def test_a_band_says_of_how_many_draws_it_is_and_what_it_holds() -> None:
+    """The part of all that lies between two of the sorted draws, simulated."""
+    draws = np.sort(np.random.default_rng(5).uniform(size=(20_000, 40)), axis=1)
+    held = np.quantile(draws[:, 37] - draws[:, 1], 0.05)  # of 0..39: 5 and 95 % are at 1.95 and 37.05
+    title = next(table.title for table in number_tables(uncertain()) if "Spread" in table.title)
+    assert "5 to 95 % of 40 draws" in title
+    share = int(re.search(r"at least (\d+) %", title)[1])
+    assert share == pytest.approx(100 * held, abs=4)
 
 
 def test_tables_hold_the_rows() -> None:

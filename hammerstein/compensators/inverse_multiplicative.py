@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -34,14 +34,17 @@ class Convergence:
     """Whether the iteration inside the law converges, over all slopes its model can have.
 
     slope_min_um_per_v, slope_max_um_per_v : smallest and largest direct slope
-    spectral_radius : largest of |1 - (1-a) eig(K J)|; below 1 the iteration converges
-    overshoot : whether the real part of some eigenvalue of (1-a) K J exceeds 1: false reversals
+    spectral_radius : largest of |1 - (1-a) eig(K J)|, a pass; below 1 the iteration converges
+    overshoot : whether the real part of some eigenvalue of K J exceeds 1: what is passed on of a change of
+        the reference, before any filter, moves the actuator too far, and it turns back (false reversals)
+    pass_s : time of a pass through a filter [s]; None for the delay of one sample
     """
 
     slope_min_um_per_v: float
     slope_max_um_per_v: float
     spectral_radius: float
     overshoot: bool
+    pass_s: float | None = None
 
     @property
     def converges(self) -> bool:
@@ -53,7 +56,14 @@ class Convergence:
         slopes = f"slopes {self.slope_min_um_per_v:.3g} to {self.slope_max_um_per_v:.3g} um/V"
         verdict = "converges" if self.converges else "does not converge"
         tail = ", with overshoot" if self.converges and self.overshoot else ""
-        return f"The inner iteration {verdict}{tail}: {slopes}, spectral radius {self.spectral_radius:.4g}."
+        text = f"The inner iteration {verdict}{tail}: {slopes}, spectral radius {self.spectral_radius:.4g}"
+        if self.pass_s is None or not 0.0 < self.spectral_radius < 1.0:
+            return f"{text}."
+        time_s = -self.pass_s / math.log(self.spectral_radius)
+        return (
+            f"{text} with the filter; an error dies out with a time constant of {1e3 * time_s:.3g} ms, which "
+            "a path must be slow against."
+        )
 
 
 class InverseMultiplicative(Law[FeedbackState]):
@@ -61,15 +71,26 @@ class InverseMultiplicative(Law[FeedbackState]):
 
     With K the identity [V/um] and the delay this is Theorem 4.1 as printed,
     ``U(t) = Y_r(t) + U(t-T) - Gamma(U(t-T))``; with the filter ``F = 1 / (1 + tau s)`` it is the remark
-    in section 6. Both are fixed-point iterations, which converge while the spectral radius of
-    ``I - (1-a) K J`` stays below 1 for every slope matrix J of the model, a = exp(-T/tau).
+    in section 6. With f the output of the filter, ``U = K Y_r + f`` and
+
+        tau df/dt = U - K Gamma(U) - f = K (Y_r - Gamma(U)),
+
+    so that the filter is an integrator of what is left, beside the direct path K Y_r, which it does not
+    change. For an input held over the time h of a pass (T / iterations), and a = exp(-h / tau),
+
+        f[k+1] = f[k] + (1-a) K (Y_r[k] - Gamma(K Y_r[k] + f[k])).
+
+    The delay of one sample is a = 0. This is a fixed-point iteration, which converges while the spectral
+    radius of ``I - (1-a) K J`` stays below 1 for every slope matrix J of the model. Where J stands still the
+    error is ``s (1 - K J) / (s + K J / tau)`` of the reference: the filter must be fast against the path.
 
     Parameters
     ----------
     model : square model whose static block is used
     range_v : range of the drive [V], see ``DriveRange.of``
     sample_time_s : time between samples [s]
-    gain : "identity", "auto" (from the slopes, without overshoot) or a matrix (m, m) [V/um]
+    gain : "identity", "auto" (the inverse of the summed weights, made so small that no slope overshoots) or
+        a matrix (m, m) [V/um]
     filter_s : time constant tau of the first-order filter [s]; None: the one-sample delay
     iterations : passes of the law in each sample
     run_anyway : accept an iteration that cannot converge
@@ -95,9 +116,11 @@ class InverseMultiplicative(Law[FeedbackState]):
         self.n_inputs = self.n_outputs = hysteresis.n_inputs
         self.hysteresis, self.range, self.iterations = hysteresis, DriveRange.of(range_v, model), iterations
         self.sample_time_s = None if filter_s is None else sample_time_s
-        self.pole = 0.0 if filter_s is None else math.exp(-sample_time_s / filter_s)
-        self.gain_v_per_um = _gain_matrix(gain, hysteresis, self.pole)
-        self.convergence = convergence(hysteresis, self.gain_v_per_um, self.pole)
+        pass_s = None if filter_s is None else sample_time_s / iterations
+        self.pole = 0.0 if filter_s is None or pass_s is None else math.exp(-pass_s / filter_s)
+        self.gain_v_per_um = _gain_matrix(gain, hysteresis)
+        found = convergence(hysteresis, self.gain_v_per_um, self.pole)
+        self.convergence = replace(found, pass_s=pass_s)
         if not (self.convergence.converges or run_anyway):
             raise SimulationError(f"{self.convergence.statement()} {self._remedy()}")
 
@@ -121,7 +144,9 @@ class InverseMultiplicative(Law[FeedbackState]):
                 "The direct slope of the model falls to zero or below, as when phase lag is identified as "
                 "hysteresis. Identify at a lower frequency, or set run_anyway = true."
             )
-        return 'Set gain = "auto", a smaller gain or a slower filter (filter_s), or run_anyway = true.'
+        filtered = self.convergence.pass_s is not None
+        slower = " (a slower filter converges too, but overshoots)" if filtered else ""
+        return f'Set gain = "auto" or a smaller gain{slower}, or run_anyway = true.'
 
     def rest(self) -> FeedbackState:
         """Plays and feedback of an actuator at its start."""
@@ -161,27 +186,27 @@ def convergence(hysteresis: PrandtlIshlinskii, gain_v_per_um: Array, pole: float
     """Examine ``I - (1-a) K J`` over every slope matrix J of a square model."""
     slopes = slope_matrices(hysteresis)
     direct = np.diagonal(slopes, axis1=1, axis2=2)
-    eigenvalues = (1.0 - pole) * np.linalg.eigvals(gain_v_per_um @ slopes)
+    eigenvalues = np.linalg.eigvals(gain_v_per_um @ slopes)
     overshoot = bool((eigenvalues.real > 1.0 + 1e-9).any())
-    radius = float(np.abs(1.0 - eigenvalues).max())
+    radius = float(np.abs(1.0 - (1.0 - pole) * eigenvalues).max())
     return Convergence(float(direct.min()), float(direct.max()), radius, overshoot)
 
 
-def _gain_matrix(gain: str | ArrayLike, hysteresis: PrandtlIshlinskii, pole: float) -> Array:
+def _gain_matrix(gain: str | ArrayLike, hysteresis: PrandtlIshlinskii) -> Array:
     m = hysteresis.n_inputs
     if isinstance(gain, str):
-        return np.eye(m) if gain == "identity" else _auto_gain(hysteresis, pole)
+        return np.eye(m) if gain == "identity" else _auto_gain(hysteresis)
     matrix = np.asarray(gain, dtype=np.float64)
     if matrix.shape != (m, m) or not np.isfinite(matrix).all():
         raise InputError("gain", f"has shape {matrix.shape}; give a finite ({m}, {m}) matrix in V/um")
     return matrix
 
 
-def _auto_gain(hysteresis: PrandtlIshlinskii, pole: float) -> Array:
+def _auto_gain(hysteresis: PrandtlIshlinskii) -> Array:
     """Largest multiple of the inverse of the summed weights that overshoots at no slope."""
     summed = np.stack([hysteresis.slope_columns(k)[-1] for k in range(hysteresis.n_inputs)], axis=1)
     if abs(np.linalg.det(summed)) < 1e-12 * np.abs(summed).max() ** len(summed):
         raise SimulationError("The summed weights form a singular matrix: the model has no automatic gain.")
     inverse = np.linalg.inv(summed)
     largest = np.linalg.eigvals(inverse @ slope_matrices(hysteresis)).real.max()
-    return np.asarray(inverse / (largest * (1.0 - pole)))
+    return np.asarray(inverse / largest)

@@ -18,6 +18,8 @@ def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
 ):
     """U[k] = K Y_r[k] + f[k],  f[k+1] = a f[k] + (1 - a) (U[k] - K Gamma(U[k])); a = 0: one-sample delay.
 
+    Every pass is a step of the filter; with several in a sample, a is that of their time.
+
     reference : (p, N); gain : (m, p) [V/um]; pole : a; low, high : (m,) range of the drive [V]
     r, slope, moment : threshold grids and partial sums; count, end, x, d, below : play memory, updated
     memory : (m,) f, updated; drive : (m, N), overwritten

@@ -8,11 +8,13 @@ from functools import partial
 from pathlib import Path
 
 from hammerstein.errors import HammersteinError, InputError, Mistake
-from hammerstein.experiment.prepare import Progress
+from hammerstein.experiment.prepare import Progress, Window
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.runtime.processes import side_by_side
 from hammerstein.scenario import Scenario, load_scenario
+
+LEAST_SAMPLES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +85,16 @@ def run_all(
     yield from side_by_side(tasks, min(jobs, len(scenarios)))
 
 
-def _size(scenario: Scenario) -> int:
-    return len(list(scenario.signals())) * max(1, len(scenario.compensators) + len(scenario.models))
+def _size(scenario: Scenario) -> float:
+    """Samples to work through, about; a case with its share of the figures costs at least some."""
+    step = scenario.instruments.drive.sample_time_s
+    try:
+        lengths = [Window.of(scenario, signal, step).total for signal in scenario.signals()]
+    except InputError:  # a signal's file; its own scenario tells
+        return 0.0
+    return sum(max(length, LEAST_SAMPLES) for length in lengths) * max(
+        1, len(scenario.compensators) + len(scenario.models)
+    )
 
 
 def _outcome(

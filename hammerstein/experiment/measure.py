@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -10,43 +11,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.dynamics import StaticDynamics, discretise
 from hammerstein.experiment.prepare import Case, SetUp, Window, scenario_axes
+from hammerstein.experiment.recording import Target, recorded, targets_of
 from hammerstein.experiment.report import Prediction, Trace
+from hammerstein.experiment.settling import advice, settled
 from hammerstein.metrics import METRICS, LoopFigures, Measured, Metric, Row, loop_figures
-from hammerstein.model import HammersteinModel
+from hammerstein.scenario.claims import Claim
 from hammerstein.signals import OneFrequency
 from hammerstein.simulation import Response
 
 Array = NDArray[np.float64]
 
 LAGGING = 2.0  # reading against true position: from here on most of the error is the sensor's
-SETTLED_FRACTION = 1e-3  # cycles may differ by this part of the range, beside the sensor's noise
+HOLD_SHARE = 0.01  # of the amplitude; a hold that costs more is told
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Rows of one case, its measured trace, and whether it had settled."""
+    """Rows of one case, its measured trace, and what to do if it had not settled; empty if it had."""
 
     rows: tuple[Row, ...]
     trace: Trace
-    settled: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Target:
-    """What a position (axis, sample) is compared with: a reference, or the prediction of a model."""
-
-    label: str
-    reading_um: Array
-    position_um: Array
+    unsettled: str
 
 
 def rows_of(setup: SetUp, case: Case) -> Result:
     """Simulate one case and measure it."""
-    response = setup.simulate(case)
-    window = Window.of(setup.scenario, case.signal, setup.plant.sample_time_s)
-    targets = _targets(setup, case, response)
+    recording = recorded(setup, case)
+    response, targets = recording.response, recording.targets
+    window = Window.of(setup.scenario, case.signal, response.sample_time_s)
     loops = _loops(setup, case, response, window)
     rows = tuple(_rows(setup, case, response, targets, METRICS.values(), loops))
     names = scenario_axes(setup.scenario, setup.plant.model)
@@ -63,13 +56,14 @@ def rows_of(setup: SetUp, case: Case) -> Result:
         first_sample=window.first,
         predictions=predictions,
     )
-    return Result(rows, trace, _settled(setup, case, response, window))
+    unsettled = "" if settled(setup, case, response) else advice(setup, case)
+    return Result(rows, trace, unsettled)
 
 
 def drawn_rows(setup: SetUp, case: Case, response: Response) -> tuple[Row, ...]:
     """Rows of one case with the figures alone of which an uncertain actuator gives a band."""
     drawn = [metric for metric in METRICS.values() if metric.drawn]
-    return tuple(_rows(setup, case, response, _targets(setup, case, response), drawn))
+    return tuple(_rows(setup, case, response, targets_of(setup, case, response)[0], drawn))
 
 
 def _rows(
@@ -81,7 +75,7 @@ def _rows(
     loops: Sequence[LoopFigures] | None = None,
 ) -> Iterator[Row]:
     """Rows target by target, within each of them axis by axis."""
-    first = Window.of(setup.scenario, case.signal, setup.plant.sample_time_s).first
+    first = Window.of(setup.scenario, case.signal, response.sample_time_s).first
     axes, key, wanted = setup.plant.model.outputs, _key(setup, case), list(wanted)
     run = response.after(first)
     for target in targets:
@@ -93,7 +87,7 @@ def _rows(
             None if target is None else target.reading_um[:, first:],
             None if target is None else target.position_um[:, first:],
             run.reference_um if case.axis is None else None,
-            _whole_cycle(setup, case),
+            _whole_cycle(setup, case, response.sample_time_s),
             loops,
         )
         label = case.label if target is None else target.label
@@ -101,29 +95,6 @@ def _rows(
         for i, axis in enumerate(axes):
             figures = {name: value for name, values in found.items() if (value := values[i]) is not None}
             yield Row(compensator=label, measured_axis=axis, **key, figures=figures)
-
-
-def _targets(setup: SetUp, case: Case, response: Response) -> list[Target] | list[None]:
-    """What the response is compared with; a single None where there is nothing."""
-    if response.reference_um is not None:
-        return [Target(case.label, response.reference_um, response.reference_um)]
-    models = [
-        Target(source.label, *_prediction(setup, setup.models[source.label], response))
-        for source in setup.scenario.models
-        if source.is_tested_at(case.signal.highest_frequency_hz)
-    ]
-    return models or [None]
-
-
-def _prediction(setup: SetUp, model: HammersteinModel, response: Response) -> tuple[Array, Array]:
-    """What a model says the sensor reads, and where it says the actuator is."""
-    v, _ = model.static_response(response.drive_v)
-    if isinstance(model.dynamics, StaticDynamics):
-        return v, v  # a static model was found from readings: it stands for both
-    sensor = setup.plant.instruments.sensor
-    block = discretise(model.dynamics, setup.plant.sample_time_s, sensor.bandwidth_hz)
-    position, reading = np.split(block.respond(v)[0], 2)
-    return reading, position
 
 
 def _key(setup: SetUp, case: Case) -> dict[str, Any]:
@@ -138,9 +109,21 @@ def _key(setup: SetUp, case: Case) -> dict[str, Any]:
     }
 
 
-def _whole_cycle(setup: SetUp, case: Case) -> int | None:
+def needed_by(setup: SetUp, case: Case, claims: Sequence[Claim]) -> bool:
+    """Whether some claim selects a row of a case."""
+    labels = [source.label for source in setup.scenario.models] or [""]
+    key = _key(setup, case)
+    rows = [
+        Row(compensator=label, measured_axis=axis, **key)
+        for label in ([case.label] if case.label else labels)
+        for axis in setup.plant.model.outputs
+    ]
+    return any(claim.selects(row) for claim in claims for row in rows)
+
+
+def _whole_cycle(setup: SetUp, case: Case, sample_time_s: float) -> int | None:
     """Samples of a cycle, where several equal ones of a whole number of samples are measured."""
-    samples = case.signal.period_s / setup.plant.sample_time_s
+    samples = case.signal.period_s / sample_time_s
     whole = abs(samples - round(samples)) < 1e-6
     several = case.signal.repeats and setup.scenario.measure.measured_cycles > 1
     return round(samples) if whole and several else None
@@ -163,21 +146,6 @@ def _loops(setup: SetUp, case: Case, response: Response, window: Window) -> list
     )
 
 
-def _settled(setup: SetUp, case: Case, response: Response, window: Window) -> bool:
-    """Whether the first and the last measured cycle of the true position agree."""
-    cycles = setup.scenario.measure.measured_cycles
-    if not isinstance(case.signal, OneFrequency) or not case.signal.repeats or cycles < 2:
-        return True
-    position = response.position_um
-    length = int(case.signal.period_s / response.sample_time_s)
-    lag = round((cycles - 1) * case.signal.period_s / response.sample_time_s)
-    first = position[:, window.first : window.first + length]
-    last = position[:, window.first + lag : window.first + lag + length]
-    fraction = abs(lag * response.sample_time_s / case.signal.period_s - (cycles - 1))
-    allowed = (SETTLED_FRACTION + 2.0 * np.pi * fraction) * float(np.ptp(position))
-    return float(np.abs(first[:, : last.shape[1]] - last).max()) <= allowed + 1e-9
-
-
 def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
     """Say where the reading is off because the sensor lags, not because the actuator is."""
     bandwidth = setup.plant.instruments.sensor.bandwidth_hz
@@ -198,6 +166,44 @@ def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
     ]
 
 
+def _sampling(setup: SetUp) -> Iterator[str]:
+    """Say what the sample time alone costs, where two of them meet, and what was not recorded."""
+    scenario, step = setup.scenario, setup.plant.sample_time_s
+    highest = max(signal.highest_frequency_hz for signal in scenario.signals())
+    share = hold_share(highest, step)
+    if share > HOLD_SHARE:
+        yield (
+            f"Every voltage is held for {1e6 * step:g} us: at {highest:g} Hz this alone puts a sine "
+            f"{100.0 * share:.2g} % of its amplitude off, more than {100.0 * HOLD_SHARE:g} % from "
+            f"{HOLD_SHARE / (math.pi * step):.3g} Hz on. Only a law or model with dynamics knows of it."
+        )
+    for source in (*scenario.compensators, *scenario.models):
+        own = getattr(source.identification, "sample_time_s", None)
+        if own is not None and not math.isclose(own, step):
+            yield (
+                f"{source.label}: two sample times meet; its model was found at {1e6 * own:g} us, the run "
+                f"has {1e6 * step:g} us, whose hold it does not know."
+            )
+    every = scenario.measure.record_every
+    if every is not None:
+        yield (
+            f"One of {every} samples was recorded, one every {1e3 * every * step:g} ms; the figures are of "
+            "these."
+        )
+
+
+def hold_share(frequency_hz: float, sample_time_s: float) -> float:
+    """Error of a held sine, as a part of its amplitude.
+
+        |1 - (1 - exp(-j w T)) / (j w T)|,   about w T / 2
+
+    >>> round(hold_share(420.0, 50e-6), 4)
+    0.0659
+    """
+    angle = 2.0 * math.pi * frequency_hz * sample_time_s
+    return 0.0 if angle == 0.0 else abs(1.0 - (1.0 - cmath.exp(-1j * angle)) / (1j * angle))
+
+
 def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     """What a reader of the report must know: convergence, saturation, and what did not settle."""
     statements = [f"{label}: {text}" for label, law in setup.laws.items() if (text := law.statement())]
@@ -206,14 +212,15 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
         for label in setup.laws
         if setup.models[label].digest() == setup.plant.model.digest()
     ]
+    statements += _sampling(setup)
     statements += _sensor_lag(setup, [row for result in results for row in result.rows])
     for result in results:
         row = result.rows[0]
         where = (
             f"{row.compensator or setup.plant.model.name} at {row.frequency_hz:g} Hz, axis {row.excited_axis}"
         )
-        if not result.settled:
-            statements.append(f"{where}: the loop has not settled; wait longer (measure.settle_cycles).")
+        if result.unsettled:
+            statements.append(f"{where}: the loop has not settled; {result.unsettled}.")
         if row.saturated_samples:
             statements.append(f"{where}: the drive's range cut {row.saturated_samples} samples.")
     return tuple(statements)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -113,6 +113,11 @@ class SetUp:
         voltages = law.drive_for(values)
         return lambda tested, seed: tested.respond(voltages, case.seed(seed), reference_um=values)
 
+    def runs_on(self, case: Case) -> bool:
+        """Whether a case can be simulated piece by piece: no law that looks ahead or reads the sensor."""
+        law = None if self.scenario.drive is not None else self.laws[case.label]
+        return not isinstance(law, Feedback) and (law is None or not law.preview_samples)
+
     def stretches(self, case: Case, samples: int) -> Iterator[Response]:
         """Response of one case, stretch by stretch: for runs that do not fit the memory.
 
@@ -121,7 +126,7 @@ class SetUp:
         scenario, plant = self.scenario, self.plant
         total = Window.of(scenario, case.signal, plant.sample_time_s).total
         law = None if scenario.drive is not None else self.laws[case.label]
-        if isinstance(law, Feedback) or (law is not None and law.preview_samples):
+        if isinstance(law, Feedback) or not self.runs_on(case):
             raise InputError(
                 f"compensator {case.label!r}",
                 "works on the whole path, not on stretches; use a law that neither looks ahead nor feeds "
@@ -192,8 +197,15 @@ def values_of(case: Case, time_s: Array, n_axes: int) -> Array:
     return signal.sample(time_s, n_axes)
 
 
-def prepare(scenario: Scenario, source: str = "scenario", progress: Progress | None = None) -> SetUp:
+def prepare(
+    scenario: Scenario,
+    source: str = "scenario",
+    progress: Progress | None = None,
+    model: HammersteinModel | None = None,
+) -> SetUp:
     """Load the actuator, identify every model, build every law.
+
+    ``model`` takes the place of the scenario's actuator, if given.
 
     Raises
     ------
@@ -201,7 +213,7 @@ def prepare(scenario: Scenario, source: str = "scenario", progress: Progress | N
     SimulationError : a reference is out of reach, or a law cannot converge
     IdentificationError : a model cannot be identified
     """
-    model = HammersteinModel.load(scenario.actuator)
+    model = model or HammersteinModel.load(scenario.actuator)
     own = model.instruments.model_dump()
     given = scenario.instruments.model_dump(exclude_unset=True)
     merged = {name: {**own[name], **given.get(name, {})} for name in own}
@@ -215,8 +227,10 @@ def prepare(scenario: Scenario, source: str = "scenario", progress: Progress | N
 
 
 def _law(compensator: Compensator, model: HammersteinModel, plant: Plant) -> AnyLaw:
+    """A law for the instruments of the scenario, whatever those that its model was found with."""
+    here = replace(model, instruments=plant.instruments)
     try:
-        return compensator.build(model, _range(model, plant), plant.sample_time_s)
+        return compensator.build(here, _range(model, plant), plant.sample_time_s)
     except (InputError, SimulationError) as error:
         raise type(error)(*_labelled(compensator.label, error)) from None
 

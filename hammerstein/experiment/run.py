@@ -5,14 +5,16 @@ reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from hammerstein.errors import InputError
+from hammerstein.experiment.causes import changes_of, rows_needed
 from hammerstein.experiment.measure import rows_of, statements_of
 from hammerstein.experiment.prepare import Case, Progress, SetUp, prepare, scenario_axes
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.uncertainty_bands import bands_of
 from hammerstein.metrics import Row
+from hammerstein.model import HammersteinModel
 from hammerstein.scenario import Scenario, scenario_of
 from hammerstein.scenario.claims import verdicts
 from hammerstein.scenario.scenario import ScenarioSource
@@ -136,7 +138,8 @@ def run(
         if progress:
             progress("simulating", i + 1, len(cases))
     rows = tuple(row for result in results for row in result.rows)
-    answers = {setup.plant.model.name: rows} | _other_answers(scenario, name, jobs, progress)
+    answers: dict[str, Sequence[Row]] = {setup.plant.model.name: rows}
+    answers |= _other_answers(scenario, name)
     traces = tuple(result.trace for result in results)
     return Report(
         name=name,
@@ -149,26 +152,18 @@ def run(
         axes=setup.plant.model.outputs,
         rows=rows,
         statements=statements_of(setup, results),
-        verdicts=verdicts(scenario.claims, answers),
+        verdicts=verdicts(
+            scenario.claims, answers, lambda claim: tuple(changes_of(scenario, setup.plant.model, claim))
+        ),
         bands=bands_of(setup, cases, jobs, progress),
         traces=traces,
     )
 
 
-def _other_answers(
-    scenario: Scenario, name: str, jobs: int, progress: Progress | None
-) -> dict[str, tuple[Row, ...]]:
-    """Rows of the same experiment on the other actuators that the claims are put to; traces are not kept."""
-    from joblib import Parallel, delayed
-
-    answers = {}
+def _other_answers(scenario: Scenario, name: str) -> dict[str, Sequence[Row]]:
+    """What the claims need of the same experiment on the other actuators that they are put to."""
+    answers: dict[str, Sequence[Row]] = {}
     for actuator in scenario.claims_also_on if scenario.claims else ():
-        setup = prepare(scenario.model_copy(update={"actuator": actuator}), name, progress)
-        parallel = Parallel(n_jobs=jobs, prefer="threads")
-        rows = parallel(delayed(_rows_alone)(setup, case) for case in setup.cases())
-        answers[setup.plant.model.name] = tuple(row for some in rows for row in some)
+        model = HammersteinModel.load(actuator)
+        answers[model.name] = rows_needed(scenario, scenario.claims, name, model)
     return answers
-
-
-def _rows_alone(setup: SetUp, case: Case) -> tuple[Row, ...]:
-    return rows_of(setup, case).rows

@@ -129,7 +129,10 @@ def euclidean_max_true_um(m: Measured) -> Values:
     return _whole(worst, m.true_distance_um)
 
 
-@metric("largest such distance over the samples at which no voltage is cut, nor was in the 10 ms before [um]")
+@metric(
+    "largest distance between true position and reference over the samples at which no voltage is cut, nor "
+    "was in the 10 ms before [um]"
+)
 def euclidean_max_unsaturated_um(m: Measured) -> Values:
     if m.true_distance_um is None or not m.unsaturated.any():
         return None

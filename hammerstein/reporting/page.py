@@ -37,6 +37,7 @@ TITLES = {
     "operators": "Error against the number of operators",
     "loops": "Loops",
     "errors": "Errors over time",
+    "drift": "Drift",
     "path": "Path, time and errors",
 }
 CAPTIONS = {
@@ -48,9 +49,11 @@ CAPTIONS = {
     "mean of the measured cycles.",
     "errors": "The sensor's reading less what it is compared with. The worst error in the legend is that of "
     "the whole run, also where a part of it is drawn.",
-    "path": "(a) the path in the plane, (b) the axes over time, (c) the errors over time: of each axis, and "
-    "the distance in the plane. Thin short dashes are what the path is compared with. The legend gives the "
-    "worst distance of the whole run.",
+    "drift": "The mean error of the true position over each measured cycle, of the axis that is driven.",
+    "path": "(a) the path in the plane, (b) the axes over time, (c) the errors over time: of each axis, the "
+    "distance in the plane, and that of the true position. Where one curve would hide others the scale is "
+    "logarithmic. Thin short dashes are what the path is compared with. The legend gives the worst distance "
+    "of the whole run.",
 }
 
 MOST_STATEMENTS = 15
@@ -137,7 +140,7 @@ def _kind(name: str) -> str:
 
 def _place(name: str) -> tuple[int, str]:
     """Order on the page: what is compared first, then its errors, the true position last."""
-    order = ("loops", "path", "operators", "sweep", "errors", "sweep_true", "")
+    order = ("drift", "loops", "path", "operators", "sweep", "errors", "sweep_true", "")
     return order.index(_kind(name)), name
 
 
@@ -145,15 +148,32 @@ def _picture(name: str, report: Report) -> Picture:
     kind, stem = _kind(name), PurePath(name).stem
     compared, models = report.scenario.reference is not None, report.scenario.models
     remarks = {
-        "loops": ["The wide grey line is the ideal."] * compared
+        "loops": ["The wide grey line is the ideal.", _lag(report)] * compared
         + ["Dark broken lines are the models."] * bool(models and len(models) <= MOST_OVERLAYS),
         "sweep": ["A vertical tick stands where a curve's model was identified."]
         * bool(identified_at(report))
-        + ["A band holds 90 % of actuators drawn near the nominal one."] * bool(report.bands),
+        + [
+            "A line with a band is the median of the drawn actuators, the band 5 to 95 % of them; a thin "
+            "line is the nominal actuator."
+        ]
+        * bool(report.bands),
         "path": ["True is the actuator's position, without the sensor."] * compared,
     }
     caption = " ".join([CAPTIONS.get(kind, ""), *remarks.get(kind, [])])
     return Picture(name, f"{stem}.svg", TITLES.get(kind, stem), caption)
+
+
+def _lag(report: Report) -> str:
+    """What a first-order sensor alone opens of a straight loop: sin(atan(f / f_b)) of its height."""
+    bandwidth = report.instruments.sensor.bandwidth_hz
+    highest = max(row.frequency_hz for row in report.rows)
+    if math.isinf(bandwidth):
+        return ""
+    percent = 100.0 * math.sin(math.atan(highest / bandwidth))
+    return (
+        f"The curves are readings: the lag of the {bandwidth:g} Hz sensor alone opens a straight loop by "
+        f"{percent:.2g} % of its height at {highest:g} Hz."
+    )
 
 
 def _glossary(report: Report) -> list[tuple[str, str]]:

@@ -17,12 +17,13 @@ from hammerstein.experiment.selection import (
     number,
     told_apart,
 )
-from hammerstein.metrics import Row
+from hammerstein.metrics import KEY, METRICS, Row
 from hammerstein.signals import OneFrequency
 
 MOST_CLAUSES = 4  # conditions that are told one by one; more are told as ranges of frequency
 MOST_LABELS = 4  # compensators or models that are told in one clause
 NOT_SETTLED = "has not settled"  # the words of a statement of the report
+DIVERGES = "does not converge: slopes"  # the same
 
 Quote = Callable[[str], str]
 
@@ -47,7 +48,86 @@ def answer(report: Report, quote: Quote = str) -> str:
         sentences = _compared(report, quote)
     else:
         sentences = _loops(report)
-    return " ".join([*sentences, *_conduct(report)])
+    first = [*_answered(report, quote), *_uncertain(report, quote)]
+    return " ".join([*first, *sentences, *_conduct(report)])
+
+
+@dataclass(frozen=True)
+class Contest:
+    """How labels are written, and which of them cannot win: laws that do not converge, and doing nothing."""
+
+    quote: Quote
+    diverging: frozenset[str]
+    idle: frozenset[str]
+
+    @classmethod
+    def of(cls, report: Report, quote: Quote) -> Contest:
+        """Give the contest of a report."""
+        said = [text for text in report.statements if DIVERGES in text]
+        labels = labels_of(report.rows)
+        diverging = {label for label in labels if any(text.startswith(f"{label}: ") for text in said)}
+        idle = {source.label for source in report.scenario.compensators if source.law == "none"}
+        return cls(quote, frozenset(diverging), frozenset(idle))
+
+    def named(self, label: str) -> str:
+        """A label in a list."""
+        return self.quote(label) + (" (does not converge)" if label in self.diverging else "")
+
+    def winner(self, label: str) -> str:
+        """A label that has the smallest value."""
+        better = " (no law that converges is better)" if self.diverging else " (no compensator is better)"
+        return self.quote(label) + (better if label in self.idle else "")
+
+    def admitted(self, found: dict[str, float]) -> dict[str, float]:
+        """Without the laws that do not converge."""
+        return {label: value for label, value in found.items() if label not in self.diverging}
+
+
+def _answered(report: Report, quote: Quote) -> Iterator[str]:
+    """The figure that answers the question, where the scenario names one: the largest of either sign."""
+    name = report.scenario.answered_by
+    if name is None:
+        return
+    found = {}
+    for label in labels_of(report.rows):
+        rows = [row for row in report.rows if row.compensator == label and is_direct(report, row)]
+        values = [value for row in rows if (value := getattr(row, name)) is not None]
+        if values:
+            found[label] = max(values, key=abs)
+    if found:
+        ordered = sorted(found.items(), key=lambda item: abs(item[1]))
+        told = listed([f"{number(value)} with {quote(label)}" for label, value in ordered])
+        yield f"The {METRICS[name].meaning} is {told}."
+
+
+def _uncertain(report: Report, quote: Quote) -> Iterator[str]:
+    """What the drawn actuators do: median and 95 % of the worst condition."""
+    if not report.bands or report.scenario.uncertainty is None:
+        return
+    path = is_path(report) and len(report.axes) > 1
+    metric, words = (
+        ("euclidean_max_true_um", "worst distance")
+        if path
+        else ("rms_true_um", "rms error, direct transfers,")
+    )
+    direct = {tuple(row.key().values()) for row in report.rows if is_direct(report, row)}
+    told = []
+    for label in labels_of(report.rows):
+        bands = [
+            band
+            for band in report.bands
+            if (band.compensator, band.metric) == (label, metric)
+            and tuple(getattr(band, name) for name in KEY) in direct
+        ]
+        if bands:
+            worst = max(bands, key=lambda band: band.p95_um)
+            told.append(f"{number(worst.median_um)} and {number(worst.p95_um)} um with {quote(label)}")
+    if told:
+        draws = report.scenario.uncertainty.draws
+        yield (
+            f"Over {draws} drawn actuators the {words} of the true position, where it is worst, has the "
+            f"median and the 95 % limit {listed(told)}. For the nominal actuator, which none of them is:"
+        )
 
 
 def _compared(report: Report, quote: Quote) -> Iterator[str]:
@@ -56,31 +136,35 @@ def _compared(report: Report, quote: Quote) -> Iterator[str]:
     The paper tells what the sensor reads, so that a scenario of a figure of it begins with the reading.
     """
     target = "reference" if report.scenario.reference is not None else "prediction"
+    contest = Contest.of(report, quote)
     if is_path(report):
         prefix, words = ("euclidean_", "distance") if len(report.axes) > 1 else ("", "error")
         reading = Merit(f"{prefix}max_um", f"worst {words} of the reading from the {target}")
         true = Merit(f"{prefix}max_true_um", f"worst {words} of the true position from the {target}")
         for merit in (reading, true) if report.scenario.paper_figure else (true, reading):
-            yield from _sentences(report.rows, merit, quote)
+            yield from _sentences(report.rows, merit, contest)
         return
     direct = [row for row in report.rows if is_direct(report, row)]
     crossed = [row for row in report.rows if not is_direct(report, row)]
     if not report.scenario.paper_figure:
         yield from _sentences(
-            direct, Merit("rms_true_um", "rms error of the true position, direct transfers,"), quote
+            direct, Merit("rms_true_um", "rms error of the true position (direct transfers)"), contest
         )
-    yield from _sentences(direct, Merit("rms_um", "rms error of the direct transfers"), quote)
-    yield from _sentences(crossed, Merit("rms_um", "rms error of the cross-couplings"), quote)
+    yield from _sentences(direct, Merit("rms_um", "rms error of the direct transfers"), contest)
+    yield from _sentences(crossed, Merit("rms_um", "rms error of the cross-couplings"), contest)
 
 
-def _sentences(rows: Sequence[Row], merit: Merit, quote: Quote) -> Iterator[str]:
+def _sentences(rows: Sequence[Row], merit: Merit, contest: Contest) -> Iterator[str]:
     conditions = sorted(conditions_of(rows), key=lambda c: (c.amplitude or 0.0, c.frequency_hz))
     values = {c: _values((row for row in rows if Condition.of(row) == c), merit) for c in conditions}
     values = {condition: found for condition, found in values.items() if found}
     if 0 < len(values) <= MOST_CLAUSES:
-        yield _one_by_one(values, merit, quote)
+        yield _one_by_one(values, merit, contest)
     elif values:
-        yield from _over_frequency(values, merit, quote)
+        values = {condition: contest.admitted(found) for condition, found in values.items()}
+        values = {condition: found for condition, found in values.items() if found}
+        if values:
+            yield from _over_frequency(values, merit, contest)
 
 
 def _values(rows: Iterable[Row], merit: Merit) -> dict[str, float]:
@@ -91,11 +175,13 @@ def _values(rows: Iterable[Row], merit: Merit) -> dict[str, float]:
     return dict(sorted(known, key=lambda item: item[1]))
 
 
-def _one_by_one(values: dict[Condition, dict[str, float]], merit: Merit, quote: Quote) -> str:
+def _one_by_one(values: dict[Condition, dict[str, float]], merit: Merit, contest: Contest) -> str:
     names = told_apart(list(values))
     clauses = []
     for condition, found in values.items():
-        texts = [f"{number(v)} um{_share(condition, v, merit)} with {quote(n)}" for n, v in found.items()]
+        texts = [
+            f"{number(v)} um{_share(condition, v, merit)} with {contest.named(n)}" for n, v in found.items()
+        ]
         if len(texts) > MOST_LABELS:
             texts = [*texts[: MOST_LABELS - 1], f"at most {texts[-1]}"]
         clauses.append((f"at {names[condition]}, " if len(values) > 1 else "") + listed(texts))
@@ -118,14 +204,19 @@ def _share(condition: Condition, value: float, merit: Merit) -> str:
     return f" ({100.0 * value / condition.amplitude:.2g} %)"
 
 
-def _over_frequency(values: dict[Condition, dict[str, float]], merit: Merit, quote: Quote) -> Iterator[str]:
+def _over_frequency(
+    values: dict[Condition, dict[str, float]], merit: Merit, contest: Contest
+) -> Iterator[str]:
     """Who has the smallest value where, and the course of the best one on the whole."""
     names = told_apart(list(values))
     winners = [next(iter(found)) for found in values.values()]
     compared = len({label for found in values.values() for label in found}) > 1
     if compared:
-        yield f"The {merit.words} is smallest with {_ranges(list(names.values()), winners, quote)}."
-    best = min(dict.fromkeys(winners), key=lambda label: _typical(values, label))
+        yield f"The {merit.words} is smallest with {_ranges(list(names.values()), winners, contest.winner)}."
+    best = min(
+        [n for n in dict.fromkeys(winners) if n not in contest.idle] or winners,
+        key=lambda label: _typical(values, label),
+    )
     course = {names[condition]: found[best] for condition, found in values.items() if best in found}
     tags = {next(iter(course)): ""}
     tags |= {
@@ -133,7 +224,7 @@ def _over_frequency(values: dict[Condition, dict[str, float]], merit: Merit, quo
         max(course, key=course.__getitem__): " (largest)",
     }
     told = listed([f"{number(course[at])} um at {at}{tag}" for at, tag in tags.items()])
-    yield f"With {quote(best)} it is {told}." if compared else f"The {merit.words} is {told}."
+    yield f"With {contest.quote(best)} it is {told}." if compared else f"The {merit.words} is {told}."
 
 
 def _typical(values: dict[Condition, dict[str, float]], label: str) -> float:

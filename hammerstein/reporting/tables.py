@@ -6,7 +6,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from hammerstein.experiment.report import Band, Report
-from hammerstein.experiment.selection import Condition, identified_at, is_path, number, selected_frequencies
+from hammerstein.experiment.selection import (
+    Condition,
+    identified_at,
+    is_path,
+    number,
+    selected_frequencies,
+    share_held,
+)
 from hammerstein.metrics import KEY, Row
 
 MOST_FREQUENCIES = 6
@@ -145,7 +152,11 @@ def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
         }
         cells = [_band(found.get(transfer)) for transfer in transfers]
         lines.append((*_key_cells(rows, label, condition), *cells))
-    title = f"Spread over the drawn actuators: {words} of the true position, median (5 to 95 %) [um]"
+    draws = 0 if report.scenario.uncertainty is None else report.scenario.uncertainty.draws
+    title = (
+        f"Spread over the drawn actuators: {words} of the true position, median (5 to 95 % of {draws} draws, "
+        f"which hold at least {100.0 * share_held(draws):.0f} % of such actuators with 95 % confidence) [um]"
+    )
     return NumberTable(title, (*_key_header(report, rows), *names), tuple(lines), remark)
 
 

@@ -38,6 +38,22 @@ _REDUCE: dict[str, Callable[[Sequence[float]], float]] = {
 }
 
 
+FactorName = Literal[
+    "sensor", "dynamics", "passes", "sample_time", "identification_amplitude", "identification_frequency"
+]
+"""A part of the chain that can be changed alone, to find the cause of a figure."""
+
+CAUSES: dict[FactorName, str] = {
+    "sensor": "the sensor, in identification and judgement",
+    "dynamics": "the dynamics",
+    "passes": "the law's one pass a sample",
+    "sample_time": "the sample time",
+    "identification_amplitude": "the amplitude of identification",
+    "identification_frequency": "the frequency of identification",
+}
+NO_CAUSE = 0.9  # of the distance from agreement; a factor that leaves more of it explains nothing
+
+
 class Quantity(BaseModel):
     """A number found in the rows of a report.
 
@@ -60,11 +76,19 @@ class Quantity(BaseModel):
 
     def value(self, rows: Iterable[Row]) -> float:
         """The number; NaN where no row is selected."""
-        values = [getattr(row, self.metric) for row in rows if self._selects(row)]
-        known = [value for value in values if value is not None]
-        return _REDUCE[self.of](known) if known else math.nan
+        return self.reduced([value for _, value in self.known(rows)])
 
-    def _selects(self, row: Row) -> bool:
+    def reduced(self, values: Sequence[float]) -> float:
+        """One number of several; NaN of none."""
+        return _REDUCE[self.of](values) if values else math.nan
+
+    def known(self, rows: Iterable[Row]) -> list[tuple[Row, float]]:
+        """Rows that are selected and have the metric, with it."""
+        found = [(row, getattr(row, self.metric)) for row in rows if self.selects(row)]
+        return [(row, value) for row, value in found if value is not None]
+
+    def selects(self, row: Row) -> bool:
+        """Whether a row takes part."""
         same = all(getattr(self, name) in (None, getattr(row, name)) for name in KEY)
         above = self.from_hz is None or row.frequency_hz >= self.from_hz
         return same and above and (self.to_hz is None or row.frequency_hz <= self.to_hz)
@@ -93,8 +117,19 @@ class Agreement(BaseModel):
         below = self.at_most is None or value <= self.at_most
         return near and below and (self.at_least is None or value >= self.at_least) and not math.isnan(value)
 
+    def gap(self, value: float, paper: float | None) -> float:
+        """How far a value is from agreeing; 0 where it agrees."""
+        if math.isnan(value):
+            return math.inf
+        over = 0.0 if self.at_most is None else value - self.at_most
+        under = 0.0 if self.at_least is None else self.at_least - value
+        near = 0.0 if self.within is None or paper is None else abs(value - paper) - self.within * abs(paper)
+        return max(0.0, over, under, near)
+
     def words(self) -> str:
         """Say it as a person would."""
+        if self.within is None and self.at_most is not None and self.at_least is not None:
+            return f"{self.at_least:g} to {self.at_most:g}"
         parts = [
             "" if self.within is None else f"within {100 * self.within:g} %",
             "" if self.at_most is None else f"at most {self.at_most:g}",
@@ -114,9 +149,19 @@ class Claim(BaseModel):
     unit: str = ""
     quantity: Quantity
     over: Quantity | None = Field(default=None, description="divide by this quantity")
+    row_by_row: bool = Field(
+        default=False,
+        description="divide each row by that of the same axes, frequency and amplitude, then reduce",
+    )
     factor: float = Field(default=1.0, description="multiply by this, such as 0.5 for half a height")
     agreement: Agreement
     note: str = Field(default="", description="what a reader should know if the claim is not met")
+    calibrated: bool = Field(
+        default=False, description="the actuator was made to meet it: it is listed apart and not counted"
+    )
+    factors: tuple[FactorName, ...] | None = Field(
+        default=None, description="what is tried as a cause if it is not met; all that apply if not given"
+    )
 
     @model_validator(mode="after")
     def _has_a_figure_to_be_near(self) -> Self:
@@ -124,17 +169,25 @@ class Claim(BaseModel):
             raise ValueError("agreement.within needs the paper's figure")
         return self
 
-    def of_true_position(self) -> Claim | None:
-        """The same claim on the true position, where its metric has such a twin."""
-        twin = self.quantity.metric.replace("_um", "_true_um")
-        if twin not in METRICS or "true" in self.quantity.metric:
-            return None
-        return self.model_copy(update={"quantity": self.quantity.model_copy(update={"metric": twin})})
-
     def value(self, rows: Sequence[Row]) -> float:
         """The simulated figure."""
-        divisor = 1.0 if self.over is None else self.over.value(rows)
+        if self.over is None:
+            return self.factor * self.quantity.value(rows)
+        if self.row_by_row:
+            divisors = {_place(row): value for row, value in self.over.known(rows)}
+            found = [(value, divisors.get(_place(row))) for row, value in self.quantity.known(rows)]
+            return self.factor * self.quantity.reduced([value / by for value, by in found if by])
+        divisor = self.over.value(rows)
         return self.factor * self.quantity.value(rows) / divisor if divisor else math.nan
+
+    def selects(self, row: Row) -> bool:
+        """Whether a row takes part in the figure."""
+        return self.quantity.selects(row) or (self.over is not None and self.over.selects(row))
+
+
+def _place(row: Row) -> tuple[object, ...]:
+    """What tells a row from the others of its compensator."""
+    return tuple(getattr(row, name) for name in KEY if name != "compensator")
 
 
 @dataclass(frozen=True)
@@ -151,6 +204,18 @@ class Answer:
 
 
 @dataclass(frozen=True)
+class Change:
+    """What a claim's figure becomes when one factor of the chain is changed and nothing else.
+
+    factor : its name; words : what was done, such as ``with an ideal sensor``; value : the figure then
+    """
+
+    factor: FactorName
+    words: str
+    value: float
+
+
+@dataclass(frozen=True)
 class Verdict:
     """A claim and what the simulated actuators answer; the first is the scenario's own."""
 
@@ -161,6 +226,8 @@ class Verdict:
     wanted: str
     answers: tuple[Answer, ...]
     reason: str
+    calibrated: bool = False
+    changes: tuple[Change, ...] = ()
 
     @property
     def ratio(self) -> float | None:
@@ -179,18 +246,22 @@ class Verdict:
             {k: v for k, v in asdict(a).items() if k != "value" or math.isfinite(a.value)}
             for a in self.answers
         ]
+        content["changes"] = [asdict(change) for change in self.changes if math.isfinite(change.value)]
         return content | {"verdict": "met" if self.agrees else "not met"}
 
 
 def verdicts(
     claims: Sequence[Claim],
     rows_by_actuator: Mapping[str, Sequence[Row]],
-    static: str = "duo_bimorph_static",
+    changes_of: Callable[[Claim], Sequence[Change]] = lambda claim: (),
 ) -> tuple[Verdict, ...]:
     """Answer every claim with the rows of every actuator; the first actuator is the scenario's own.
 
-    ``static`` names the actuator without dynamics: where a claim is not met, what it answers tells whether
-    the dynamics are the cause, and the true positions tell what the sensor adds.
+    Parameters
+    ----------
+    claims : what is claimed
+    rows_by_actuator : rows of each actuator
+    changes_of : what the figure of a claim that is not met becomes, one factor changed at a time
 
     Raises InputError where a claim selects no row.
     """
@@ -202,32 +273,43 @@ def verdicts(
             answers.append(Answer(actuator, value, claim.agreement.holds(value, claim.paper)))
         if math.isnan(answers[0].value):
             raise InputError(f"claim {claim.id}", "selects no row that has this metric; look into rms.csv")
-        own = next(iter(rows_by_actuator))
-        measured = "" if answers[0].agrees else _reason(claim, own, static, rows_by_actuator)
-        reason = f"{measured}. {claim.note}" if measured and claim.note else measured
-        wanted = claim.agreement.words()
+        changes = () if answers[0].agrees or claim.calibrated else tuple(changes_of(claim))
+        said = [_cut(claim, next(iter(rows_by_actuator.values())))]
+        if not answers[0].agrees:
+            said += [_cause(claim, answers[0].value, changes), claim.note]
         found.append(
-            Verdict(claim.id, claim.statement, claim.paper, claim.unit, wanted, tuple(answers), reason)
+            Verdict(
+                claim.id,
+                claim.statement,
+                claim.paper,
+                claim.unit,
+                claim.agreement.words(),
+                tuple(answers),
+                ". ".join(text for text in said if text),
+                claim.calibrated,
+                changes,
+            )
         )
     return tuple(found)
 
 
-def _reason(claim: Claim, own: str, static: str, rows: Mapping[str, Sequence[Row]]) -> str:
-    """Say what was measured of the cause: without the sensor, without the dynamics, without both."""
-    true = claim.of_true_position()
-    measured = []
-    if true is not None:
-        measured.append(("at the true position", true.value(rows[own])))
-    if static in rows and static != own:
-        measured.append(("without dynamics", claim.value(rows[static])))
-        if true is not None:
-            measured.append(("without both", true.value(rows[static])))
-    known = [(words, value) for words, value in measured if not math.isnan(value)]
+def _cut(claim: Claim, rows: Sequence[Row]) -> str:
+    """Say that the drive's range cut the voltage in the rows of a claim."""
+    cut = max((row.saturated_samples or 0 for row in rows if claim.selects(row)), default=0)
+    return f"the reference exceeds the range: the drive cut {cut:g} samples" if cut else ""
+
+
+def _cause(claim: Claim, value: float, changes: Sequence[Change]) -> str:
+    """The factor that brings the figure nearest to agreement, of several the one that moves it most."""
+    known = [change for change in changes if math.isfinite(change.value)]
     if not known:
-        return "no other actuator was asked for the cause"
-    cause = next((w for w, v in known if claim.agreement.holds(v, claim.paper)), None)
-    causes = {"at the true position": "the sensor's lag and noise", "without dynamics": "the dynamics"}
-    verdict = causes.get(
-        cause or "", "dynamics and sensor together" if cause else "in the law or the loop itself"
-    )
-    return f"{verdict}: " + ", ".join(f"{words} {value:.3g}" for words, value in known)
+        return ""
+    gaps = {change: claim.agreement.gap(change.value, claim.paper) for change in known}
+    first, *others = sorted(known, key=lambda change: (gaps[change], -abs(change.value - value)))
+    own = claim.agreement.gap(value, claim.paper)
+    rest = "; ".join(f"{change.words} {change.value:.3g}" for change in others)
+    if gaps[first] > NO_CAUSE * own:
+        return f"no single factor: {value:.3g}; {first.words} {first.value:.3g}; {rest}".rstrip("; ")
+    enough = "" if gaps[first] == 0.0 else ", not enough alone"
+    text = f"{CAUSES[first.factor]}{enough}: {value:.3g}, {first.words} {first.value:.3g}"
+    return f"{text} (one at a time: {rest})" if rest else text

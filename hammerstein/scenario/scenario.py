@@ -26,7 +26,7 @@ from hammerstein.files import read_limited
 from hammerstein.identification.source import ModelSource
 from hammerstein.instruments import Instruments
 from hammerstein.plugins import load_plugins
-from hammerstein.scenario.claims import Claim
+from hammerstein.scenario.claims import Claim, MetricName
 from hammerstein.scenario.uncertainty import Uncertainty
 from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference
 from hammerstein.validation import mistakes_of
@@ -60,6 +60,9 @@ class Measure(BaseModel):
     settle_cycles: int = Field(default=2, ge=0, description="cycles before the measurement")
     settle_s: float = Field(default=0.05, ge=0.0, description="time before the measurement, at least")
     measured_cycles: PositiveInt = Field(default=2, description="cycles that are measured")
+    record_every: PositiveInt | None = Field(
+        default=None, description="samples of which one is recorded, so that a long run fits the memory"
+    )
 
 
 class Tolerance(BaseModel):
@@ -90,6 +93,9 @@ class Scenario(BaseModel):
     compensators: tuple[Compensator, ...] = ()
     models: tuple[ModelSource, ...] = ()
     uncertainty: Uncertainty | None = Field(default=None, description="repeat the run on drawn actuators")
+    answered_by: MetricName | None = Field(
+        default=None, description="figure of merit that answers the question; it is told and drawn first"
+    )
     tolerances: dict[str, Tolerance] = {}
     claims: tuple[Claim, ...] = ()
     claims_also_on: tuple[str, ...] = Field(

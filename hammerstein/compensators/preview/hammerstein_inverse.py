@@ -48,7 +48,8 @@ class HammersteinInverse(Law[PathState]):
     ``G^-1`` is exact on the sample grid, the hold included (``linear_inverse``), so that on every sample the
     model stands on the filtered reference. It needs the reference some samples ahead: one for a resonant
     axis, more for zeros outside the unit circle, half the length of the filter, and the input delay.
-    On a stream the drive leaves later by ``preview_samples``; ``drive_for`` aligns a path known ahead.
+    On a stream the drive leaves later by ``preview_samples``; ``drive_for`` aligns a path known ahead. A
+    stream starts from rest, or on a path whose first ``start_samples`` are known (``primed``).
     With less preview than that (``preview_s``), the rest is a delay of the position, ``delay_samples``.
 
     The filter F is a linear-phase low-pass: 1 within 0.1 % up to 0.7 ``filter_hz``, 1/2 at ``filter_hz``,
@@ -74,7 +75,7 @@ class HammersteinInverse(Law[PathState]):
     Attributes
     ----------
     linear : the inverse of the linear block, with what it needs and asks for
-    preview_samples, delay_samples, delay_s : see above
+    preview_samples, delay_samples, delay_s, start_samples : see above
 
     Raises
     ------
@@ -130,6 +131,11 @@ class HammersteinInverse(Law[PathState]):
         """The same as a time [s]."""
         return self.delay_samples * self.sample_time_s
 
+    @property
+    def start_samples(self) -> int:
+        """Samples of a path that must be known before its first drive, where it starts away from rest."""
+        return self.needed_samples + START_SAMPLES
+
     def statement(self) -> str:
         """Say what the law does before a run: inverse of the hysteresis, preview, delay, large gains."""
         parts = [self.exact.invertibility.statement(), self.linear.statement()]
@@ -140,6 +146,11 @@ class HammersteinInverse(Law[PathState]):
                 f"With its filter the reference must be known {samples} ahead "
                 f"({ahead * self.sample_time_s:.3g} s)"
                 + (f"; the position follows it {self.delay_s:.3g} s late." if self.delay_samples else ".")
+            )
+        if not self.delay_samples:
+            parts.append(
+                f"Where a path starts away from rest, its start needs the first {self.start_samples} samples "
+                f"of the path ({self.start_samples * self.sample_time_s:.3g} s)."
             )
         return " ".join(parts)
 
@@ -176,7 +187,8 @@ class HammersteinInverse(Law[PathState]):
     def primed(self, reference_um: ArrayLike) -> tuple[PathState, Array]:
         """State of the law when the drive for the first sample of a path (p, N) known ahead is due.
 
-        The path is continued at both ends by its point reflection; the actuator stands still at its start.
+        The path is continued at both ends by its point reflection; the actuator stands still at its start. Of a
+        path that is not known to its end, the first ``start_samples`` suffice for the state.
 
         Returns
         -------

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_LOOPS = 4  # frequencies of a run that are drawn as loops; more make a curve over frequency
+DRIFT = "drift_true_um"
 SHOWN_CYCLES = 2  # of a path that repeats
 
 
@@ -55,7 +56,30 @@ def figures_of(report: Report) -> dict[str, Figure]:
     if not report.traces:
         return {}
     signal = report.scenario.signal
+    if report.scenario.answered_by == DRIFT:
+        return _drift(report)
     return _loops(report) if isinstance(signal, OnAxes) and signal.axis != "all" else _paths(report)
+
+
+def _drift(report: Report) -> dict[str, Figure]:
+    """Mean error of each measured cycle over time, of the axes that are driven themselves."""
+    from hammerstein.reporting.figures.drift import DriftRun, drift_figure
+
+    runs = []
+    for trace in report.traces:
+        response, signal = trace.response, trace.signal
+        samples = round(signal.period_s / response.sample_time_s)
+        if response.reference_um is None or trace.excited_axis not in report.axes:
+            continue
+        axis = report.axes.index(trace.excited_axis)
+        error = response.position_um[axis] - response.reference_um[axis]
+        cycles = len(error) // samples
+        means = error[: cycles * samples].reshape(cycles, samples).mean(axis=1)
+        middles_s = trace.time_s[0] + (np.arange(cycles) + 0.5) * signal.period_s
+        runs.append(DriftRun(trace.label, axis, middles_s, means))
+    if not runs:
+        return {}
+    return {"drift": drift_figure(runs, [symbol(name, "reading") for name in report.axes])}
 
 
 def _loops(report: Report) -> dict[str, Figure]:
@@ -142,10 +166,14 @@ def sweep_curves(report: Report, merit: str) -> list[SweepCurve]:
         found = [(row, at, bands[_key(row)]) for row, at in where if _key(row) in bands]
         low = _grid(report, len(frequencies), [(row, at, band.p5_um) for row, at, band in found])
         high = _grid(report, len(frequencies), [(row, at, band.p95_um) for row, at, band in found])
+        middle = _grid(report, len(frequencies), [(row, at, band.median_um) for row, at, band in found])
         values = _grid(report, len(frequencies), [(row, at, getattr(row, merit)) for row, at in where])
         mark = identified.get(rows[0].compensator)
-        band = (low, high) if found else None
-        curves.append(SweepCurve(label, np.array(frequencies), values, mark, band))
+        x = np.array(frequencies)
+        if found:  # the line of a band is its median
+            curves.append(SweepCurve(label, x, middle, mark, (low, high), nominal=values))
+        else:
+            curves.append(SweepCurve(label, x, values, mark))
     return curves
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -42,6 +44,7 @@ LINES: tuple[Any, ...] = (
     (0, (8, 1.5, 1.5, 1.5, 1.5, 1.5)),
 )
 TARGET: dict[str, Any] = {"color": DARK, "linestyle": (0, (3, 2.5)), "linewidth": 0.9}
+APART = 1.02  # sizes of paths that the eye tells apart
 LOGARITHMIC_FROM = 8.0  # ratio of the worst distances from which their axis is logarithmic
 
 
@@ -86,6 +89,7 @@ class PathRun:
 
 DISTANCE = "distance"
 TRULY = "true distance"
+LABELS = {DISTANCE: "distance\n[µm]", TRULY: "true\ndistance\n[µm]"}  # as long as a low panel is high
 
 
 def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str, title: str = "") -> Figure:
@@ -110,8 +114,9 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
         curves = 3 * len(runs) + len(largest) * (len(axes_names) + n_errors) + len(axes_names)
         most = MOST_POINTS // curves  # a path in the plane is longer and gets three times as many
         if plane is not None:
-            _draw_plane(plane, runs, pens, axes_names, 3 * most)
-            letter(plane, 0)
+            told_apart = _of_different_sizes(runs)
+            _draw_plane(plane, runs if told_apart else largest, pens, axes_names, 3 * most)
+            letter(plane, 0, "" if told_apart else group)
         entries = _draw_traces(traces, largest, pens, axes_names, target, most)
         letter(traces[0], 1 if plane else 0, group)
         if errors:
@@ -157,6 +162,16 @@ def _largest_group(runs: Sequence[PathRun]) -> str:
         return float(np.abs(run.output_um if run.target_um is None else run.target_um).max())
 
     return max(runs, key=size).group
+
+
+def _of_different_sizes(runs: Sequence[PathRun]) -> bool:
+    """Whether the paths of the groups differ in size, so that the plane tells one from the other."""
+    sizes: dict[str, float] = {}
+    for run in runs:
+        path = run.output_um if run.target_um is None else run.target_um
+        sizes[run.group] = max(sizes.get(run.group, 0.0), float(np.abs(path).max()))
+    ordered = sorted(sizes.values())
+    return all(b > APART * a for a, b in itertools.pairwise(ordered))
 
 
 def _layout(n_axes: int, n_errors: int) -> tuple[Figure, Axes | None, list[Axes], list[Axes]]:
@@ -263,17 +278,30 @@ def _draw_errors(
     for i, (name, _) in enumerate(runs[0].errors()):
         panels[i].margins(x=0.0)
         few_ticks(panels[i])
-        panels[i].set_ylabel(f"{name.replace(' ', chr(10)) or symbol(names[i], 'error')} [µm]")
+        panels[i].set_ylabel(LABELS.get(name) or f"{symbol(names[i], 'error')} [µm]")
         _scale_distance(panels[i], name, runs)
     panels[-1].set_xlabel(time_label)
     return entries
 
 
+def _scale_signed(axes: Axes, runs: Sequence[PathRun]) -> None:
+    """Errors of an axis: linear, or logarithmic on both sides of a linear middle that the best run fills."""
+    worst = [_worst([run], DISTANCE) if len(run.errors()) > 1 else _worst([run], "") for run in runs]
+    if min(worst) > 0.0 and max(worst) >= LOGARITHMIC_FROM * min(worst):
+        middle = 10.0 ** math.ceil(math.log10(min(worst)))
+        axes.set_yscale("symlog", linthresh=middle, linscale=1.0)
+        decades = [middle * 10.0**i for i in range(math.floor(math.log10(max(worst) / middle)) + 1)]
+        ticks = [-tick for tick in reversed(decades)] + [0.0, *decades]
+        axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
+        axes.minorticks_off()
+
+
 def _scale_distance(axes: Axes, name: str, runs: Sequence[PathRun]) -> None:
-    """Distances start at zero, or are logarithmic where one curve would hide another."""
+    """Distances start at zero; where one curve would hide another, every error is logarithmic."""
+    worst = [_worst([run], name) for run in runs] if name else []
     if not name:
+        _scale_signed(axes, runs)
         return
-    worst = [_worst([run], name) for run in runs]
     if min(worst) > 0.0 and max(worst) >= LOGARITHMIC_FROM * min(worst):
         typical = min(float(np.median(dict(run.errors())[name])) for run in runs)
         axes.set_yscale("log")

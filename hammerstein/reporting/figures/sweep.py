@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 LOGARITHMIC_FROM = 12.0  # ratio of the ends from which an axis is logarithmic
 BAND_ALPHA = 0.2
+NOMINAL_WIDTH = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +40,7 @@ class SweepCurve:
     values : (output, input, point); NaN where there is none
     mark : where a tick stands on the curve, such as the frequency of its identification; None: nowhere
     band : lower and upper edge around the curve, each as ``values``; None: no band
+    nominal : (output, input, point) drawn thin beside the curve, which is then the median of its band
     """
 
     label: str
@@ -46,6 +48,7 @@ class SweepCurve:
     values: Array
     mark: float | None = None
     band: tuple[Array, Array] | None = None
+    nominal: Array | None = None
 
 
 def sweep_figure(
@@ -99,6 +102,8 @@ def _draw(axes: Axes, curve: SweepCurve, output: int, input_: int, number: int) 
     if curve.band is not None:
         low, high = (edge[output, input_] for edge in curve.band)
         axes.fill_between(curve.x, low, high, color=style["color"], alpha=BAND_ALPHA, linewidth=0.0)
+    if curve.nominal is not None:
+        axes.plot(curve.x, curve.nominal[output, input_], color=style["color"], linewidth=NOMINAL_WIDTH)
     markers = sparse_markers(len(values), number, markers=9)
     (line,) = axes.plot(curve.x, values, markevery=markers, **style)
     mark = _mark(curve)
@@ -126,7 +131,11 @@ def _explained(curves: Sequence[SweepCurve]) -> dict[str, Artist]:
         tick = Line2D([], [], linestyle="", marker="|", color="#555555", markersize=11, markeredgewidth=2.2)
         entries["identified here"] = tick
     if any(curve.band is not None for curve in curves):
-        entries["5 to 95 % of drawn actuators"] = Patch(color="#555555", alpha=BAND_ALPHA, linewidth=0.0)
+        entries["median, 5 to 95 % of drawn actuators"] = Patch(
+            color="#555555", alpha=BAND_ALPHA, linewidth=0.0
+        )
+    if any(curve.nominal is not None for curve in curves):
+        entries["nominal actuator"] = Line2D([], [], color="#555555", linewidth=NOMINAL_WIDTH)
     return entries
 
 

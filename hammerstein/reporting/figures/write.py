@@ -12,7 +12,8 @@ from hammerstein.files import write_atomic
 from hammerstein.reporting.figures.choice import figures_of
 from hammerstein.reporting.figures.style import PNG_DPI, styled
 
-PNG_COMPRESSION = 3  # half the time of the usual 6, and hardly larger
+PNG_COMPRESSION = 6
+SHADES = [min(255, round(round(v / 25.5) * 25.5)) for v in range(256)]  # eleven of each colour
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,7 +86,7 @@ def _svg(figure: Figure) -> bytes:
 
 
 def _png(figure: Figure) -> bytes:
-    """Without transparency: a third less to compress."""
+    """With a palette and without transparency: a line drawing has few colours."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
@@ -95,5 +96,8 @@ def _png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     pixels = canvas.buffer_rgba()  # type: ignore[no-untyped-call]
     picture = Image.frombuffer("RGBA", canvas.get_width_height(), pixels, "raw", "RGBA", 0, 1).convert("RGB")
+    # Coarse shades first: few colours are left, and the palette then keeps pale ones, bands and grids.
+    picture = picture.point(SHADES * 3)
+    picture = picture.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     picture.save(buffer, format="png", dpi=(PNG_DPI, PNG_DPI), compress_level=PNG_COMPRESSION)
     return buffer.getvalue()

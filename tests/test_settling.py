@@ -1,0 +1,57 @@
+"""Whether waiting longer helps, and why not."""
+
+import pytest
+
+from hammerstein.experiment.run import run
+
+SINE = {"kind": "sine", "amplitude_um": 20.0, "frequency_hz": 50.0, "axis": 1}
+PAPER = {"label": "paper", "law": "inverse_multiplicative", "run_anyway": True}
+
+
+def _told(**content):
+    base = {"question": "?", "actuator": "duo_bimorph", "reference": SINE}
+    return [text for text in run(base | content).statements if "settled" in text]
+
+
+def test_a_resonance_that_still_rings_settles_when_one_waits():
+    law = {"label": "none", "law": "none", "model": "duo_bimorph"}
+    fast = {"reference": SINE | {"frequency_hz": 200.0}}
+    measure = {"settle_cycles": 1, "settle_s": 0.0}
+    (text,) = _told(compensators=[law], measure=measure, **fast)
+    cycles = int(text.split("measure.settle_cycles = ")[1].rstrip("."))
+    assert cycles in (2, 20)
+    assert not _told(compensators=[law], measure=measure | {"settle_cycles": cycles}, **fast)
+
+
+def test_a_law_that_does_not_converge_never_settles():
+    wild = PAPER | {"identification": {"frequency_hz": 200}}
+    slow = SINE | {"frequency_hz": 15.0}
+    (text,) = _told(reference=slow, compensators=[wild])
+    assert "nor does it in 20 times as many cycles: the iteration of its law does not converge" in text
+
+
+def test_creep_outlasts_twenty_times_the_cycles():
+    law = {"label": "none", "law": "none", "model": "duo_bimorph"}
+    offset = SINE | {"offset_um": 20.0}
+    measure = {"settle_cycles": 1, "settle_s": 0.0, "measured_cycles": 60}
+    (text,) = _told(actuator="duo_bimorph_creep", reference=offset, compensators=[law], measure=measure)
+    assert "the actuator creeps, with time constants up to 300 s" in text
+
+
+def test_the_end_of_the_path_is_no_lack_of_settling():
+    law = {"label": "slow", "law": "hammerstein_inverse", "filter_hz": 200, "model": "duo_bimorph"}
+    triangle = {
+        "kind": "triangle",
+        "amplitude_um": 20.0,
+        "frequency_hz": 100.0,
+        "axis": 1,
+        "smooth_start_s": 0.02,
+    }
+    (text,) = _told(reference=triangle, compensators=[law])
+    assert "ahead, and the last cycle hears of the end of the path" in text
+
+
+@pytest.mark.parametrize("cycles", [2, 8])
+def test_what_has_settled_says_nothing(cycles):
+    law = {"label": "exact", "law": "exact_inverse", "model": "duo_bimorph"}
+    assert not _told(compensators=[law], measure={"settle_cycles": cycles})
