@@ -187,8 +187,8 @@ class HammersteinInverse(Law[PathState]):
     def primed(self, reference_um: ArrayLike) -> tuple[PathState, Array]:
         """State of the law when the drive for the first sample of a path (p, N) known ahead is due.
 
-        The path is continued at both ends by its point reflection; the actuator stands still at its start. Of a
-        path that is not known to its end, the first ``start_samples`` suffice for the state.
+        The path is continued at both ends by its point reflection; the actuator stands still at its start.
+        Of a path that is not known to its end, the first ``start_samples`` suffice for the state.
 
         Returns
         -------
