@@ -20,7 +20,7 @@ NAMES = {"PIL": "pillow", "lazy_loader": "lazy-loader", "pydantic_core": "pydant
 
 @pytest.fixture(scope="module")
 def settings() -> dict[str, Any]:
-    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
 def modules() -> list[Path]:
@@ -47,7 +47,7 @@ def test_every_import_is_a_dependency(settings: dict[str, Any]) -> None:
     project = settings["project"]
     lines = project["dependencies"] + project["optional-dependencies"]["parquet"]
     declared = {re.split(r"[^\w-]", line)[0].lower() for line in lines}
-    used = {name for path in modules() for name in imported(ast.parse(path.read_text()))}
+    used = {name for path in modules() for name in imported(ast.parse(path.read_text(encoding="utf-8")))}
     foreign = used - sys.stdlib_module_names - {"hammerstein", "__future__"}
     named = {NAMES.get(name, name) for name in foreign}
     assert named - {"pytest"} == declared  # pytest_plugin is only loaded by pytest
@@ -79,5 +79,5 @@ def test_the_commands_that_are_installed_exist() -> None:
     ],
 )
 def test_the_readme_gives_the_commands_on_lines_of_their_own(command: str) -> None:
-    lines = [line.strip() for line in (ROOT / "README.md").read_text().splitlines()]
+    lines = [line.strip() for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines()]
     assert lines.count(command) >= 1  # .ci/run reads them there
