@@ -35,7 +35,7 @@ def _quick_fits(monkeypatch):
 def test_scenarios(folder):
     seen = []
 
-    @settings(max_examples=60, **SHORT)
+    @settings(max_examples=30, **SHORT)
     @given(strategies.scenarios())
     def campaign(content):
         seen.append(scenario_case(content, folder))
@@ -45,7 +45,7 @@ def test_scenarios(folder):
 
 
 def test_models(folder):
-    @settings(max_examples=40, **SHORT)
+    @settings(max_examples=25, **SHORT)
     @given(strategies.models())
     def campaign(content):
         model_case(content, folder)
@@ -55,7 +55,7 @@ def test_models(folder):
 
 def test_damaged_records(folder):
     draw, seeds = random.Random(3), records(folder)
-    for _ in range(100):
+    for _ in range(60):
         name, data, columns = draw.choice(seeds)
         record_case(mutated(data, draw), name.replace("seed", "case"), columns, folder)
 
@@ -63,8 +63,8 @@ def test_damaged_records(folder):
 def test_damaged_baselines_and_models(folder):
     draw, files = random.Random(4), dict(shipped())
     actuator = files["duo_bimorph.json"]
-    for _ in range(15):
+    for _ in range(8):
         baseline_case(mutated(files["static_inverse.json"], draw), folder)
-    for _ in range(30):
+    for _ in range(15):
         (folder / "model.json").write_bytes(mutated(actuator, draw))
         scenario_case(DRIVEN, folder)
