@@ -39,6 +39,10 @@ STANDS = 0.1
 """Slope above such a level, in parts of the one below, under which the output stands still."""
 STEEP = 0.5
 """Slope below it, in parts of the mean one, that tells a limit from a curve."""
+RETURNS = 0.2
+"""Slope of the way back right below a limit, in parts of the mean one: a magnet stays where it is."""
+CORNER = 0.015
+"""Part of the range about a limit in which the output must get as far as it does at all, within as much."""
 SHARP = 0.8
 """Slope right below a limit, in parts of the one before, that tells a limit from saturation."""
 FEWEST = 8
@@ -168,8 +172,8 @@ def _clipped(record: Record, k: int, o: int, side: float, level: float) -> Fault
         record.source,
         record.outputs,
         f"{name} of {record.source} is clipped on its way to the actuator: {moved} stands still while the "
-        f"command goes on beyond {record.rest_v[k] + side * level:.4g} V (rows {record.rows[start]} to {record.rows[stop]}"
-        f"{more}); keep the command within the range of the amplifier, or record its output",
+        f"command goes on beyond {record.rest_v[k] + side * level:.4g} V (rows {record.rows[start]} to "
+        f"{record.rows[stop]}{more}); keep the command in the range of the amplifier, or record its output",
     )
 
 
@@ -189,7 +193,13 @@ def _limit(u: Array, y: Array) -> float | None:
         stands = abs(slope) + 2.0 * error < STANDS * under[0]
         if stands and under[0] - 2.0 * under[1] > STEEP * gain > 0.0:
             limit = float(u[below].mean() + (y[above].mean() - y[below].mean()) / under[0])
-            return limit if _sharp(u[rising], y[rising], limit, 0.1 * span) else None
+            back = ~rising & (u <= limit) & (u > limit - 0.1 * span)
+            again = _slope(u[back], y[back])
+            follows = again is not None and again[0] > RETURNS * gain
+            corner = rising & (np.abs(u - limit) < CORNER * span)
+            reaches = corner.any() and y[above].mean() - y[corner].mean() < CORNER * np.ptp(y)
+            sharp = follows and reaches and _sharp(u[rising], y[rising], limit, 0.1 * span)
+            return limit if sharp else None
     return None
 
 
