@@ -101,7 +101,7 @@ class _Trial(NamedTuple):
     """One output fitted as it is, with a trend in time, with a bend of the output, and with both.
 
     ``position`` is where the output stands between its ends by the plain fit, from -1 to 1; ``reach`` half
-    the way between them [um]. Each fit is its weights, the added ones last, and the rms of what it leaves [um].
+    the way between them [um]. Each fit is its weights, the added ones last, and the rms that it leaves [um].
     """
 
     position: Array
