@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from hammerstein.records.checks import runs
 from hammerstein.records.noise import noise_rms
-from hammerstein.records.outliers import FITTED, copies
 from hammerstein.records.preparation import driven_inputs, run_in
 from hammerstein.records.record import Record
+from hammerstein.records.robust_fit import FITTED, Products, copies
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 
 PLAYS = 16
 REMAINS = 0.25
@@ -33,12 +33,17 @@ BENT = 0.01
 BENT_EXPLAINS = 0.6
 FLAT = 0.75
 """Slope at an end, in parts of the largest, below which an output saturates."""
+STEEPER = 1.02
 TOP = np.linspace(0.55, 0.95, 17)
 """Levels, in parts of the range, above which a command may be clipped."""
 STANDS = 0.1
 """Slope above such a level, in parts of the one below, under which the output stands still."""
 STEEP = 0.5
 """Slope below it, in parts of the mean one, that tells a limit from a curve."""
+RETURNS = 0.2
+"""Slope of the way back right below a limit, in parts of the mean one: a magnet stays where it is."""
+CORNER = 0.015
+"""Part of the range about a limit in which the output must get as far as it does at all, within as much."""
 SHARP = 0.8
 """Slope right below a limit, in parts of the one before, that tells a limit from saturation."""
 FEWEST = 8
@@ -76,69 +81,88 @@ def faults(record: Record) -> list[Fault]:
     ['y1 of record drifts by 6.6']
     """
     stride = max(record.samples // FITTED, 1)
-    y = record.y_um[:, ::stride]
     blocks = {k: copies(record.u_v[k], PLAYS, stride) for k in driven_inputs(record)}
     found = [*_clipped_commands(record, stride, blocks), *_clipped_readings(record)]
     first = run_in(record) // stride  # what was before the record is forgotten there
-    if found or first > (1.0 - REMAINS) * y.shape[1]:
+    samples = len(range(0, record.samples, stride))
+    if found or first > (1.0 - REMAINS) * samples:
         return found
-    every = np.vstack([*blocks.values(), np.ones((1, y.shape[1]))])[:, first:]
-    for o in range(len(y)):
-        found += _bends_and_drifts(record, o, every, y[:, first:], (first * stride, stride))
+    x = np.vstack([*blocks.values(), np.ones((1, samples))])[:, first:]
+    for o, name in enumerate(record.outputs):
+        row = record.y_um[o, ::stride][first:]
+        trial = _Trial.of(x, row - row.mean())
+        rows = record.rows[::stride][first:]
+        texts = (_drift(trial, rows, record), _saturation(trial, rows))
+        found += [Fault(record.source, (name,), f"{name} of {record.source} {t}") for t in texts if t]
     return found
 
 
-def _left(x: Array, y: Array) -> tuple[Array, float]:
-    """Weights of the regressors (column, sample), and the rms of what they leave."""
-    weights = np.linalg.lstsq(x @ x.T, x @ y, rcond=1e-12)[0]
-    return np.asarray(weights), float(np.sqrt(np.mean((y - weights @ x) ** 2)))
+class _Trial(NamedTuple):
+    """One output fitted as it is, with a trend in time, with a bend of the output, and with both.
+
+    ``position`` is where the output stands between its ends by the plain fit, from -1 to 1; ``reach`` half
+    the way between them [um]. Each fit is its weights, the added ones last, and the rms that it leaves [um].
+    """
+
+    position: Array
+    time: Array
+    reach: float
+    span: float
+    plain: float
+    trend: tuple[Array, float]
+    bend: tuple[Array, float]
+    both: tuple[Array, float]
+
+    @classmethod
+    def of(cls, x: Array, y: Array) -> _Trial:
+        """Fits of an output (sample,) by regressors (column, sample)."""
+        n = len(x)
+        weights, plain = Products.of(np.vstack([x, y])).fit(range(n), n)
+        fit = weights @ x
+        reach = max(0.5 * float(np.ptp(fit)), np.finfo(float).tiny)
+        position = (fit - fit.min()) / reach - 1.0
+        time = np.linspace(-1.0, 1.0, y.size)
+        every = Products.of(np.vstack([x, time, time**2, position**2, position**3, y]))
+        slow, bent = [*range(n), n, n + 1], [*range(n), n + 2, n + 3]
+        fits = (every.fit(columns, n + 4) for columns in (slow, bent, range(n + 4)))
+        return cls(position, time, reach, float(np.ptp(y)), plain, *fits)
 
 
-def _bends_and_drifts(record: Record, o: int, x: Array, y: Array, grid: tuple[int, int]) -> Iterator[Fault]:
-    """Drift and saturation of one output, each judged beside the other."""
-    name, row = record.outputs[o], y[o]
-    weights, plain = _left(x, row)
-    time = np.linspace(-1.0, 1.0, row.size)
-    trend = np.vstack([time, time**2])
-    fit = weights @ x
-    z = 2.0 * (fit - fit.min()) / max(float(np.ptp(fit)), np.finfo(float).tiny) - 1.0
-    bend = np.vstack([z**2, z**3])
-    left = {
-        (drifts, bends): _left(np.vstack([x, *[trend] * drifts, *[bend] * bends]), row)
-        for drifts in (0, 1)
-        for bends in (0, 1)
-    }
-    slow, bent = left[1, 0][1], left[0, 1][1]
-    both = left[1, 1][1]
-    start, stride = grid
-    if slow < DRIFT_EXPLAINS * plain or both < DRIFT_EXPLAINS * bent:
-        a, b = left[1, 0][0][-2:] if slow < bent else left[1, 1][0][-4:-2]
-        line = a * time + b * time**2
-        if np.ptp(line) > DRIFT * float(np.ptp(record.y_um, axis=1).max()):
-            stop = start + (row.size - 1) * stride
-            seconds = (stop - start) * record.sample_time_s
-            yield Fault(
-                record.source,
-                (name,),
-                f"{name} of {record.source} drifts by {np.ptp(line):.3g} um from row {record.rows[start]} to "
-                f"row {record.rows[stop]}, in {seconds:.3g} s, whatever the voltages do: let the set-up "
-                "settle, or take the drift off",
-            )
-    span = float(np.ptp(row))
-    if plain > BENT * span and (bent < BENT_EXPLAINS * plain or both < BENT_EXPLAINS * slow):
-        c2, c3 = left[0, 1][0][-2:] if bent < slow else left[1, 1][0][-2:]
-        slope = 0.5 * float(np.ptp(fit)) + 2.0 * c2 * z + 3.0 * c3 * z**2
-        low, high = float(slope[np.argmin(z)]), float(slope[np.argmax(z)])
-        if min(low, high) < FLAT * float(slope.max()) and max(low, high) < 1.02 * float(slope.max()):
-            ends = [end for end, value in (("lowest", low), ("highest", high)) if value < FLAT * slope.max()]
-            at = record.rows[start + stride * int(np.argmax(z) if ends[-1] == "highest" else np.argmin(z))]
-            yield Fault(
-                record.source,
-                (name,),
-                f"{name} of {record.source} saturates: towards its {' and '.join(ends)} readings (row {at}) "
-                f"it moves by {100.0 * min(low, high) / slope.max():.0f} % of its steepest slope only; lower "
-                "the amplitude, or take the model for what is between",
-            )
+def _drift(trial: _Trial, rows: Rows, record: Record) -> str:
+    """What a trend in time explains; empty if it explains little."""
+    slow, bent, both = trial.trend[1], trial.bend[1], trial.both[1]
+    if slow >= DRIFT_EXPLAINS * trial.plain and both >= DRIFT_EXPLAINS * bent:
+        return ""
+    a, b = trial.trend[0][-2:] if slow < bent else trial.both[0][-4:-2]
+    drift = float(np.ptp(a * trial.time + b * trial.time**2))
+    if drift <= DRIFT * float(np.ptp(record.y_um, axis=1).max()):
+        return ""
+    seconds = float(rows[-1] - rows[0]) * record.sample_time_s
+    return (
+        f"drifts by {drift:.3g} um from row {rows[0]} to row {rows[-1]}, in {seconds:.3g} s, whatever the "
+        "voltages do: let the set-up settle, or take the drift off"
+    )
+
+
+def _saturation(trial: _Trial, rows: Rows) -> str:
+    """Ends towards which the output moves less; empty if there are none."""
+    slow, bent, both = trial.trend[1], trial.bend[1], trial.both[1]
+    bends = bent < BENT_EXPLAINS * trial.plain or both < BENT_EXPLAINS * slow
+    if trial.plain <= BENT * trial.span or not bends:
+        return ""
+    z = trial.position
+    c2, c3 = (trial.bend if bent < slow else trial.both)[0][-2:]
+    slope = trial.reach + 2.0 * c2 * z + 3.0 * c3 * z**2
+    steepest, ends = float(slope.max()), {"lowest": int(np.argmin(z)), "highest": int(np.argmax(z))}
+    flat = {name: k for name, k in ends.items() if slope[k] < FLAT * steepest}
+    if not flat or max(float(slope[k]) for k in ends.values()) >= STEEPER * steepest:
+        return ""
+    least = 100.0 * min(float(slope[k]) for k in flat.values()) / steepest
+    row = rows[list(flat.values())[-1]]
+    return (
+        f"saturates: towards its {' and '.join(flat)} readings (row {row}) it moves by {least:.0f} % of its "
+        "steepest slope only; lower the amplitude, or take the model for what is between"
+    )
 
 
 def _clipped_commands(record: Record, stride: int, blocks: dict[int, Array]) -> Iterator[Fault]:
@@ -151,7 +175,7 @@ def _clipped_commands(record: Record, stride: int, blocks: dict[int, Array]) -> 
         others = [block for other, block in blocks.items() if other != k]
         if others:
             x = np.vstack([*others, blocks[k], np.ones((1, u.size))])
-            weights, _ = _left(x, y)
+            weights, _ = Products.of(np.vstack([x, y])).fit(range(len(x)), len(x))
             y = y - weights[: sum(map(len, others))] @ np.vstack(others)
         for side in (1.0, -1.0):
             level = _limit(side * u, side * y)
@@ -168,9 +192,8 @@ def _clipped(record: Record, k: int, o: int, side: float, level: float) -> Fault
         record.source,
         record.outputs,
         f"{name} of {record.source} is clipped on its way to the actuator: {moved} stands still while the "
-        f"command goes on beyond {record.rest_v[k] + side * level:.4g} V "
-        f"(rows {record.rows[start]} to {record.rows[stop]}"
-        f"{more}); keep the command within the range of the amplifier, or record its output",
+        f"command goes on beyond {record.rest_v[k] + side * level:.4g} V (rows {record.rows[start]} to "
+        f"{record.rows[stop]}{more}); keep the command in the range of the amplifier, or record its output",
     )
 
 
@@ -190,7 +213,13 @@ def _limit(u: Array, y: Array) -> float | None:
         stands = abs(slope) + 2.0 * error < STANDS * under[0]
         if stands and under[0] - 2.0 * under[1] > STEEP * gain > 0.0:
             limit = float(u[below].mean() + (y[above].mean() - y[below].mean()) / under[0])
-            return limit if _sharp(u[rising], y[rising], limit, 0.1 * span) else None
+            back = ~rising & (u <= limit) & (u > limit - 0.1 * span)
+            again = _slope(u[back], y[back])
+            follows = again is not None and again[0] > RETURNS * gain
+            corner = rising & (np.abs(u - limit) < CORNER * span)
+            reaches = corner.any() and y[above].mean() - y[corner].mean() < CORNER * np.ptp(y)
+            sharp = follows and reaches and _sharp(u[rising], y[rising], limit, 0.1 * span)
+            return limit if sharp else None
     return None
 
 

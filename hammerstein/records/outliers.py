@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import Mistake
-from hammerstein.hysteresis import play
 from hammerstein.records.checks import SHOWN, runs, where
+from hammerstein.records.robust_fit import FITTED, LAGS, Products, copies
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -43,9 +43,6 @@ NO_WORSE = 1.05
 EXACT = 1e-12
 """Error below which a fit is exact [um]."""
 PLAYS = 8
-LAGS = (1, 2, 3, 5, 8, 13)
-FITTED = 40_000
-"""Samples of which the robust fit is made."""
 ROUNDS = 4
 
 
@@ -214,35 +211,15 @@ def _widened(flags: Flags) -> Flags:
 
 def _fit(u: Array, y: Array, aside: Flags) -> Array:
     """Outputs (output, sample) by plays and delayed copies of the voltages, fitted without some samples."""
-    x = np.vstack([*(copies(row) for row in u if np.ptp(row) > 0.0), np.ones((1, y.shape[1]))])
+    x = np.vstack([*(copies(row, PLAYS) for row in u if np.ptp(row) > 0.0), np.ones((1, y.shape[1]))])
     stride = max(y.shape[1] // FITTED, 1)
     fit = np.empty_like(y)
     for o, row in enumerate(y):
         flags = aside[o] if aside.ndim == 2 else aside
         used = np.flatnonzero(~flags)[::stride]
-        weights = np.linalg.lstsq(x[:, used] @ x[:, used].T, x[:, used] @ row[used], rcond=1e-12)[0]
+        weights, _ = Products.of(np.vstack([x[:, used], row[used]])).fit(range(len(x)), len(x))
         fit[o] = weights @ x
     return fit
-
-
-def copies(u: Array, plays: int = PLAYS, stride: int = 1) -> Array:
-    """Plays of a voltage whose thresholds divide half its range, from rest, and the voltage some samples ago.
-
-    Parameters
-    ----------
-    u : (sample,) voltage [V]
-    plays : how many
-    stride : samples from one that is kept to the next
-
-    Returns
-    -------
-    (row, sample), counted from the first voltage
-    """
-    v = u - u[0]
-    thresholds = 0.5 * float(np.ptp(u)) * np.arange(plays) / plays
-    rows = [play(v, [threshold])[0, ::stride] for threshold in thresholds]
-    rows += [np.concatenate([np.zeros(d), v[:-d]])[::stride] for d in LAGS if d < len(u)]
-    return np.vstack(rows)
 
 
 def _large_error(error: Array, aside: Flags) -> Array:
