@@ -40,13 +40,16 @@ from .identification.settings import Settings as Settings
 from .identification.static.closed_form import closed_form as closed_form
 from .identification.static.static_block import fit_static as fit_static
 from .instruments import Drive as Drive, Instruments as Instruments, Sensor as Sensor
+from .interop.limit_cycles import LimitCycle as LimitCycle, limit_cycles as limit_cycles
 from .model import HammersteinModel as HammersteinModel
+from .plugins import register as register
 from .records.loops import Loop as Loop, loop_table as loop_table
 from .records.record import (
     Record as Record,
     read_paired_records as read_paired_records,
     read_records as read_records,
 )
+from .records.time_responses import records_of_time_response as records_of_time_response
 from .regression.check import check as check
 from .scenario import Scenario as Scenario, load_scenario as load_scenario
 from .signals import (

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hammerstein.driving import DriveRange
 from hammerstein.errors import InputError, SimulationError
+
+if TYPE_CHECKING:
+    from hammerstein.interop.block_system import BlockSystem
 
 Array = NDArray[np.float64]
 
@@ -32,15 +36,21 @@ class Law(ABC, Generic[S]):
 
     A law respects the drive's range itself, so that its memory stays that of the actuator; where the
     drive stands at the range the reference was not reached.
+
+    Voltages that leave a law are absolute. The reference counts from where the actuator stands at the start
+    (``range.start_v``); inside, a law counts from rest at the working point, as its model does.
     """
 
     n_inputs: int
     n_outputs: int
+    range: DriveRange
+    origin_um: Array
     preview_samples: int = 0
+    sample_time_s: float | None = None  # the grid it was designed for; None: any
 
     @abstractmethod
     def rest(self) -> S:
-        """State of a law that was never used: actuator at rest, reference at zero."""
+        """State of a law that was never used: actuator at its start, reference at zero."""
 
     @abstractmethod
     def restore(self, data: dict[str, Any]) -> S:
@@ -48,11 +58,18 @@ class Law(ABC, Generic[S]):
 
     @abstractmethod
     def _respond(self, reference_um: Array, start: S) -> tuple[Array, S]:
-        """Drive (m, N) for a checked reference (p, N), and the state after it; ``start`` is kept."""
+        """Drive (m, N), counted from the working point, for a checked reference (p, N), and the state after.
+
+        ``start`` is kept.
+        """
 
     def statement(self) -> str:
         """Say what a user must know of the law before a run; empty if nothing."""
         return ""
+
+    def _from_rest(self, position_um: Array) -> Array:
+        """Positions (p, N) counted from rest at the working point, from those counted from the start."""
+        return position_um + self.origin_um[:, None] if self.origin_um.any() else position_um
 
     def respond(self, reference_um: ArrayLike, start: S | None = None) -> tuple[Array, S]:
         """Drive for a stretch of reference.
@@ -76,19 +93,46 @@ class Law(ABC, Generic[S]):
         if not np.isfinite(drive).all():
             sample = int(np.nonzero(~np.isfinite(drive).all(axis=0))[0][0])
             raise SimulationError(f"the compensator's drive grows beyond all bounds at sample {sample}")
-        return drive, state
+        return self.range.absolute(drive), state
 
     def step(self, reference_um: ArrayLike, state: S) -> tuple[Array, S]:
         """Drive (m,) for one sample of reference (p,); equal to ``respond`` to the last bit."""
         drive, after = self.respond(np.reshape(np.asarray(reference_um, dtype=np.float64), (-1, 1)), state)
         return drive[:, 0], after
 
+    def primed(self, reference_um: ArrayLike) -> tuple[S, Array]:
+        """State of the law when the drive for the first sample of a reference (p, N) known ahead is due.
+
+        Returns
+        -------
+        state : the law has seen the first ``preview_samples`` of the reference
+        coming : (p, N) the reference from there on, its last value held at the end
+        """
+        reference = checked_reference(reference_um, self.n_outputs)
+        ahead = self.preview_samples
+        whole = np.hstack([reference, np.repeat(reference[:, -1:], ahead, axis=1)])
+        return self.respond(whole[:, :ahead])[1], whole[:, ahead:]
+
     def drive_for(self, reference_um: ArrayLike) -> Array:
         """Drive (m, N) aligned with a reference (p, N) that is known ahead; its last value is held."""
-        reference = checked_reference(reference_um, self.n_outputs)
-        ahead = np.repeat(reference[:, -1:], self.preview_samples, axis=1)
-        drive, _ = self.respond(np.hstack([reference, ahead]))
-        return drive[:, self.preview_samples :]
+        start, coming = self.primed(reference_um)
+        return self.respond(coming, start)[0]
+
+    def to_iosys(self, sample_time_s: float, name: str = "compensator") -> BlockSystem:
+        """Give the law as a discrete ``control.NonlinearIOSystem``.
+
+        Its inputs are ``reference_um[o]``, its outputs ``requested_v[k]``, which leave ``preview_samples``
+        later than their reference comes. ``primed`` gives the state to start with, and what to send, where
+        the reference is known ahead.
+
+        Raises InputError for another sample time than the law was designed for.
+        """
+        from hammerstein.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+
+        require_grid(self.sample_time_s, sample_time_s, "compensator")
+        block = Stepwise(self.rest(), self.step, lambda state: state.as_dict(), self.restore)
+        wires = signals("reference_um", self.n_outputs), signals("requested_v", self.n_inputs)
+        return BlockSystem(block, *wires, sample_time_s, name)
 
 
 def checked_reference(reference_um: ArrayLike, n_outputs: int) -> Array:

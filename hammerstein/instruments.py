@@ -3,12 +3,52 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveFloat
+
+from hammerstein.errors import InputError
 
 Array = NDArray[np.float64]
+Interval = tuple[float, float]
+
+ALLOWED = 1e-9
+"""Part of the range by which a voltage may pass it before it counts as cut."""
+
+
+def intervals(given: Any) -> Interval | tuple[Interval, ...]:
+    """Lowest and highest voltage from what a file holds: N (for -N to N), [low, high], or one such an input.
+
+    Raises ValueError for anything else.
+
+    >>> intervals(10), intervals([0, 150]), intervals([[0, 150], [-20, 120]])
+    ((-10.0, 10.0), (0.0, 150.0), ((0.0, 150.0), (-20.0, 120.0)))
+    """
+    if isinstance(given, list | tuple) and given and all(isinstance(one, list | tuple) for one in given):
+        return tuple(_interval(one) for one in given)
+    return _interval(given)
+
+
+def _interval(given: Any) -> Interval:
+    """One interval of voltages."""
+    ends = given if isinstance(given, list | tuple) else [given]
+    try:
+        numbers = [float(end) for end in ends if not isinstance(end, bool)]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) == 1 == len(ends) and numbers[0] > 0.0:
+        return -numbers[0], numbers[0]
+    if len(numbers) == 2 == len(ends) and numbers[0] < numbers[1]:
+        return numbers[0], numbers[1]
+    raise ValueError("must be a positive number N (for -N to N), or [low, high] with low below high")
+
+
+RangeV = Annotated[
+    Interval | tuple[Interval, ...],
+    BeforeValidator(intervals, json_schema_input_type=PositiveFloat | Interval | tuple[Interval, ...]),
+]
 
 
 class Drive(BaseModel):
@@ -20,15 +60,44 @@ class Drive(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
-    range_v: PositiveFloat = Field(default=10.0, description="largest voltage of either sign; inf: no limit")
+    range_v: RangeV = Field(
+        default=(-10.0, 10.0),
+        description="[lowest, highest] voltage, for all inputs or a list of one an input; a single number N "
+        "is [-N, N]; inf: no limit",
+    )
     resolution_v: float = Field(default=20.0 / 2**16, ge=0.0, description="step of the converter; 0: none")
     sample_time_s: PositiveFloat = Field(default=50e-6, description="time for which a voltage is held")
 
+    def limits(self, inputs: int) -> Array:
+        """Lowest and highest voltage (2, input) of each input [V].
+
+        Raises InputError where the range names another number of inputs.
+        """
+        ends = np.array(self.range_v, dtype=np.float64).reshape(-1, 2)
+        if len(ends) not in (1, inputs):
+            raise InputError("drive.range_v", f"names {len(ends)} inputs; the actuator has {inputs}")
+        return np.ascontiguousarray(np.broadcast_to(ends, (inputs, 2)).T)
+
+    def steps(self, inputs: int) -> Array:
+        """Lowest and highest step of the converter (2, input) within the range [V]."""
+        limits = self.limits(inputs)
+        if self.resolution_v == 0.0:
+            return limits
+        count = limits / self.resolution_v
+        inside = np.stack([np.ceil(count[0] - 1e-9), np.floor(count[1] + 1e-9)])
+        return np.asarray(inside * self.resolution_v)
+
+    def cut(self, u_v: Array) -> NDArray[np.bool_]:
+        """Where voltages (input, sample) lie outside the range; a sine up to the range does not."""
+        low, high = self.limits(len(u_v))[:, :, None]
+        ends = np.abs([low, high])
+        slack = ALLOWED * np.max(np.where(np.isfinite(ends), ends, 0.0), axis=0)
+        return np.asarray((u_v > high + slack) | (u_v < low - slack))
+
     def apply(self, u_v: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Voltages that leave the converter (input, sample), and where the range cut them."""
-        saturated = np.abs(u_v) > self.range_v * (1.0 + 1e-9)  # a sine up to the range is not cut
-        held = np.clip(u_v, -self.range_v, self.range_v)
-        return _rounded(held, self.resolution_v), saturated
+        low, high = self.steps(len(u_v))[:, :, None]
+        return _rounded(np.clip(u_v, low, high), self.resolution_v), self.cut(u_v)
 
 
 class Sensor(BaseModel):
@@ -71,7 +140,7 @@ class Instruments(BaseModel):
     def ideal(cls, sample_time_s: float = 50e-6) -> Instruments:
         """Switch every effect off but the hold."""
         return cls(
-            drive=Drive(range_v=math.inf, resolution_v=0.0, sample_time_s=sample_time_s),
+            drive=Drive(range_v=(-math.inf, math.inf), resolution_v=0.0, sample_time_s=sample_time_s),
             sensor=Sensor(range_um=math.inf, resolution_um=0.0, bandwidth_hz=math.inf, noise_um=0.0),
         )
 

@@ -4,29 +4,43 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, PositiveFloat, ValidationError, model_validator
 
+from hammerstein.axis_names import unique
 from hammerstein.dynamics import AxesDynamics, Dynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited, write_atomic
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii, WeightCovariance
 from hammerstein.instruments import Instruments
+from hammerstein.pictured import Pictured
 from hammerstein.validation import mistakes_of, suggestion
+from hammerstein.voltages import Verdict, Voltages
 
-FORMAT = "hammerstein-model/1"
+if TYPE_CHECKING:
+    from hammerstein.interop.block_system import BlockSystem
+    from hammerstein.simulation import Wire
+
+FORMAT = "hammerstein-model/2"
+OLD_FORMAT = "hammerstein-model/1"
+NUMBERS = re.compile(r"\[\s+([-+0-9.eE,\s]+?)\s+\]")
 
 
 @dataclass(frozen=True, eq=False)
-class HammersteinModel:
+class HammersteinModel(Pictured):
     """An actuator or a model of one: Prandtl-Ishlinskii hysteresis followed by linear dynamics.
 
-        v = Gamma(u),    y = G v            (Hammerstein structure: paper, section 6)
+        v = Gamma(u - u_0),    y = G v            (Hammerstein structure: paper, section 6)
+
+    u is the voltage as it is sent; u_0 is the working point, at which the plays rest and the position is 0.
 
     Parameters
     ----------
@@ -34,9 +48,11 @@ class HammersteinModel:
     hysteresis : m inputs, p outputs
     dynamics : p inputs, p outputs, unit gain at the frequencies where the static block was found
     amplitude_v : largest voltage amplitude for which the static block was found [V]
-    inputs, outputs : names of the axes
+    inputs, outputs : names of the axes; one that stands twice is numbered
     instruments : drive and sensor that belong to the actuator
     provenance : where it comes from, as plain JSON
+    voltages : working point and range of the records; symmetric about 0 V, with that amplitude, if not given
+    verdict : what its identification says of it, if it was identified from records
     """
 
     name: str
@@ -47,10 +63,23 @@ class HammersteinModel:
     outputs: tuple[str, ...]
     instruments: Instruments = field(default_factory=Instruments)
     provenance: JsonValue = None
+    voltages: Voltages | None = None
+    verdict: Verdict | None = None
+
+    def __repr__(self) -> str:
+        return (
+            f"HammersteinModel({self.name!r}: {', '.join(self.inputs)} [V] to {', '.join(self.outputs)} "
+            f"[um]; {self.hysteresis.describe()}; dynamics: {self.dynamics.describe()})"
+        )
 
     def __post_init__(self) -> None:
         m, p = self.hysteresis.n_inputs, self.hysteresis.n_outputs
+        for name in ("inputs", "outputs"):
+            object.__setattr__(self, name, unique(getattr(self, name)))
         mistakes = []
+        if len(self.recorded.working_point_v) != m:
+            given = len(self.recorded.working_point_v)
+            mistakes.append(Mistake("voltages", f"are those of {given} inputs, not of {m}"))
         if len(self.inputs) != m:
             mistakes.append(Mistake("inputs", f"names {len(self.inputs)} inputs of {m}"))
         if len(self.outputs) != p:
@@ -62,6 +91,11 @@ class HammersteinModel:
         if mistakes:
             raise InputError(f"model {self.name}", mistakes)
 
+    @property
+    def recorded(self) -> Voltages:
+        """Working point and range of the records; symmetric about 0 V where the file does not say."""
+        return self.voltages or Voltages.symmetric(self.amplitude_v, self.hysteresis.n_inputs)
+
     def _dynamics_inputs(self) -> int:
         dynamics = self.dynamics
         return len(dynamics.D[0]) if isinstance(dynamics, StateSpaceDynamics) else dynamics.n_outputs
@@ -69,6 +103,52 @@ class HammersteinModel:
     def static(self) -> HammersteinModel:
         """Give the same static block without its dynamics."""
         return replace(self, dynamics=StaticDynamics(n_outputs=self.hysteresis.n_outputs))
+
+    def to_iosys(
+        self,
+        sample_time_s: float,
+        *,
+        instruments: Instruments | None = None,
+        seed: int | Sequence[int] = 0,
+        outputs: Sequence[Wire] = ("position_um",),
+        name: str = "actuator",
+    ) -> BlockSystem:
+        """Give the whole actuator as a discrete ``control.NonlinearIOSystem``.
+
+        Its inputs are ``requested_v[0]`` and so on, its outputs ``position_um[0]`` and so on: the names by
+        which ``control.interconnect`` joins it to a compensator. It gives the numbers of
+        ``hammerstein.simulate``.
+
+        Parameters
+        ----------
+        sample_time_s : time between samples [s], for which a voltage is held
+        instruments : drive and sensor whose effects are wanted, such as the model's own; none if not given
+        seed : of the sensor's noise
+        outputs : wires that leave the system: ``drive_v``, ``hysteresis_um``, ``position_um``, ``reading_um``
+        name : of the system
+
+        Raises
+        ------
+        InputError : a sample time that does not fit the dynamics, or an unknown wire
+        """
+        from hammerstein.interop.block_system import require_grid
+        from hammerstein.simulation import Plant
+
+        require_grid(None, sample_time_s, "model")
+        around = instruments or Instruments.ideal()
+        drive = around.drive.model_copy(update={"sample_time_s": sample_time_s})
+        plant = Plant(self, around.model_copy(update={"drive": drive}))
+        return plant.to_iosys(seed, outputs, name)
+
+    def static_response(
+        self, drive_v: NDArray[np.float64], start: PlayState | None = None
+    ) -> tuple[NDArray[np.float64], PlayState]:
+        """Outputs (output, sample) of the hysteresis [um] for voltages as they are sent, and its state.
+
+        drive_v : (input, sample) [V]; start : state before; at rest at the working point if not given
+        """
+        rest = np.array(self.recorded.working_point_v)
+        return self.hysteresis.respond(drive_v - rest[:, None] if rest.any() else drive_v, start)
 
     @classmethod
     def load(cls, path: str | Path) -> HammersteinModel:
@@ -96,14 +176,17 @@ class HammersteinModel:
         write_atomic(Path(path), self.to_json())
 
     def digest(self) -> str:
-        """Short hash of everything in the model that changes its numbers."""
-        content = json.loads(ModelFile.of(self).model_dump_json(exclude={"provenance", "name"}))
+        """Short hash of everything in the model that changes its numbers, whatever its file looks like."""
+        words = {"format", "name", "inputs", "outputs", "provenance", "verdict"}
+        content = json.loads(ModelFile.of(self).model_dump_json(exclude=words, exclude_none=True))
+        content["voltages"] = self.recorded.model_dump(exclude={"poling"})  # that follows from the others
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def to_json(self) -> str:
-        """Text of the model file: full precision, sorted keys."""
+        """Text of the model file: full precision, sorted keys, a list of numbers in one line."""
         content = json.loads(ModelFile.of(self).model_dump_json(exclude_none=True))
-        return json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n"
+        text = json.dumps(content, indent=1, sort_keys=True, allow_nan=False)
+        return NUMBERS.sub(lambda found: f"[{' '.join(found[1].split())}]", text) + "\n"
 
 
 class PairFile(BaseModel):
@@ -138,35 +221,99 @@ class PairFile(BaseModel):
         return cls.model_validate({name: getattr(pair, name) for name in cls.model_fields})
 
 
-class ModelFile(BaseModel):
-    """What a model file holds: the pairs (output, input), the dynamics, names and provenance."""
+class CovarianceFile(BaseModel):
+    """Covariance L L^T of all weights of one output, pair after pair in the order of the inputs."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    format: Literal["hammerstein-model/1"] = "hammerstein-model/1"
-    name: str
+    factor_um_per_v: tuple[tuple[float, ...], ...] = Field(description="rows of L, each up to its diagonal")
+    slopes_at_bound: int = Field(
+        default=0, ge=0, description="slopes held at a bound of the fit: the covariance is that of the others"
+    )
+
+    def covariance(self) -> WeightCovariance:
+        """Give the covariance this describes."""
+        n = len(self.factor_um_per_v)
+        if [len(row) for row in self.factor_um_per_v] != list(range(1, n + 1)):
+            raise InputError("weight_covariance", "row i of a factor must hold i numbers, up to its diagonal")
+        factor = np.zeros((n, n))
+        factor[np.tril_indices(n)] = [value for row in self.factor_um_per_v for value in row]
+        return WeightCovariance(factor, self.slopes_at_bound)
+
+    @classmethod
+    def of(cls, found: WeightCovariance) -> CovarianceFile:
+        """Describe a covariance."""
+        rows = tuple(tuple(row[: i + 1].tolist()) for i, row in enumerate(found.factor_um_per_v))
+        return cls(factor_um_per_v=rows, slopes_at_bound=found.slopes_at_bound)
+
+
+class PrandtlIshlinskiiFile(BaseModel):
+    """Classical Prandtl-Ishlinskii hysteresis: pairs (output, input), and what is known of their errors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: Literal["prandtl_ishlinskii"] = "prandtl_ishlinskii"
     pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
+    weight_covariance: tuple[CovarianceFile, ...] | None = None
+
+    def hysteresis(self) -> PrandtlIshlinskii:
+        """Give the hysteresis this describes."""
+        pairs = tuple(tuple(pair.pair() for pair in row) for row in self.pairs)
+        known = self.weight_covariance
+        return PrandtlIshlinskii(pairs, None if known is None else tuple(one.covariance() for one in known))
+
+    @classmethod
+    def of(cls, hysteresis: PrandtlIshlinskii) -> PrandtlIshlinskiiFile:
+        """Describe a hysteresis."""
+        known = hysteresis.weight_covariance
+        return cls(
+            pairs=tuple(tuple(PairFile.of(pair) for pair in row) for row in hysteresis.pairs),
+            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
+        )
+
+
+Hysteresis = Annotated[PrandtlIshlinskiiFile, Field(description="tagged by its kind")]
+"""Every kind of hysteresis in a model file; a second one makes this a union told apart by ``kind``."""
+
+
+class ModelFile(BaseModel):
+    """What a model file holds: hysteresis, dynamics, voltages, names, verdict and provenance."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+    format: Literal["hammerstein-model/2"] = "hammerstein-model/2"
+    name: str
+    hysteresis: Hysteresis
     dynamics: Dynamics
     amplitude_v: PositiveFloat
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     instruments: Instruments = Instruments()
+    voltages: Voltages | None = None
+    verdict: Verdict | None = None
     provenance: JsonValue = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_the_first_format(cls, data: Any) -> Any:
+        """A file of the first format: the pairs stood at the top, and it knew no voltages."""
+        if not isinstance(data, dict) or data.get("format") != OLD_FORMAT:
+            return data
+        content = {key: value for key, value in data.items() if key != "pairs"}
+        if "pairs" in data:
+            content["hysteresis"] = {"kind": "prandtl_ishlinskii", "pairs": data["pairs"]}
+        return content | {"format": FORMAT}
 
     def model(self) -> HammersteinModel:
         """Give the model this describes."""
-        hysteresis = PrandtlIshlinskii(tuple(tuple(pair.pair() for pair in row) for row in self.pairs))
-        fields: dict[str, Any] = {
-            n: getattr(self, n) for n in type(self).model_fields if n not in {"format", "pairs"}
-        }
-        return HammersteinModel(hysteresis=hysteresis, **fields)
+        fields: dict[str, Any] = {n: getattr(self, n) for n in type(self).model_fields if n != "format"}
+        return HammersteinModel(**fields | {"hysteresis": self.hysteresis.hysteresis()})
 
     @classmethod
     def of(cls, model: HammersteinModel) -> ModelFile:
         """Describe a model."""
-        fields = {n: getattr(model, n) for n in cls.model_fields if n not in {"format", "pairs"}}
-        pairs = tuple(tuple(PairFile.of(pair) for pair in row) for row in model.hysteresis.pairs)
-        return cls(pairs=pairs, **fields)
+        fields = {n: getattr(model, n) for n in cls.model_fields if n != "format"}
+        return cls(**fields | {"hysteresis": PrandtlIshlinskiiFile.of(model.hysteresis)})
 
 
 def packaged_actuators() -> list[str]:

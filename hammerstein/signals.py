@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import io
 import math
+import sys
 from abc import ABC, abstractmethod
+from functools import cache, partial
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
 
 from hammerstein.errors import InputError
+from hammerstein.plugins import Family
 
 Array = NDArray[np.float64]
 
@@ -32,6 +35,9 @@ class Shape(BaseModel, ABC):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    if TYPE_CHECKING:  # a field of every kind, behind its others
+        kind: str
 
     smooth_start_s: float = Field(default=0.0, ge=0.0, description="time in which the signal grows from zero")
 
@@ -332,93 +338,29 @@ def _require_two_axes(n_axes: int, kind: str) -> None:
         raise InputError("reference", f"a {kind} needs two axes, the actuator has {n_axes}")
 
 
-def _named(unit: str) -> ConfigDict:
-    """Names with a unit for the fields whose unit depends on what the signal is for."""
-    sized = {"amplitude", "offset", "radius"}
-    return ConfigDict(
-        frozen=True,
-        extra="forbid",
-        alias_generator=lambda name: f"{name}_{unit}" if name in sized else name,
-        serialize_by_alias=True,
+SIGNALS: Family[Shape] = Family(Shape, "kind")  # type: ignore[type-abstract]  # its kinds are concrete
+for _kind in (Sine, Triangle, Circle, Spiral, Lissajous, Multisine, FromFile):
+    SIGNALS.register(_kind)
+
+_SIZED = {"amplitude", "offset", "radius"}
+
+
+@cache
+def _in_unit(kind: type[Shape], unit: str) -> type[Shape]:
+    """The same kind with a unit in the names of the fields whose unit depends on what the signal is for."""
+    if not _SIZED & set(kind.model_fields):
+        return kind
+    config = ConfigDict(
+        alias_generator=lambda name: f"{name}_{unit}" if name in _SIZED else name, serialize_by_alias=True
     )
+    name = f"{kind.__name__}{unit.capitalize()}"
+    body = {"__doc__": kind.__doc__, "__module__": kind.__module__, "model_config": config}
+    twin = type(name, (kind,), body)
+    setattr(sys.modules[kind.__module__], name, twin)  # where another process looks for it
+    return twin
 
 
-class SineUm(Sine):
-    """A sine as a reference [um]."""
-
-    model_config = _named("um")
-
-
-class TriangleUm(Triangle):
-    """A triangle as a reference [um]."""
-
-    model_config = _named("um")
-
-
-class CircleUm(Circle):
-    """A circle as a reference [um]."""
-
-    model_config = _named("um")
-
-
-class SpiralUm(Spiral):
-    """A spiral as a reference [um]."""
-
-    model_config = _named("um")
-
-
-class LissajousUm(Lissajous):
-    """A Lissajous figure as a reference [um]."""
-
-    model_config = _named("um")
-
-
-class MultisineUm(Multisine):
-    """A multisine as a reference [um]."""
-
-    model_config = _named("um")
-
-
-class SineV(Sine):
-    """A sine as a drive [V]."""
-
-    model_config = _named("v")
-
-
-class TriangleV(Triangle):
-    """A triangle as a drive [V]."""
-
-    model_config = _named("v")
-
-
-class CircleV(Circle):
-    """A circle as a drive [V]."""
-
-    model_config = _named("v")
-
-
-class SpiralV(Spiral):
-    """A spiral as a drive [V]."""
-
-    model_config = _named("v")
-
-
-class LissajousV(Lissajous):
-    """A Lissajous figure as a drive [V]."""
-
-    model_config = _named("v")
-
-
-class MultisineV(Multisine):
-    """A multisine as a drive [V]."""
-
-    model_config = _named("v")
-
-
-Reference = Annotated[
-    SineUm | TriangleUm | CircleUm | SpiralUm | LissajousUm | MultisineUm | FromFile,
-    Field(discriminator="kind"),
-]
-Excitation = Annotated[
-    SineV | TriangleV | CircleV | SpiralV | LissajousV | MultisineV | FromFile, Field(discriminator="kind")
-]
+Reference = Annotated[Shape, SIGNALS.field(partial(_in_unit, unit="um"))]
+"""A signal as a path to follow [um]."""
+Excitation = Annotated[Shape, SIGNALS.field(partial(_in_unit, unit="v"))]
+"""A signal as a voltage [V]."""

@@ -1,25 +1,39 @@
-"""The actuator on its bench: what a drive does to it and what the sensor says."""
+"""The actuator in its set-up: what a drive does to it and what the sensor reads."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.driving import DriveRange
 from hammerstein.dynamics import LinearBlock, discretise
+from hammerstein.errors import InputError
 from hammerstein.hysteresis import PlayState
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
+from hammerstein.pictured import Pictured
+
+if TYPE_CHECKING:
+    import control
+    import pandas as pd
+
+    from hammerstein.interop.block_system import BlockSystem
 
 Array = NDArray[np.float64]
+Wire = Literal["reference_um", "requested_v", "drive_v", "hysteresis_um", "position_um", "reading_um"]
+OF_INPUTS = ("requested_v", "drive_v", "saturated")
+OF_OUTPUTS = ("reference_um", "hysteresis_um", "position_um", "reading_um")
+WIRES = ("reference_um", "requested_v", "drive_v", "hysteresis_um", "position_um", "reading_um")
+"""In the order of the block diagram."""
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
+class Response(Pictured):
     """One run, every wire kept; rows are axes, columns samples.
 
     reference_um : what was asked for (output, sample) [um]; None for a run in volts
@@ -29,6 +43,16 @@ class Response:
     position_um : true position [um]
     reading_um : what the sensor says [um]
     saturated : where the drive's range cut the voltage (input, sample)
+    inputs, outputs : names of the axes; numbers from 1 if not given
+
+    Examples
+    --------
+    >>> plant = Plant(HammersteinModel.load("duo_bimorph_static"), Instruments.ideal())
+    >>> response = plant.respond(np.array([[0.0, 5.0], [0.0, 0.0]]), [0])
+    >>> response
+    Response(2 samples of 5e-05 s, 2 inputs, 2 outputs; position 0 to 24.32 um)
+    >>> list(response.to_frame())[-2:]
+    ['reading_x_um', 'reading_y_um']
     """
 
     sample_time_s: float
@@ -39,6 +63,17 @@ class Response:
     position_um: Array
     reading_um: Array
     saturated: NDArray[np.bool_]
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        m, samples = self.drive_v.shape
+        low, high = np.min(self.position_um, initial=0.0), np.max(self.position_um, initial=0.0)
+        cut = f", the range cut {n} samples" if (n := int(self.saturated.any(axis=0).sum())) else ""
+        return (
+            f"Response({samples} samples of {self.sample_time_s:g} s, {m} inputs, {len(self.position_um)} "
+            f"outputs; position {low:.4g} to {high:.4g} um{cut})"
+        )
 
     @property
     def time_s(self) -> Array:
@@ -47,16 +82,62 @@ class Response:
 
     def after(self, first: int) -> Response:
         """Give the same run from one sample on."""
-        wires = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "sample_time_s"}
+        wires: dict[str, Any] = {name: getattr(self, name) for name in (*WIRES, "saturated")}
         cut = {name: wire[:, first:] for name, wire in wires.items() if wire is not None}
         return replace(self, **cut)
+
+    def columns(self) -> dict[str, Array]:
+        """Every wire of every axis (sample,), by names such as ``drive_x_v``; without time."""
+        columns: dict[str, Array] = {}
+        for name in WIRES:
+            wire: Array | None = getattr(self, name)
+            if wire is not None:
+                quantity, unit = name.rsplit("_", 1)
+                axes = (self.inputs if name in OF_INPUTS else self.outputs) or range(1, len(wire) + 1)
+                columns |= {f"{quantity}_{axis}_{unit}": row for axis, row in zip(axes, wire, strict=True)}
+        return columns
+
+    def to_frame(self) -> pd.DataFrame:
+        """Every wire as a pandas table, a row a sample, by time [s]: columns such as ``position_x_um``."""
+        import pandas as pd
+
+        return pd.DataFrame(self.columns(), index=pd.Index(self.time_s, name="time_s"))
+
+    def to_time_response(
+        self, outputs: Sequence[Wire] = ("position_um",), inputs: Sequence[Wire] | None = None
+    ) -> control.TimeResponseData:
+        """Give the run as ``control.TimeResponseData``, for its ``plot`` and all that takes one.
+
+        Parameters
+        ----------
+        outputs, inputs : wires; the input is the reference, or the drive without one, if not given
+
+        Raises InputError for a reference that this run does not have.
+        """
+        from hammerstein.interop.time_response import time_response
+
+        given: tuple[Wire, ...] = ("drive_v",) if self.reference_um is None else ("reference_um",)
+        return time_response(self.time_s, self._signals(outputs), self._signals(inputs or given))
+
+    def _signals(self, wires: Sequence[str]) -> dict[str, Array]:
+        """Signals of some wires by the names that systems give them, ``drive_v[0]`` and so on."""
+        from hammerstein.interop.block_system import signals
+
+        found: dict[str, Array] = {}
+        for name in wires:
+            wire = getattr(self, name, None) if name in WIRES else None
+            if wire is None:
+                known = ", ".join(w for w in WIRES if getattr(self, w) is not None)
+                raise InputError("wire", f"{name!r} is not one of this run; it has {known}")
+            found |= dict(zip(signals(name, len(wire)), wire, strict=True))
+        return found
 
     def every(self, samples: int) -> Response:
         """Record one of so many samples, from the first on; one cut voltage among them counts."""
         if samples == 1:
             return self
         starts = np.arange(0, self.drive_v.shape[1], samples)
-        wires = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "sample_time_s"}
+        wires = {name: getattr(self, name) for name in WIRES}
         kept: dict[str, Any] = {
             name: wire[:, ::samples].copy() for name, wire in wires.items() if wire is not None
         }
@@ -69,8 +150,7 @@ class Response:
         first = parts[0]
         if len(parts) == 1:
             return first
-        names = [f.name for f in fields(cls) if f.name != "sample_time_s"]
-        there = [name for name in names if getattr(first, name) is not None]
+        there = [name for name in (*WIRES, "saturated") if getattr(first, name) is not None]
         whole: dict[str, Any] = {n: np.concatenate([getattr(p, n) for p in parts], axis=1) for n in there}
         return replace(first, **whole)
 
@@ -81,6 +161,19 @@ class PlantState(NamedTuple):
     memory: PlayState
     linear: Array
     noise: np.random.Generator
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain lists and numbers; the generator's state is one of them."""
+        noise = self.noise.bit_generator.state
+        return {"memory": self.memory.as_dict(), "linear": self.linear.tolist(), "noise": noise}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> PlantState:
+        """Restore what ``as_dict`` saved."""
+        noise = np.random.PCG64(0)
+        noise.state = data["noise"]
+        linear = np.array(data["linear"], dtype=np.float64)
+        return cls(PlayState.from_dict(data["memory"]), linear, np.random.Generator(noise))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +192,16 @@ class Plant:
     def block(self) -> LinearBlock:
         """Dynamics and the sensor's bandwidth; outputs are the positions, then the filtered ones."""
         return discretise(self.model.dynamics, self.sample_time_s, self.instruments.sensor.bandwidth_hz)
+
+    @cached_property
+    def range(self) -> DriveRange:
+        """Voltages that the drive can give; before the first one the actuator rests at its working point."""
+        return DriveRange.of(self.instruments.drive.limits(self.model.hysteresis.n_inputs).T, self.model)
+
+    def _has_left(self, requested_v: Array) -> NDArray[np.bool_]:
+        """Where voltages (m, N) have left the working point, which may itself be an end of the range."""
+        away = requested_v != self.range.working_point_v[:, None]
+        return np.asarray(np.logical_or.accumulate(away, axis=1))
 
     def rest(self, seed: list[int]) -> PlantState:
         """Actuator that was never driven, and a sensor at the beginning of its noise."""
@@ -126,8 +229,8 @@ class Plant:
         drive_v, saturated = self.instruments.drive.apply(requested_v)
         if reference_um is not None:
             # A law stays within the range itself; where it stands at the range, it wanted more.
-            saturated |= np.abs(requested_v) >= self.instruments.drive.range_v * (1.0 - 1e-9)
-        hysteresis_um, memory = self.model.hysteresis.respond(drive_v, start.memory)
+            saturated |= self.range.reached(requested_v) & self._has_left(requested_v)
+        hysteresis_um, memory = self.model.static_response(drive_v, start.memory)
         both_um, linear = self.block.respond(hysteresis_um, start.linear)
         position_um, filtered_um = np.split(both_um, 2)
         reading_um = self.instruments.sensor.read(filtered_um, start.noise)
@@ -140,5 +243,45 @@ class Plant:
             position_um=position_um,
             reading_um=reading_um,
             saturated=saturated,
+            inputs=self.model.inputs,
+            outputs=self.model.outputs,
         )
         return response, PlantState(memory, linear, start.noise)
+
+    def to_iosys(
+        self,
+        seed: int | Sequence[int] = 0,
+        outputs: Sequence[Wire] = ("position_um",),
+        name: str = "actuator",
+    ) -> BlockSystem:
+        """Give drive, hysteresis, dynamics and sensor as one discrete ``control.NonlinearIOSystem``.
+
+        Inputs are ``requested_v[k]``, outputs those of the wires that are named, such as ``position_um[o]``.
+
+        Parameters
+        ----------
+        seed : of the sensor's noise, as for ``respond``
+        outputs : wires that leave the system
+        name : of the system
+
+        Raises InputError for a wire that does not leave the plant.
+        """
+        from hammerstein.interop.block_system import BlockSystem, Stepwise, signals
+
+        inside = ("reference_um", "requested_v", "saturated")
+        counts = dict.fromkeys(OF_OUTPUTS, self.model.hysteresis.n_outputs)
+        counts["drive_v"] = self.model.hysteresis.n_inputs
+        unknown = [wire for wire in outputs if wire not in counts or wire in inside]
+        if unknown or not outputs:
+            leaving = ", ".join(wire for wire in WIRES if wire not in inside)
+            raise InputError("outputs", f"{', '.join(unknown) or 'nothing'} is no output; give of {leaving}")
+
+        def step(requested_v: Array, state: PlantState) -> tuple[Array, PlantState]:
+            response, after = self.carry_on(requested_v[:, None], state)
+            return np.concatenate([getattr(response, wire)[:, 0] for wire in outputs]), after
+
+        start = self.rest(np.atleast_1d(seed).tolist())
+        block = Stepwise(start, step, PlantState.as_dict, PlantState.from_dict)
+        wires = [label for wire in outputs for label in signals(wire, counts[wire])]
+        voltages = signals("requested_v", self.model.hysteresis.n_inputs)
+        return BlockSystem(block, voltages, wires, self.sample_time_s, name)

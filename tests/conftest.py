@@ -1,6 +1,14 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from record_cases import TIME, U, X, table_text
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Make a warning an error where a module of the tests raises it, not where a library does."""
+    modules = sorted(path.stem for path in Path(__file__).parent.rglob("*.py"))
+    config.addinivalue_line("filterwarnings", f"error:::({'|'.join(modules)})$")
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -30,7 +30,7 @@ def test_drive_sent_to_the_actuator_gives_the_path(tmp_path):
     reference = _circle(tmp_path / "path.csv")
     out = tmp_path / "drive.csv"
     assert _call("compensate", "duo_bimorph", tmp_path / "path.csv", "--out", out) == 0
-    table = pd.read_csv(out)
+    table = pd.read_csv(out, comment="#")
     drive = table[["drive_x_v", "drive_y_v"]].to_numpy().T
     assert np.abs(drive).max() < 10.0
     # What is sent is on the converter's steps; what is predicted is where an independent run ends up.
@@ -50,14 +50,15 @@ def test_summary_is_one_object(tmp_path, capsys):
     content = json.loads(capsys.readouterr().out)
     assert content["axes"]["x"]["predicted_max_um"] < 0.01
     assert content["unreached_samples"] == {"x": 0, "y": 0}
-    assert content["axes"]["y"]["reach_together_um"] < content["axes"]["y"]["reach_alone_um"]
+    together, alone = (content["axes"]["y"][f"reach_{n}_um"] for n in ("together", "alone"))
+    assert alone[0] < together[0] < 0.0 < together[1] < alone[1]
 
 
 def test_path_on_another_grid_is_interpolated(tmp_path, capsys):
     _circle(tmp_path / "path.csv", sample_time_s=130e-6, samples=500)
     assert _call("compensate", "duo_bimorph", tmp_path / "path.csv", "--out", tmp_path / "d.csv") == 0
     assert "interpolated" in capsys.readouterr().out
-    times = pd.read_csv(tmp_path / "d.csv")["time_s"].to_numpy()
+    times = pd.read_csv(tmp_path / "d.csv", comment="#")["time_s"].to_numpy()
     np.testing.assert_allclose(np.diff(times), T, rtol=1e-9)
 
 
@@ -114,7 +115,10 @@ def test_an_unlimited_model_is_driven_no_further_than_it_was_found(tmp_path, cap
     command = ("compensate", tmp_path / "stage.json", tmp_path / "far.csv", "--out", tmp_path / "d.csv")
     assert _call(*command) == 3
     assert "out of reach" in capsys.readouterr().err
-    assert _call(*command, "--range", "15") == 0
+    assert _call(*command, "--range", "15") == 3
+    assert "--beyond-records" in capsys.readouterr().err
+    assert not (tmp_path / "d.csv").exists()
+    assert _call(*command, "--range", "15", "--beyond-records") == 0
 
 
 @pytest.mark.parametrize("name", ["path.csv", "."])

@@ -141,3 +141,35 @@ def test_no_dynamics_passes_its_input():
     u = np.random.default_rng(2).normal(size=(2, 20))
     y, _ = discretise(StaticDynamics(n_outputs=2), T).respond(u)
     np.testing.assert_array_equal(y, u)
+
+
+@pytest.mark.parametrize("sensor_hz", [None, 2000.0, np.inf])
+@pytest.mark.parametrize(
+    "dynamics",
+    [
+        StaticDynamics(n_outputs=2),
+        _axes(),
+        _axes(CreepMode(gain=0.05, time_constant_s=0.3)),
+        StateSpaceDynamics(A=(), B=(), C=((),), D=((2.0,),)),
+        StateSpaceDynamics(A=(), B=(), C=((),), D=((2.0,),), sample_time_s=T),
+    ],
+)
+def test_no_system_without_states_stands_in_the_way_to_the_grid(dynamics, sensor_hz, monkeypatch):
+    """python-control up to 0.10.2 makes them in a way that NumPy 2.5 warns of."""
+    states = []
+
+    class Watched(control.StateSpace):
+        def __init__(self, *arguments, **named):
+            super().__init__(*arguments, **named)
+            states.append(self.nstates)
+
+    monkeypatch.setattr("control.statesp.StateSpace", Watched)
+    discretise(dynamics, T, sensor_hz)
+    assert 0 not in states
+
+
+def test_a_system_without_states_is_exported():
+    system = StaticDynamics(n_outputs=2).system()
+    np.testing.assert_array_equal(system.D, np.eye(2))
+    assert system.nstates == 0
+    assert system.dt is None  # fits a continuous and a discrete system

@@ -94,10 +94,10 @@ def test_chain_equals_python_controls_interconnect():
     plant = Plant(HammersteinModel.load("duo_bimorph"), Instruments.ideal())
     u = 8.0 * np.random.default_rng(0).normal(size=(2, 60))
     ours = plant.respond(u, [1])
-    hysteresis = plant.model.hysteresis.to_nlsys(50e-6, name="hysteresis")
+    hysteresis = plant.model.hysteresis.to_iosys(50e-6)
     block = control.c2d(plant.model.dynamics.system(), 50e-6, "zoh")
-    linear = control.ss(block, name="linear", inputs=["v[0]", "v[1]"], outputs=["x", "y"])
-    loop = control.interconnect([hysteresis, linear], inputs=["u[0]", "u[1]"], outputs=["x", "y"])
+    linear = control.ss(block, name="linear", inputs=hysteresis.output_labels, outputs=["x", "y"])
+    loop = control.interconnect([hysteresis, linear], inputs=hysteresis.input_labels, outputs=["x", "y"])
     theirs = control.input_output_response(loop, np.arange(60) * 50e-6, u)
     np.testing.assert_allclose(ours.position_um, theirs.outputs, atol=1e-9)
 

@@ -325,12 +325,12 @@ def test_the_exported_system_gives_the_same_numbers_in_interconnect():
     for model in (published(), rectangular):
         m, p = model.n_inputs, model.n_outputs
         dt = 5e-5
-        block = model.to_nlsys(dt, name="gamma")
-        gain = control.ss([], [], [], 2.0 * np.eye(p), dt, name="gain", inputs=p, outputs=p)
+        block = model.to_iosys(dt, name="gamma")
+        gain = control.nlsys(None, lambda t, x, u, params: 2.0 * u, dt=dt, name="gain", inputs=p, outputs=p)
         loop = control.interconnect(
             [block, gain],
-            connections=[[f"gain.u[{o}]", f"gamma.v[{o}]"] for o in range(p)],
-            inplist=[f"gamma.u[{k}]" for k in range(m)],
+            connections=[[f"gain.u[{o}]", f"gamma.hysteresis_um[{o}]"] for o in range(p)],
+            inplist=[f"gamma.drive_v[{k}]" for k in range(m)],
             outlist=[f"gain.y[{o}]" for o in range(p)],
         )
         time = np.arange(120) * dt

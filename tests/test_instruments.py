@@ -38,7 +38,7 @@ def test_reading_stays_on_the_steps_and_in_the_range():
 
 def test_published_set_up_is_the_default():
     published = Instruments()
-    assert published.drive.range_v == 10.0
+    assert published.drive.range_v == (-10.0, 10.0)
     assert published.drive.sample_time_s == 50e-6
     assert (published.sensor.range_um, published.sensor.resolution_um) == (250.0, 0.04)
     assert published.sensor.bandwidth_hz == 2000.0

@@ -310,7 +310,7 @@ def test_how_it_was_run_is_told_without_clock_and_place(tmp_path: Path) -> None:
         "`path = scan.csv`",
         "`noise_um = 0.02`",
         "`bandwidth_hz = 2000`",
-        "`range_v = 10`",
+        "`range_v = [-10, 10]`",
         "Seed of the noise: 7",
         report.digest,
         report.model_digest,

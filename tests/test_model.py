@@ -42,9 +42,9 @@ def test_digest_follows_the_numbers_and_not_the_words():
     model = _ragged()
     content = json.loads(model.to_json())
     content["name"] = "another"
-    content["pairs"][0][1]["weights_um_per_v"] = [0.3]
+    content["hysteresis"]["pairs"][0][1]["weights_um_per_v"] = [0.3]
     assert model.digest() != _digest(content)
-    content["pairs"][0][1]["weights_um_per_v"] = [0.2]
+    content["hysteresis"]["pairs"][0][1]["weights_um_per_v"] = [0.2]
     assert model.digest() == _digest(content)
 
 
@@ -68,13 +68,13 @@ def _written(tmp_path, change):
         (lambda c: c.update(nmae="x"), "unknown key; did you mean name"),
         (lambda c: c.pop("amplitude_v"), "amplitude_v is missing|amplitude_v +is missing"),
         (lambda c: c.update(inputs=["a"]), "names 1 inputs of 3"),
-        (lambda c: c["pairs"][0][0].update(thresholds_v=[1.0, 0.5]), "not strictly increasing"),
-        (lambda c: c["pairs"][0][0].update(thresholds_v=[-1.0, 0.5]), "negative"),
-        (lambda c: c["pairs"][0][0].update(thresholds_v=[float("nan"), 0.5]), "not finite"),
-        (lambda c: c["pairs"][1][1].update(weights_um_per_v=[1.0, 2.0]), "has shape"),
-        (lambda c: c["pairs"].pop(), "must have 1 inputs and 1 outputs"),
-        (lambda c: c["pairs"][0].pop(), "every output needs one pair"),
-        (lambda c: c.update(format="other/2"), "hammerstein-model/1"),
+        (lambda c: c["hysteresis"]["pairs"][0][0].update(thresholds_v=[1.0, 0.5]), "not strictly increasing"),
+        (lambda c: c["hysteresis"]["pairs"][0][0].update(thresholds_v=[-1.0, 0.5]), "negative"),
+        (lambda c: c["hysteresis"]["pairs"][0][0].update(thresholds_v=[float("nan"), 0.5]), "not finite"),
+        (lambda c: c["hysteresis"]["pairs"][1][1].update(weights_um_per_v=[1.0, 2.0]), "has shape"),
+        (lambda c: c["hysteresis"]["pairs"].pop(), "must have 1 inputs and 1 outputs"),
+        (lambda c: c["hysteresis"]["pairs"][0].pop(), "every output needs one pair"),
+        (lambda c: c.update(format="other/2"), "hammerstein-model/2"),
         (lambda c: c["dynamics"].update(kind="axis"), "did you mean axes"),
     ],
 )

@@ -127,9 +127,7 @@ def test_a_long_record() -> None:
 def test_modes_far_below_the_sample_rate() -> None:
     """Six resonances from 50 to 400 Hz at 20 kHz: the powers of z are then nearly alike at all lines."""
     modes = [signal.cont2discrete(mode(f, 0.02), T)[:4] for f in (50.0, 90.0, 150.0, 220.0, 300.0, 400.0)]
-    system = control.ss([], [], [], [[0.1]], T)
-    for a, b, c, d in modes:
-        system = control.parallel(system, control.ss(a, b, c, d, T))
+    system = control.parallel(*(control.ss(a, b, c, d, T) for a, b, c, d in modes)) + 0.1
     block = fit_state_space(exact(system, np.arange(5.0, 600.0, 2.5)), 12)
     assert worst(block, system, np.arange(5.0, 600.0, 1.0)) < 1e-8
 
@@ -311,7 +309,7 @@ def test_too_few_lines_for_the_order() -> None:
 
 
 def test_an_output_at_rest_is_named() -> None:
-    g = exact(control.ss([], [], [], [[1.0], [0.0]], T), everywhere())
+    g = exact(control.ss([[0.5]], [[1.0]], [[1.0], [0.0]], [[1.0], [0.0]], T), everywhere())
     with pytest.raises(IdentificationError, match="output 2 does not respond"):
         fit_state_space(g, 1)
 

@@ -49,6 +49,18 @@ def _columns(words: str) -> list[str]:
     return [word.strip() for word in words.split(",") if word.strip()]
 
 
+def _volts(option: str, words: str | None) -> tuple[float, ...] | None:
+    """Voltages from an option, with commas between them."""
+    from hammerstein.errors import InputError
+
+    if words is None:
+        return None
+    try:
+        return tuple(float(word) for word in words.split(","))
+    except ValueError:
+        raise InputError(option, f"{words!r} are no voltages with commas between them") from None
+
+
 def _reader(
     inputs: str, outputs: str, rate: float | None, time: str | None, input_scale: float, output_scale: float
 ) -> partial[tuple[Record, ...]]:
@@ -230,21 +242,37 @@ def compensate(
     softening_v: Annotated[float | None, typer.Option(help="Voltage that spreads the jump.")] = None,
     gain: Annotated[str | None, typer.Option(help="Of inverse_multiplicative: auto or identity.")] = None,
     range_v: Annotated[
-        float | None, typer.Option("--range", metavar="V", help="Of the drive; from the model if not given.")
+        str | None,
+        typer.Option("--range", metavar="LOW,HIGH", help="Voltages it may use; those of the records."),
     ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="V[,V]", help="Voltage before the first row; the path counts from there."),
+    ] = None,
+    conditioned: Annotated[
+        bool, typer.Option("--conditioned", help="It was driven to HIGH, then LOW, before the start.")
+    ] = False,
     clip: Annotated[bool, typer.Option("--clip", help="Accept a path partly out of reach.")] = False,
+    beyond_records: Annotated[
+        bool, typer.Option("--beyond-records", help="Accept voltages that were never recorded.")
+    ] = False,
+    accept_flagged: Annotated[
+        bool, typer.Option("--accept-flagged", help="Accept a model that its fit report flags.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Turn a reference into the voltages to send, with the predicted response."""
     from hammerstein.commands.tables import compensation_table, show
     from hammerstein.commands.warm_up import compile_once
-    from hammerstein.compensators.drive_file import compensate as compensated
+    from hammerstein.compensators.drive_file import Terms, compensate as compensated
     from hammerstein.files import write_atomic
 
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
     _refuse_output(out, [Path(model), reference])
     compile_once(_say)
-    found = compensated(model, reference, law, options, clip, range_v)
+    ends, begins = _volts("--range", range_v), _volts("--start", start)
+    terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
+    found = compensated(model, reference, law, options, terms)
     write_atomic(out, found.to_csv())
     if as_json:
         typer.echo(json.dumps({"drive": str(out), **found.summary()}))

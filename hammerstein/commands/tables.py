@@ -58,13 +58,14 @@ def _figures(rows: Sequence[Row]) -> list[str]:
 
 def actuator_table(models: Iterable[HammersteinModel]) -> Table:
     """One line an actuator: size, operators, dynamics."""
-    table = _table(
-        "Packaged actuators", ("name", "inputs", "outputs", "operators", "dynamics", "amplitude_v")
-    )
+    table = _table("Packaged actuators", ("name", "inputs", "outputs", "operators", "dynamics", "range_v"))
     for model in models:
         operators = sum(len(pair.thresholds_v) for row in model.hysteresis.pairs for pair in row)
         words = (model.name, ", ".join(model.inputs), ", ".join(model.outputs), str(operators))
-        table.add_row(*words, model.dynamics.describe(), f"{model.amplitude_v:g}")
+        volts = dict.fromkeys(zip(model.recorded.lowest_v, model.recorded.highest_v, strict=True))
+        table.add_row(
+            *words, model.dynamics.describe(), ", ".join(f"{low:g} ... {high:g}" for low, high in volts)
+        )
     return table
 
 
@@ -81,22 +82,22 @@ def claims_table(reports: Sequence[Report]) -> Table:
 
 
 def compensation_table(found: Compensation) -> Table:
-    """One line an axis: reach, reference, predicted error."""
+    """One line an axis: voltages, reach, reference, predicted error."""
     summary = found.summary()
-    names = (
-        "reach_alone_um",
-        "reach_together_um",
-        "reference_max_um",
-        "predicted_rms_um",
-        "predicted_max_um",
-    )
-    table = _table("Predicted response", ("axis", "largest_v", "unreached", *names))
+    intervals = ("reach_alone_um", "reach_together_um", "reference_um")
+    names = (*intervals, "predicted_rms_um", "predicted_max_um")
+    table = _table("Predicted response", ("axis", "drive_v", "unreached", *names))
     inputs = list(found.model.inputs)
     for o, (axis, figures) in enumerate(summary["axes"].items()):
-        voltage = f"{summary['largest_v'][inputs[o]]:.4g}" if o < len(inputs) else ""
+        voltage = _span(summary["inputs"][inputs[o]]["drive_v"]) if o < len(inputs) else ""
         unreached = str(summary["unreached_samples"][inputs[o]]) if o < len(inputs) else ""
-        table.add_row(axis, voltage, unreached, *(f"{figures[name]:.4g}" for name in names))
+        cells = [_span(figures[n]) if n in intervals else f"{figures[n]:.4g}" for n in names]
+        table.add_row(axis, voltage, unreached, *cells)
     return table
+
+
+def _span(ends: Sequence[float]) -> str:
+    return f"{ends[0]:.4g} ... {ends[1]:.4g}"
 
 
 def fit_table(fit: Fit) -> Table:

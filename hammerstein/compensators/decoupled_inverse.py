@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.blocks import Array, Law, require_square
+from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
@@ -70,11 +71,11 @@ class DecoupledInverse(Law[InverseState]):
     (thresholds r - r_1) after play(r_1), and the inverse of play(r_1) jumps by 2 r_1 at a reversal.
     """
 
-    def __init__(self, model: HammersteinModel, range_v: float):
+    def __init__(self, model: HammersteinModel, range_v: RangeLike):
         hysteresis = model.hysteresis
         require_square(hysteresis.n_inputs, hysteresis.n_outputs, "decoupled_inverse")
         m = self.n_inputs = self.n_outputs = hysteresis.n_inputs
-        self.range_v = range_v
+        self.range = DriveRange.of(range_v, model)
         pairs = [[Pair.absent()] * m for _ in range(m)]
         self.jump_v = np.zeros(m)
         for k in range(m):
@@ -84,10 +85,32 @@ class DecoupledInverse(Law[InverseState]):
             pairs[k][k] = inverse_pair(shifted, f"Direct transfer {model.outputs[k]}")
             self.jump_v[k] = smallest
         self.inverse = PrandtlIshlinskii(tuple(tuple(row) for row in pairs))
+        self._start, self.origin_um = self._at_start(hysteresis)
+
+    def _at_start(self, hysteresis: PrandtlIshlinskii) -> tuple[InverseState, Array]:
+        """State of the inverse where the actuator stands, and the direct positions (p,) there [um].
+
+        The inverse has gone through the positions that the voltages before the start led to.
+        """
+        history = self.range.history()
+        direct = [
+            PrandtlIshlinskii(((hysteresis.pairs[k][k],),)).respond(history[[k]])[0]
+            for k in range(self.n_inputs)
+        ]
+        passed = np.vstack(direct)
+        if history.shape[1] == 1:
+            return InverseState(
+                self.inverse.rest(), np.zeros(self.n_inputs), np.zeros(self.n_inputs)
+            ), passed[:, -1]
+        v, plays = self.inverse.respond(passed)
+        jump = np.where(self.jump_v > 0.0, self.jump_v, np.inf)
+        return InverseState(plays, v[:, -1], np.clip((history[:, -1] - v[:, -1]) / jump, -1.0, 1.0)), passed[
+            :, -1
+        ]
 
     def rest(self) -> InverseState:
-        """All plays at zero, no direction yet."""
-        return InverseState(self.inverse.rest(), np.zeros(self.n_inputs), np.zeros(self.n_inputs))
+        """Inverse of an actuator at its start."""
+        return self._start
 
     def restore(self, data: dict[str, Any]) -> InverseState:
         """State from what ``as_dict`` gave."""
@@ -97,8 +120,8 @@ class DecoupledInverse(Law[InverseState]):
     def _respond(self, reference_um: Array, start: InverseState) -> tuple[Array, InverseState]:
         from hammerstein.compensators.kernels import respond_inverse_play
 
-        v, plays = self.inverse.respond(reference_um, start.plays)
+        v, plays = self.inverse.respond(self._from_rest(reference_um), start.plays)
         last, direction = start.last_v.copy(), start.direction.copy()
         drive = np.empty_like(v)
-        respond_inverse_play(v, self.jump_v, self.range_v, last, direction, drive)
+        respond_inverse_play(v, self.jump_v, *self.range.counted, last, direction, drive)
         return drive, InverseState(plays, last, direction)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -13,27 +13,32 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from hammerstein.blocks import Law
+from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.exact.reach import Reach, Shortfall, reach, require_reach, shortfall
 from hammerstein.compensators.feedback.pid import Feedback
 from hammerstein.compensators.specs import Compensator, NoCompensation
-from hammerstein.errors import InputError, SimulationError
-from hammerstein.instruments import Drive
+from hammerstein.driving import DriveRange
+from hammerstein.errors import HammersteinError, IdentificationError, InputError, SimulationError
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import read_signal
 from hammerstein.validation import mistakes_of
 
 Array = NDArray[np.float64]
 
+HEADING = "Voltages to send, as they are: absolute, in V. Times in s, positions in um."
+FILTER_TRIALS, FILTER_DECADES = 16, 300.0
+
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
     """A drive for real hardware, and what the model says of it.
 
-    time_s : (sample,) on the drive's sample time; reference_um : (output, sample)
-    drive_v : (input, sample) rounded to the converter's steps and within its range
+    time_s : (sample,) on the drive's sample time; reference_um : (output, sample), counted from the start
+    drive_v : (input, sample) as it is sent: absolute, on the converter's steps and within the range
     reach : what slow paths can reach
     shortfall : predicted position and error, and where the voltage stands at the range
     resampled : whether the file was interpolated onto the drive's sample time
+    source : name of the model
     """
 
     model: HammersteinModel
@@ -44,6 +49,7 @@ class Compensation:
     drive_v: Array
     shortfall: Shortfall
     resampled: bool
+    source: str
 
     def unreached_samples(self) -> dict[str, int]:
         """Samples at the range, by input."""
@@ -51,32 +57,44 @@ class Compensation:
         return {name: int(n) for name, n in zip(self.model.inputs, counts, strict=True)}
 
     def summary(self) -> dict[str, Any]:
-        """Give reach, predicted error and what was not reached, as plain JSON."""
+        """Give voltages, reach, predicted error and what was not reached, as plain JSON."""
         axes = {
             name: {
-                "reach_alone_um": float(self.reach.alone_um[o]),
-                "reach_together_um": float(self.reach.together_um[o]),
-                "reference_max_um": float(np.abs(self.reference_um[o]).max()),
+                "reach_alone_um": self.reach.alone_um[o].tolist(),
+                "reach_together_um": self.reach.together_um[o].tolist(),
+                "reference_um": [float(self.reference_um[o].min()), float(self.reference_um[o].max())],
                 "predicted_rms_um": float(np.sqrt(np.mean(self.shortfall.error_um[o] ** 2))),
                 "predicted_max_um": float(np.abs(self.shortfall.error_um[o]).max()),
             }
             for o, name in enumerate(self.model.outputs)
         }
-        largest = {
-            n: float(np.abs(row).max()) for n, row in zip(self.model.inputs, self.drive_v, strict=True)
+        limits = self.law.range
+        inputs = {
+            name: {
+                "drive_v": [float(row.min()), float(row.max())],
+                "range_v": [float(limits.low_v[k]), float(limits.high_v[k])],
+                "start_v": float(limits.start_v[k]),
+                "recorded_v": [self.model.recorded.lowest_v[k], self.model.recorded.highest_v[k]],
+            }
+            for k, (name, row) in enumerate(zip(self.model.inputs, self.drive_v, strict=True))
         }
         return {
             "axes": axes,
-            "largest_v": largest,
+            "inputs": inputs,
             "statements": self.statements(),
             "unreached_samples": self.unreached_samples(),
         }
 
     def statements(self) -> list[str]:
-        """Say what a user must know of the numbers before the voltages are sent."""
-        said = [
+        """Say what a user must know before the voltages are sent."""
+        said = [f"Model {self.source}, found from {self.model.recorded.statement(self.model.inputs)}."]
+        said += verdict_statements(self.model)
+        said += [self._start(), f"Range {self.law.range.words(self.model.inputs)}."]
+        said += [
             "Predicted: the error if the actuator were exactly the model. Its fit report says how far it is."
         ]
+        if not self.shortfall.complete:
+            said.append(self.shortfall.statement(self.model.inputs, self.model.outputs))
         said += [text] if (text := self.law.statement()) else []
         if self.resampled:
             said.append(
@@ -84,15 +102,59 @@ class Compensation:
             )
         return said
 
+    def _start(self) -> str:
+        """Say how the actuator must come to the first row."""
+        limits, names = self.law.range, self.model.inputs
+        start = ", ".join(f"{u:.6g} V on {n}" for n, u in zip(names, limits.start_v, strict=True))
+        rest = ", ".join(f"{u:.6g} V" for u in limits.working_point_v)
+        text = f"Before the first row the actuator stands at {start}, from where the path counts: "
+        if limits.conditioned:
+            top, low = (", ".join(f"{u:.6g} V" for u in ends) for ends in (limits.high_v, limits.low_v))
+            return f"{text}driven to {top}, then to {low}, then straight to there."
+        if (limits.start_v == limits.working_point_v).all():
+            return f"{text}at rest, as the records began."
+        return f"{text}at rest at {rest} before, then straight to there."
+
     def to_csv(self) -> str:
         """Text of the drive file: time, voltages to send, reference, predicted position."""
-        import pandas as pd
+        inputs, outputs = self.model.inputs, self.model.outputs
+        groups = (
+            ("drive", "v", inputs, self.drive_v),
+            ("reference", "um", outputs, self.reference_um),
+            ("predicted", "um", outputs, self.shortfall.predicted_um),
+        )
+        return drive_csv(self.time_s, groups, [HEADING, *self.statements()])
 
-        columns = {"time_s": self.time_s}
-        columns |= {f"drive_{n}_v": row for n, row in zip(self.model.inputs, self.drive_v, strict=True)}
-        for word, rows in (("reference", self.reference_um), ("predicted", self.shortfall.predicted_um)):
-            columns |= {f"{word}_{n}_um": row for n, row in zip(self.model.outputs, rows, strict=True)}
-        return str(pd.DataFrame(columns).to_csv(index=False, lineterminator="\n"))
+
+def verdict_statements(model: HammersteinModel) -> list[str]:
+    """What the model's own identification warns of."""
+    verdict, said = model.verdict, []
+    if verdict is not None and verdict.flagged:
+        said.append("FLAGGED by its fit report: " + "; ".join(verdict.statements or ("see there",)) + ".")
+    if verdict is not None and not verdict.held_out:
+        said.append("Warning: no record was held back, so that nothing has tested this model (--validate).")
+    return said
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What a person allows a drive to do.
+
+    range_v : (low, high) for all inputs or one after the other [V]; one number N stands for -N to N; the
+        range of the records, as far as the model's own drive gives it, if not given
+    start_v : voltage of each input before the first row [V]; the working point if not given
+    conditioned : whether the actuator was driven to both ends of the range before it came to the start
+    clip : accept a path that is partly out of reach
+    beyond_records : accept voltages that the records did not cover
+    accept_flagged : accept a model that its own fit report flagged
+    """
+
+    range_v: tuple[float, ...] | None = None
+    start_v: tuple[float, ...] | None = None
+    conditioned: bool = False
+    clip: bool = False
+    beyond_records: bool = False
+    accept_flagged: bool = False
 
 
 def compensate(
@@ -100,51 +162,156 @@ def compensate(
     reference_path: Path,
     law: str,
     options: Mapping[str, Any],
-    clip: bool = False,
-    range_v: float | None = None,
+    terms: Terms | None = None,
 ) -> Compensation:
     """Voltages for a reference file (``time_s`` and one column an axis, in um).
+
+    The voltages are absolute. The positions of the file count from where the actuator stands at the start.
 
     Parameters
     ----------
     model_path : model file, or name of a packaged actuator
     reference_path : CSV file
     law, options : a law and its options, by their names in a scenario
-    clip : accept a path that is partly out of reach
-    range_v : range of the drive [V]; that of the model file if not given, and where that is unlimited, the
-        largest voltage for which the model was found
+    terms : range, start, and what is accepted
 
     Raises
     ------
     InputError : a file or an option is wrong
-    SimulationError : the law cannot work, or the path is out of reach
+    SimulationError : the law cannot work, the path is out of reach, or the drive leaves the records
+    IdentificationError : the model's own fit report flagged it
     """
+    terms = terms or Terms()
     model = HammersteinModel.load(model_path)
-    drive = _drive(model, range_v)
+    _refuse_flagged(model, model_path, terms)
+    limits = _range(model, terms)
+    drive = model.instruments.drive.model_copy(
+        update={"range_v": tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))}
+    )
     time_s, reference, resampled = _on_grid(reference_path, model, drive.sample_time_s)
-    built = _spec(model_path, law, options).build(model, drive.range_v, drive.sample_time_s)
+    built = _spec(model_path, law, options).build(model, limits, drive.sample_time_s)
     if isinstance(built, Feedback):
         raise InputError("--law", "feedback needs the sensor's readings: it has no drive to send ahead")
-    held, _ = drive.apply(built.drive_for(reference))
-    predicted = shortfall(model, built, reference, held, drive.range_v, drive.sample_time_s)
-    reachable = reach(model, drive.range_v, run_anyway=True)
-    if not clip:
+    asked = built.drive_for(reference)
+    held, _ = drive.apply(asked)
+    predicted = shortfall(model, built, reference, asked, drive.sample_time_s, held)
+    reachable = reach(model, limits, run_anyway=True)
+    if not terms.clip:
         try:
             require_reach(predicted, model.inputs, model.outputs)
         except SimulationError as error:
-            slow = reachable.statement(model.outputs)
-            raise SimulationError(f"{reference_path}: {error} {slow} Or accept it with --clip.") from None
-    return Compensation(model, built, reachable, time_s, reference, held, predicted, resampled)
+            volts = f"With {limits.words(model.inputs)} (--range), counted from the start (--start):"
+            remedy = _slower(model, limits, law, options, reference, drive.sample_time_s)
+            raise SimulationError(
+                f"{reference_path}: {error} {volts} {reachable.statement(model.outputs)} {remedy}"
+                "Or accept it with --clip."
+            ) from None
+    if not terms.beyond_records:
+        _refuse_beyond(model, held)
+    source = PurePath(model_path).name
+    return Compensation(model, built, reachable, time_s, reference, held, predicted, resampled, source)
 
 
-def _drive(model: HammersteinModel, range_v: float | None) -> Drive:
-    """Drive of the model within a finite range."""
-    own = model.instruments.drive
-    if range_v is not None and not (math.isfinite(range_v) and range_v > 0.0):
-        raise InputError("--range", f"must be a positive voltage, not {range_v:g}")
-    if range_v is None:
-        range_v = own.range_v if math.isfinite(own.range_v) else model.amplitude_v
-    return own.model_copy(update={"range_v": range_v})
+def _refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
+    verdict = model.verdict
+    if verdict is not None and verdict.flagged and not terms.accept_flagged:
+        what = "; ".join(verdict.statements) or "see its fit report"
+        raise IdentificationError(
+            f"{path}: its own fit report flags this model: {what}. Identify it again, or send its voltages "
+            "all the same with --accept-flagged."
+        )
+
+
+def _range(model: HammersteinModel, terms: Terms) -> DriveRange:
+    """What the drive may do: the recorded range, or what is asked for."""
+    m = len(model.inputs)
+    recorded = np.array([model.recorded.lowest_v, model.recorded.highest_v])
+    low, high = recorded
+    if terms.range_v is not None:
+        low, high = _asked_range(model, terms.range_v, m)
+    own = model.instruments.drive.limits(m)
+    wide = (low < own[0]) | (high > own[1])
+    if terms.range_v is not None and wide.any():
+        k = int(np.argmax(wide))
+        raise InputError(
+            "--range",
+            f"{low[k]:g} to {high[k]:g} V is more than the drive in the model file gives on "
+            f"{model.inputs[k]}, {own[0, k]:g} to {own[1, k]:g} V",
+        )
+    if terms.start_v is not None and len(terms.start_v) not in (1, m):
+        raise InputError("--start", f"names {len(terms.start_v)} voltages; the model has {m} inputs")
+    start = None if terms.start_v is None else np.broadcast_to(np.array(terms.start_v), m)
+    ends = np.stack([np.maximum(low, own[0]), np.minimum(high, own[1])], axis=1)
+    return DriveRange.of(ends, model, start, terms.conditioned)
+
+
+def _asked_range(model: HammersteinModel, given: tuple[float, ...], m: int) -> Array:
+    """Lowest and highest voltage (2, m) from the numbers of an option."""
+    one_sided = model.recorded.one_sided()
+    if len(given) == 1 and one_sided:
+        k = one_sided[0]
+        low, high = model.recorded.lowest_v[k], model.recorded.highest_v[k]
+        raise InputError(
+            "--range",
+            f"{given[0]:g} would mean {-given[0]:g} to {given[0]:g} V, but {model.inputs[k]} was recorded "
+            f"on one side, from {low:.6g} to {high:.6g} V; give LOW,HIGH",
+        )
+    if len(given) not in (1, 2, 2 * m):
+        raise InputError("--range", f"has {len(given)} numbers; give LOW,HIGH, or one pair for each input")
+    pairs = np.reshape(given if len(given) > 1 else (-given[0], given[0]), (-1, 2))
+    ends = np.broadcast_to(pairs, (m, 2)).T
+    if not (np.isfinite(ends).all() and (ends[0] < ends[1]).all()):
+        raise InputError("--range", "must be finite voltages, each LOW below its HIGH, or one N above 0")
+    return np.asarray(ends, dtype=np.float64)
+
+
+def _refuse_beyond(model: HammersteinModel, drive_v: Array) -> None:
+    """Refuse voltages that the records did not cover."""
+    recorded = model.recorded
+    for name, row, low, high in zip(
+        model.inputs, drive_v, recorded.lowest_v, recorded.highest_v, strict=True
+    ):
+        outside = (row < low) | (row > high)
+        if outside.any():
+            raise SimulationError(
+                f"The drive goes from {row.min():.6g} to {row.max():.6g} V on {name}; the records behind the "
+                f"model cover {low:.6g} to {high:.6g} V, {int(outside.sum())} of {row.size} samples lie "
+                "outside. Record that range too, or accept it with --beyond-records."
+            )
+
+
+def _slower(
+    model: HammersteinModel,
+    limits: DriveRange,
+    law: str,
+    options: Mapping[str, Any],
+    reference: Array,
+    sample_time_s: float,
+) -> str:
+    """Bandwidth of the reference filter with which the path is within reach, as a sentence; or nothing."""
+    if law != "hammerstein_inverse" or options.get("filter_hz") is not None:
+        return ""
+    nyquist = 0.5 / sample_time_s
+    lowest = max(2.0 / (reference.shape[1] * sample_time_s), nyquist / FILTER_DECADES)
+    best = None
+    for frequency in np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS):
+        rounded = float(f"{frequency:.2g}")
+        try:
+            spec = _spec(model.name, law, {**options, "filter_hz": rounded})
+            built = spec.build(model, limits, sample_time_s)
+            assert isinstance(built, Law)  # feedback has no filter
+            found = shortfall(model, built, reference, built.drive_for(reference), sample_time_s)
+        except HammersteinError:
+            break
+        if found.complete:
+            best = rounded, float(np.abs(found.error_um).max())
+            break
+    if best is None:
+        return ""
+    return (
+        f"With --filter-hz {best[0]:g} it is within reach: its corners are then rounded, by up to "
+        f"{best[1]:.3g} um. "
+    )
 
 
 def _on_grid(path: Path, model: HammersteinModel, sample_time_s: float) -> tuple[Array, Array, bool]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hammerstein.blocks import Array, Law, require_square
+from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PlayState, PrandtlIshlinskii
 from hammerstein.hysteresis.slopes import slope_matrices
@@ -86,7 +87,7 @@ class InverseMultiplicative(Law[FeedbackState]):
     Parameters
     ----------
     model : square model whose static block is used
-    range_v : range of the drive [V]
+    range_v : range of the drive [V], see ``DriveRange.of``
     sample_time_s : time between samples [s]
     gain : "identity", "auto" (the inverse of the summed weights, made so small that no slope overshoots) or
         a matrix (m, m) [V/um]
@@ -103,7 +104,7 @@ class InverseMultiplicative(Law[FeedbackState]):
     def __init__(
         self,
         model: HammersteinModel,
-        range_v: float,
+        range_v: RangeLike,
         sample_time_s: float,
         gain: Literal["identity", "auto"] | ArrayLike = "auto",
         filter_s: float | None = None,
@@ -113,7 +114,8 @@ class InverseMultiplicative(Law[FeedbackState]):
         hysteresis = model.hysteresis
         require_square(hysteresis.n_inputs, hysteresis.n_outputs, "inverse_multiplicative")
         self.n_inputs = self.n_outputs = hysteresis.n_inputs
-        self.hysteresis, self.range_v, self.iterations = hysteresis, range_v, iterations
+        self.hysteresis, self.range, self.iterations = hysteresis, DriveRange.of(range_v, model), iterations
+        self.sample_time_s = None if filter_s is None else sample_time_s
         pass_s = None if filter_s is None else sample_time_s / iterations
         self.pole = 0.0 if filter_s is None or pass_s is None else math.exp(-pass_s / filter_s)
         self.gain_v_per_um = _gain_matrix(gain, hysteresis)
@@ -121,6 +123,16 @@ class InverseMultiplicative(Law[FeedbackState]):
         self.convergence = replace(found, pass_s=pass_s)
         if not (self.convergence.converges or run_anyway):
             raise SimulationError(f"{self.convergence.statement()} {self._remedy()}")
+
+        self._start, self.origin_um = self._at_start()
+
+    def _at_start(self) -> tuple[FeedbackState, Array]:
+        """State where the actuator stands, whose next pass gives the start voltage, and the position."""
+        history = self.range.history()
+        v, plays = self.hysteresis.respond(history)
+        if history.shape[1] == 1:
+            return FeedbackState(self.hysteresis.rest(), np.zeros(self.n_inputs)), v[:, -1].copy()
+        return FeedbackState(plays, history[:, -1] - self.gain_v_per_um @ v[:, -1]), v[:, -1].copy()
 
     def statement(self) -> str:
         """Say whether the iteration inside converges, with the numbers."""
@@ -137,8 +149,8 @@ class InverseMultiplicative(Law[FeedbackState]):
         return f'Set gain = "auto" or a smaller gain{slower}, or run_anyway = true.'
 
     def rest(self) -> FeedbackState:
-        """All plays and the feedback at zero."""
-        return FeedbackState(self.hysteresis.rest(), np.zeros(self.n_inputs))
+        """Plays and feedback of an actuator at its start."""
+        return self._start
 
     def restore(self, data: dict[str, Any]) -> FeedbackState:
         """State from what ``as_dict`` gave."""
@@ -151,11 +163,11 @@ class InverseMultiplicative(Law[FeedbackState]):
         drive = np.empty_like(reference_um)
         b = self.hysteresis.bank
         respond_inverse_multiplicative(
-            reference_um,
+            self._from_rest(reference_um),
             self.gain_v_per_um,
             self.pole,
             self.iterations,
-            self.range_v,
+            *self.range.counted,
             b.r,
             b.slope,
             b.moment,

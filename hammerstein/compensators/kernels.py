@@ -14,13 +14,13 @@ STILL_V = 1e-9
 
 @njit(cache=True, nogil=True)
 def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
-    reference, gain, pole, iterations, limit, r, slope, moment, count, end, x, d, below, memory, drive
+    reference, gain, pole, iterations, low, high, r, slope, moment, count, end, x, d, below, memory, drive
 ):
     """U[k] = K Y_r[k] + f[k],  f[k+1] = a f[k] + (1 - a) (U[k] - K Gamma(U[k])); a = 0: one-sample delay.
 
     Every pass is a step of the filter; with several in a sample, a is that of their time.
 
-    reference : (p, N); gain : (m, p) [V/um]; pole : a; limit : range of the drive [V]
+    reference : (p, N); gain : (m, p) [V/um]; pole : a; low, high : (m,) range of the drive [V]
     r, slope, moment : threshold grids and partial sums; count, end, x, d, below : play memory, updated
     memory : (m,) f, updated; drive : (m, N), overwritten
     """
@@ -33,7 +33,7 @@ def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
                 wanted = memory[k]
                 for o in range(p):
                     wanted += gain[k, o] * reference[o, t]
-                u[k] = min(max(wanted, -limit), limit)
+                u[k] = min(max(wanted, low[k]), high[k])
             v[:] = 0.0
             for k in range(m):
                 move(k, u[k], r, slope, moment, count, end, x, d, below, v)
@@ -47,15 +47,15 @@ def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def respond_inverse_play(v, r, limit, last, sign, u):  # type: ignore[no-untyped-def]
+def respond_inverse_play(v, r, low, high, last, sign, u):  # type: ignore[no-untyped-def]
     """Inverse of one play of threshold r an axis: u = v + r rising, v - r falling; jumps 2 r at a reversal.
 
     v : (m, N) wanted play outputs; r : (m,); last, sign : (m,) last v and direction, updated
-    u : (m, N), overwritten, kept within the limit
+    u : (m, N), overwritten, kept between low and high (m,)
     """
     for k in range(v.shape[0]):
         for t in range(v.shape[1]):
             if abs(v[k, t] - last[k]) > STILL_V:
                 sign[k] = 1.0 if v[k, t] > last[k] else -1.0
                 last[k] = v[k, t]
-            u[k, t] = min(max(v[k, t] + sign[k] * r[k], -limit), limit)
+            u[k, t] = min(max(v[k, t] + sign[k] * r[k], low[k]), high[k])

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.blocks import Array, Law
+from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.model import HammersteinModel
 
 
@@ -21,17 +22,21 @@ class NoMemory:
 
 
 class LinearGain(Law[NoMemory]):
-    """U = G^+ Y_r, with the gain matrix G of the settled loops; the least drive if inputs outnumber outputs.
+    """U = U_start + G^+ Y_r, with the gain matrix G of the settled loops.
+
+    This is the least drive if inputs outnumber outputs.
 
     This is what one sends without a compensator: the right size, and all of the hysteresis.
     """
 
-    def __init__(self, model: HammersteinModel, range_v: float):
+    def __init__(self, model: HammersteinModel, range_v: RangeLike):
         self.n_inputs, self.n_outputs = model.hysteresis.n_inputs, model.hysteresis.n_outputs
         self.gain_v_per_um: Array = np.asarray(
             np.linalg.pinv(model.hysteresis.gain(model.amplitude_v)), dtype=np.float64
         )
-        self.range_v = range_v
+        self.range = DriveRange.of(range_v, model)
+        self.origin_um = np.zeros(self.n_outputs)
+        self._base_v = self.range.start_v - self.range.working_point_v
 
     def rest(self) -> NoMemory:
         """Give the empty state."""
@@ -44,4 +49,5 @@ class LinearGain(Law[NoMemory]):
     def _respond(self, reference_um: Array, start: NoMemory) -> tuple[Array, NoMemory]:
         # einsum, not a BLAS product: its sums do not depend on how many samples there are.
         drive = np.einsum("ko,ot->kt", self.gain_v_per_um, reference_um)
-        return np.clip(drive, -self.range_v, self.range_v), start
+        low, high = self.range.counted
+        return np.clip(drive + self._base_v[:, None], low[:, None], high[:, None]), start

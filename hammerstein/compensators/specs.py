@@ -13,6 +13,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, TypeAd
 from hammerstein.blocks import Law
 from hammerstein.compensators.feedback.pid import Feedback
 from hammerstein.compensators.feedback.tuning import Gains
+from hammerstein.driving import RangeLike
 from hammerstein.identification.source import ModelSource
 from hammerstein.model import HammersteinModel
 
@@ -22,7 +23,7 @@ class NoCompensation(ModelSource):
 
     law: Literal["none"]
 
-    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
+    def build(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Give the law for a model, a drive range and a sample time."""
         from hammerstein.compensators.linear_gain import LinearGain
 
@@ -42,7 +43,7 @@ class InverseMultiplicativeSpec(ModelSource):
     iterations: PositiveInt = Field(default=1, description="passes of the law in each sample")
     run_anyway: bool = Field(default=False, description="accept an iteration that cannot converge")
 
-    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
+    def build(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Give the law for a model, a drive range and a sample time."""
         from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
 
@@ -56,7 +57,7 @@ class DecoupledInverseSpec(ModelSource):
 
     law: Literal["decoupled_inverse"]
 
-    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
+    def build(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Give the law for a model, a drive range and a sample time."""
         from hammerstein.compensators.decoupled_inverse import DecoupledInverse
 
@@ -72,7 +73,7 @@ class ExactInverseSpec(ModelSource):
     )
     run_anyway: bool = Field(default=False, description="accept a model without an inverse")
 
-    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
+    def build(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Give the law for a model, a drive range and a sample time."""
         from hammerstein.compensators.exact.inverse import ExactInverse
 
@@ -94,7 +95,7 @@ class HammersteinInverseSpec(ModelSource):
     )
     run_anyway: bool = Field(default=False, description="accept a model without an inverse")
 
-    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Law[Any]:
+    def build(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Give the law for a model, a drive range and a sample time."""
         from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
 
@@ -126,7 +127,7 @@ class FeedbackSpec(ModelSource):
             raise ValueError("give proportional and integral_per_s together, or none of the gains")
         return self
 
-    def build(self, model: HammersteinModel, range_v: float, sample_time_s: float) -> Feedback:
+    def build(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Feedback:
         """Give the law for a model, a drive range and a sample time."""
         added = None
         if self.feedforward is not None:

@@ -20,7 +20,10 @@ from hammerstein.errors import InputError
 if TYPE_CHECKING:
     import control
 
+    from hammerstein.interop.block_system import BlockSystem
+
 Array = NDArray[np.float64]
+CONTINUOUS = 0.0  # sample time [s] of a block in continuous time, as python-control writes it
 
 
 def natural_frequency_hz(bandwidth_hz: float, damping_ratio: float) -> float:
@@ -83,12 +86,12 @@ class AxesDynamics(BaseModel):
         """Give the block as a continuous ``control.StateSpace``."""
         import control
 
-        blocks = [
-            creep([c.gain for c in a.creep], [c.time_constant_s for c in a.creep])
-            * cantilever(resonance_hz=a.resonance_hz, damping_ratio=a.damping_ratio)
-            for a in self.axes
-        ]
-        return control.append(*blocks)
+        return control.append(*map(_axis_system, self.axes))
+
+    def block(self) -> LinearBlock:
+        """Give its matrices, in continuous time."""
+        system = self.system()
+        return LinearBlock(system.A, system.B, system.C, system.D, CONTINUOUS)
 
 
 class StaticDynamics(BaseModel):
@@ -106,9 +109,11 @@ class StaticDynamics(BaseModel):
 
     def system(self) -> control.StateSpace:
         """Give the block as a ``control.StateSpace`` without states."""
-        import control
+        return self.block().system()
 
-        return control.ss([], [], [], np.eye(self.n_outputs))
+    def block(self) -> LinearBlock:
+        """Give its matrices, in continuous time."""
+        return _gain(self.n_outputs)
 
 
 class StateSpaceDynamics(BaseModel):
@@ -144,11 +149,25 @@ class StateSpaceDynamics(BaseModel):
         return f"state space of order {len(self.A)}, {kind}"
 
     @classmethod
-    def of(cls, system: control.StateSpace, input_delay_s: float = 0.0) -> StateSpaceDynamics:
-        """Keep a ``control.StateSpace`` of the user's."""
-        matrices = {k: tuple(map(tuple, np.asarray(getattr(system, k)).tolist())) for k in "ABCD"}
-        dt = float(system.dt) if system.isdtime(strict=True) else None
-        return cls(**matrices, sample_time_s=dt, input_delay_s=input_delay_s)
+    def of(cls, system: control.LTI, input_delay_s: float = 0.0) -> StateSpaceDynamics:
+        """Keep a linear system of python-control, continuous or discrete: state space or transfer function.
+
+        Raises
+        ------
+        InputError : anything else (a frequency response has no state), an improper transfer function, or a
+            discrete system without a sample time
+
+        Examples
+        --------
+        >>> import control
+        >>> StateSpaceDynamics.of(control.tf([1.0], [1e-6, 1e-4, 1.0])).describe()
+        'state space of order 2, continuous'
+        """
+        from hammerstein.interop.linear_system import matrices_of
+
+        a, b, c, d, sample_time_s = matrices_of(system)
+        rows = {k: tuple(map(tuple, m.tolist())) for k, m in zip("ABCD", (a, b, c, d), strict=True)}
+        return cls(**rows, sample_time_s=sample_time_s, input_delay_s=input_delay_s)
 
     @property
     def n_outputs(self) -> int:
@@ -157,12 +176,14 @@ class StateSpaceDynamics(BaseModel):
 
     def system(self) -> control.StateSpace:
         """Give the block as a ``control.StateSpace``."""
-        import control
+        return self.block().system()
 
+    def block(self) -> LinearBlock:
+        """Give its matrices, in continuous time or on its own sample time."""
         n, m, p = len(self.A), len(self.D[0]), len(self.D)
         a, b = np.reshape(self.A, (n, n)), np.reshape(self.B, (n, m))
         c, d = np.reshape(self.C, (p, n)), np.reshape(self.D, (p, m))
-        return control.ss(a, b, c, d, self.sample_time_s or 0)
+        return LinearBlock(a, b, c, d, self.sample_time_s or CONTINUOUS)
 
 
 Dynamics = Annotated[AxesDynamics | StaticDynamics | StateSpaceDynamics, Field(discriminator="kind")]
@@ -224,14 +245,24 @@ def creep(gains: Sequence[float], time_constants_s: Sequence[float]) -> control.
     )
 
 
-def low_pass(bandwidth_hz: float, n: int) -> control.StateSpace:
+def low_pass(bandwidth_hz: float, n: int) -> LinearBlock:
     """First-order low-pass of n channels, -3 dB at ``bandwidth_hz``; infinite bandwidth passes all."""
-    import control
-
     if math.isinf(bandwidth_hz):
-        return control.ss([], [], [], np.eye(n))
+        return _gain(n)
     w = 2.0 * math.pi * bandwidth_hz
-    return control.ss(-w * np.eye(n), w * np.eye(n), np.eye(n), np.zeros((n, n)))
+    return LinearBlock(-w * np.eye(n), w * np.eye(n), np.eye(n), np.zeros((n, n)), CONTINUOUS)
+
+
+def _gain(n: int) -> LinearBlock:
+    """N channels that pass unchanged."""
+    return LinearBlock(np.empty((0, 0)), np.empty((0, n)), np.empty((n, 0)), np.eye(n), CONTINUOUS)
+
+
+def _axis_system(axis: Axis) -> control.StateSpace:
+    fast = cantilever(resonance_hz=axis.resonance_hz, damping_ratio=axis.damping_ratio)
+    if not axis.creep:
+        return fast
+    return creep([c.gain for c in axis.creep], [c.time_constant_s for c in axis.creep]) * fast
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,6 +270,8 @@ class LinearBlock:
     """A discrete linear block on one sample grid: x[k+1] = A x[k] + B v[k], y[k] = C x[k] + D v[k].
 
     A : (n, n), B : (n, m), C : (p, n), D : (p, m)
+
+    With ``sample_time_s`` = 0 the matrices are those of continuous time, to be put on a grid by ``held``.
     """
 
     A: Array
@@ -253,6 +286,12 @@ class LinearBlock:
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
 
+    def __repr__(self) -> str:
+        return (
+            f"LinearBlock(order {len(self.A)}, {self.n_inputs} inputs, {self.n_outputs} outputs, "
+            f"{self.sample_time_s:g} s a sample)"
+        )
+
     @property
     def n_inputs(self) -> int:
         """Number of inputs."""
@@ -262,6 +301,25 @@ class LinearBlock:
     def n_outputs(self) -> int:
         """Number of outputs."""
         return int(self.D.shape[0])
+
+    def system(self) -> control.StateSpace:
+        """Give the block as a ``control.StateSpace``.
+
+        python-control up to 0.10.2 sets the shape of the empty matrices of a system without states, which
+        NumPy 2.5 warns of; mended in https://github.com/python-control/python-control/pull/1243. No
+        simulation comes here: ``held`` needs no system.
+        """
+        import control
+
+        timebase = self.sample_time_s if self.A.size else None  # without states it fits any
+        return control.ss(self.A, self.B, self.C, self.D, timebase)
+
+    def held(self, sample_time_s: float) -> LinearBlock:
+        """Put a block in continuous time on a grid, exactly for an input held over each sample."""
+        from scipy.signal import cont2discrete
+
+        a, b, c, d, _ = cont2discrete((self.A, self.B, self.C, self.D), sample_time_s, "zoh")
+        return LinearBlock(a, b, c, d, sample_time_s)
 
     def rest(self) -> Array:
         """State (n,) of a block that was never driven."""
@@ -294,6 +352,18 @@ class LinearBlock:
         """Output (p,) for one sample (m,), and the state after it; equal to ``respond`` to the last bit."""
         y, after = self.respond(np.reshape(np.asarray(v_um, dtype=np.float64), (-1, 1)), state)
         return y[:, 0], after
+
+    def to_iosys(self, sample_time_s: float, name: str = "dynamics") -> BlockSystem:
+        """Give the block as a discrete python-control system, ``hysteresis_um[i]`` to ``position_um[o]``.
+
+        It stands on its own sample grid; InputError for another sample time.
+        """
+        from hammerstein.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+
+        require_grid(self.sample_time_s, sample_time_s, "linear block")
+        block = Stepwise(self.rest(), self.step, lambda x: {"x": x}, lambda data: np.asarray(data["x"]))
+        wires = signals("hysteresis_um", self.n_inputs), signals("position_um", self.n_outputs)
+        return BlockSystem(block, *wires, sample_time_s, name)
 
     @cached_property
     def rows(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
@@ -353,36 +423,22 @@ def discretise(
     ------
     InputError : a discrete block on another sample time, or a delay that is no whole number of samples
     """
-    import control
-
-    system = dynamics.system()
-    if isinstance(dynamics, StateSpaceDynamics) and dynamics.sample_time_s is not None:
-        if not math.isclose(dynamics.sample_time_s, sample_time_s, rel_tol=1e-9):
+    block = dynamics.block()
+    if block.sample_time_s != CONTINUOUS:
+        if not math.isclose(block.sample_time_s, sample_time_s, rel_tol=1e-9):
             raise InputError(
                 "dynamics",
-                f"the model was identified at {dynamics.sample_time_s:g} s a sample and cannot run at "
+                f"the model was identified at {block.sample_time_s:g} s a sample and cannot run at "
                 f"{sample_time_s:g} s; set the drive's sample_time_s to the model's",
             )
-        block = _on_grid(system, sample_time_s)
         if sensor_bandwidth_hz is not None:
-            sensor = control.c2d(low_pass(sensor_bandwidth_hz, block.n_outputs), sample_time_s, "zoh")
-            block = block.observed_by(_on_grid(sensor, sample_time_s))
+            sensor = low_pass(sensor_bandwidth_hz, block.n_outputs)
+            block = block.observed_by(sensor.held(sample_time_s))
     else:
         if sensor_bandwidth_hz is not None:
-            plant, sensor = (
-                _on_grid(system, 0.0),
-                _on_grid(low_pass(sensor_bandwidth_hz, system.noutputs), 0.0),
-            )
-            both = plant.observed_by(sensor)
-            system = control.ss(both.A, both.B, both.C, both.D)
-        block = _on_grid(control.c2d(system, sample_time_s, "zoh"), sample_time_s)
+            block = block.observed_by(low_pass(sensor_bandwidth_hz, block.n_outputs))
+        block = block.held(sample_time_s)
     return block.delayed(_whole_samples(dynamics.input_delay_s, sample_time_s))
-
-
-def _on_grid(system: control.StateSpace, sample_time_s: float) -> LinearBlock:
-    n, m, p = system.nstates, system.ninputs, system.noutputs
-    shaped = (np.reshape(system.A, (n, n)), np.reshape(system.B, (n, m)), np.reshape(system.C, (p, n)))
-    return LinearBlock(*shaped, np.reshape(system.D, (p, m)), sample_time_s)
 
 
 def _whole_samples(delay_s: float, sample_time_s: float) -> int:

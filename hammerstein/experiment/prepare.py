@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hammerstein.blocks import Law
 from hammerstein.compensators.feedback.pid import Feedback, closed_loop
 from hammerstein.compensators.specs import Compensator
+from hammerstein.driving import DriveRange
 from hammerstein.errors import InputError, Mistake, SimulationError
 from hammerstein.identification.source import ModelSource
 from hammerstein.instruments import Instruments, standard_noise
@@ -159,6 +160,7 @@ def _closed(plant: Plant, law: Feedback, reference_um: Array, seed: list[int]) -
         instruments.drive,
         instruments.sensor,
         noise,
+        plant.model.recorded.working_point_v,
     )
     return Response(
         sample_time_s=plant.sample_time_s,
@@ -169,6 +171,8 @@ def _closed(plant: Plant, law: Feedback, reference_um: Array, seed: list[int]) -
         position_um=wires.position_um,
         reading_um=wires.reading_um,
         saturated=wires.saturated,
+        inputs=plant.model.inputs,
+        outputs=plant.model.outputs,
     )
 
 
@@ -226,9 +230,18 @@ def _law(compensator: Compensator, model: HammersteinModel, plant: Plant) -> Any
     """A law for the instruments of the scenario, whatever those that its model was found with."""
     here = replace(model, instruments=plant.instruments)
     try:
-        return compensator.build(here, plant.instruments.drive.range_v, plant.sample_time_s)
+        return compensator.build(here, _range(model, plant), plant.sample_time_s)
     except (InputError, SimulationError) as error:
         raise type(error)(*_labelled(compensator.label, error)) from None
+
+
+def _range(model: HammersteinModel, plant: Plant) -> DriveRange:
+    """What a law may ask for; before the first sample the actuator rests at its own working point."""
+    return DriveRange.of(
+        np.transpose(plant.instruments.drive.limits(plant.model.hysteresis.n_inputs)),
+        model,
+        start_v=plant.model.recorded.working_point_v,
+    )
 
 
 def _labelled(label: str, error: InputError | SimulationError) -> tuple[Any, ...]:
@@ -290,19 +303,40 @@ def _check_order(signal: FromFile, axes: tuple[str, ...]) -> None:
 
 def _check_reach(scenario: Scenario, plant: Plant, source: str) -> None:
     """Refuse a reference that no voltage within the drive's range could reach, whatever the phase."""
-    range_v = plant.instruments.drive.range_v
-    if math.isinf(range_v):
+    model, limits = plant.model, plant.range
+    if not np.isfinite(limits.span_v).all():
         return
-    model = plant.model
-    reach = np.abs(model.hysteresis.amplitude(range_v)).sum(axis=1)
+    low_um, high_um = _far_ends(model, limits)
+    volts = limits.words(model.inputs)
     for signal in scenario.signals():
         window = Window.of(scenario, signal, plant.sample_time_s)
         time_s = np.linspace(0.0, window.total * plant.sample_time_s, REACH_POINTS)
-        for axis in driven_axes(scenario, len(reach)):
-            largest = np.abs(values_of(Case(signal, axis, ""), time_s, len(reach))).max(axis=1)
-            for name, wanted, most in zip(model.outputs, largest, reach, strict=True):
-                if wanted > most:
+        for axis in driven_axes(scenario, len(low_um)):
+            values = values_of(Case(signal, axis, ""), time_s, len(low_um))
+            for name, path, low, high in zip(model.outputs, values, low_um, high_um, strict=True):
+                if path.max() > high or path.min() < low:
+                    wanted = path.max() if path.max() > high else path.min()
                     raise SimulationError(
                         f"{source}: the reference asks for {wanted:.4g} um on {name}; the actuator reaches "
-                        f"{most:.4g} um with {range_v:g} V. Use a smaller reference or a larger drive range."
+                        f"{low:.4g} to {high:.4g} um with {volts}. Use a smaller reference, another "
+                        "offset_um, or a larger drive range."
                     )
+
+
+def _far_ends(model: HammersteinModel, limits: DriveRange) -> tuple[Array, Array]:
+    """Least and largest position (p,) of the static block from rest, whatever the other outputs do [um].
+
+    About the middle of the range every pair moves by its settled loop; rest itself is reached, too.
+    """
+    low, high = limits.counted
+    half, middle = 0.5 * limits.span_v, 0.5 * (low + high)
+    pairs = model.hysteresis.pairs
+    tips = np.array([[pair.amplitude(h) for pair, h in zip(row, half, strict=True)] for row in pairs])
+    centre = np.array(
+        [
+            sum(float(pair.weights_um_per_v.sum()) * u for pair, u in zip(row, middle, strict=True))
+            for row in pairs
+        ]
+    )
+    reach = np.abs(tips).sum(axis=1)
+    return np.minimum(centre - reach, 0.0), np.maximum(centre + reach, 0.0)

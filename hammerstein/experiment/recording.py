@@ -88,7 +88,7 @@ def _prediction(
     setup: SetUp, model: HammersteinModel, drive_v: Array, start: PredictionState
 ) -> tuple[Array, Array, PredictionState]:
     """What a model predicts that the sensor reads, and where the actuator is."""
-    v, plays = model.hysteresis.respond(drive_v, start.plays)
+    v, plays = model.static_response(drive_v, start.plays)
     if isinstance(model.dynamics, StaticDynamics):
         return v, v, PredictionState(plays)  # found from readings: it stands for both
     plant = setup.plant

@@ -90,6 +90,11 @@ class Report:
     bands: tuple[Band, ...] = ()
     traces: tuple[Trace, ...] = ()
 
+    def __repr__(self) -> str:
+        claims = f", {len(self.verdicts)} claims" if self.verdicts else ""
+        counts = f"{len(self.rows)} rows, {len(self.traces)} traces{claims}"
+        return f"Report({self.name!r} on {self.actuator}: {counts})"
+
     def without_traces(self) -> Report:
         """Give the report without its traces, as small as its file."""
         return replace(self, traces=())

@@ -8,10 +8,12 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue, TypeAdapter
+from scipy.linalg import block_diag
 
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.errors import IdentificationError
@@ -19,16 +21,17 @@ from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.linear.creep import fit_creep
 from hammerstein.identification.source import ClosedFormSpec, IdentificationSpec, JointFitSpec
 from hammerstein.identification.static.closed_form import closed_form
-from hammerstein.instruments import Drive
 from hammerstein.metrics.cycle import settled_cycle
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.cache import kept
-from hammerstein.signals import Multisine, Sine, Triangle
+from hammerstein.signals import Multisine, Sine, Triangle, smooth_step
 from hammerstein.simulation import Plant
+from hammerstein.voltages import Voltages
 
 Array = NDArray[np.float64]
 
+REST_SAMPLES = 20
 CREEP_SAMPLES = 12_000
 CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
 """Slow steps of the creep record, in parts of the amplitude; each lasts a sixth of it."""
@@ -50,10 +53,7 @@ def identify_by_experiment(plant: Plant, spec: ClosedFormSpec | JointFitSpec, se
     IdentificationError : the data do not determine the model, or the drive cuts the voltage
     """
     actuator = replace(plant.model, instruments=plant.instruments)
-    # The text is a part of the seed: what was added later and is not given must not move the noise.
-    unsaid = {"waveform"} if getattr(spec, "waveform", None) is None else set()
-    text = spec.model_dump_json(exclude=unsaid)
-    return HammersteinModel.from_json(kept(_identified)(actuator.to_json(), text, seed))
+    return HammersteinModel.from_json(kept(_identified)(actuator.to_json(), spec.model_dump_json(), seed))
 
 
 def _identified(actuator_json: str, spec_json: str, seed: int) -> str:
@@ -61,7 +61,10 @@ def _identified(actuator_json: str, spec_json: str, seed: int) -> str:
     actuator = HammersteinModel.from_json(actuator_json)
     plant = Plant(actuator, actuator.instruments)
     spec: ClosedFormSpec | JointFitSpec = TypeAdapter(IdentificationSpec).validate_json(spec_json)
-    seeds = [seed, zlib.crc32(spec_json.encode())]
+    asked = spec.model_copy(update={"amplitude_v": spec.amplitude_v or actuator.amplitude_v})
+    # The text is a part of the seed: what was added later and is not given must not move the noise.
+    unsaid = {"waveform"} if getattr(spec, "waveform", None) is None else set()
+    seeds = [seed, zlib.crc32(asked.model_dump_json(exclude=unsaid).encode())]
     if isinstance(spec, JointFitSpec):
         return _joint_fit(_at_sample_time(plant, spec.sample_time_s), spec, seeds).to_json()
     return _closed_form(plant, spec, seeds).to_json()
@@ -70,21 +73,22 @@ def _identified(actuator_json: str, spec_json: str, seed: int) -> str:
 def _closed_form(plant: Plant, spec: ClosedFormSpec, seeds: list[int]) -> HammersteinModel:
     """Equations 14-17 on the settled loop of each input (steps 1-4 of section 3.3)."""
     bench = _at_sample_time(plant, spec.sample_time_s)
-    _refuse_cut_voltage(bench, spec.amplitude_v)
+    drive = _Excursion.of(bench, spec.amplitude_v)
     columns: list[list[Pair]] = []
     for k in range(plant.model.hysteresis.n_inputs):
-        u, y = _settled_loop(bench, spec, k, seeds)
+        u, y = _settled_loop(bench, spec, drive, k, seeds)
         columns.append(closed_form(u, y, spec.operators))
     rows = tuple(tuple(column[o] for column in columns) for o in range(plant.model.hysteresis.n_outputs))
     return HammersteinModel(
         name=f"closed form at {spec.frequency_hz:g} Hz",
         hysteresis=PrandtlIshlinskii(rows),
         dynamics=StaticDynamics(n_outputs=len(rows)),
-        amplitude_v=spec.amplitude_v,
+        amplitude_v=float(drive.amplitude_v.max()),
         inputs=plant.model.inputs,
         outputs=plant.model.outputs,
         instruments=plant.instruments,
         provenance={"actuator": plant.model.name, "identification": spec.model_dump(mode="json")},
+        voltages=drive.voltages(),
     )
 
 
@@ -93,7 +97,7 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
     from hammerstein.identification.identify import identify
     from hammerstein.identification.settings import Settings
 
-    _refuse_cut_voltage(plant, spec.amplitude_v)
+    drive = _Excursion.of(plant, spec.amplitude_v)
     settings = Settings(
         operators=spec.operators,
         partition=spec.partition,
@@ -102,17 +106,19 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
         error_curve=False,
     )
     name = f"joint fit, {spec.operators} operators"
-    model, _ = identify(_records(plant, spec, seeds), settings, name=name, instruments=plant.instruments)
+    model, _ = identify(
+        _records(plant, spec, drive, seeds), settings, name=name, instruments=plant.instruments
+    )
     provenance: JsonValue = {
         "actuator": plant.model.name,
         "identification": spec.model_dump(mode="json"),
     }
     named = replace(model, inputs=plant.model.inputs, outputs=plant.model.outputs, provenance=provenance)
-    return _with_creep(plant, spec, named, seeds) if spec.creep_modes else named
+    return _with_creep(plant, spec, drive, named, seeds) if spec.creep_modes else named
 
 
 def _with_creep(
-    plant: Plant, spec: JointFitSpec, model: HammersteinModel, seeds: list[int]
+    plant: Plant, spec: JointFitSpec, drive: _Excursion, model: HammersteinModel, seeds: list[int]
 ) -> HammersteinModel:
     """Add the creep of every axis, from one slow record of slow steps on all inputs.
 
@@ -121,9 +127,9 @@ def _with_creep(
     bench = _at_sample_time(plant, spec.creep_record_s / CREEP_SAMPLES)
     steps = np.repeat(CREEP_LEVELS, CREEP_SAMPLES // len(CREEP_LEVELS))
     m = plant.model.hysteresis.n_inputs
-    voltage = spec.amplitude_v * np.stack([np.roll(steps, k * len(steps) // (3 * m)) for k in range(m)])
-    response = bench.respond(voltage, [*seeds, m])
-    v, _ = model.hysteresis.respond(response.drive_v)
+    levels = np.stack([np.roll(steps, k * len(steps) // (3 * m)) for k in range(m)])
+    response = bench.respond(drive.centre_v[:, None] + drive.amplitude_v[:, None] * levels, [*seeds, m])
+    v, _ = model.static_response(response.drive_v)
     dynamics = model.dynamics
     assert isinstance(dynamics, AxesDynamics)  # what a joint fit gives
     axes = []
@@ -133,20 +139,25 @@ def _with_creep(
     return replace(model, dynamics=dynamics.model_copy(update={"axes": tuple(axes)}))
 
 
-def _records(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> list[Record]:
+def _records(plant: Plant, spec: JointFitSpec, drive: _Excursion, seeds: list[int]) -> list[Record]:
     """One record an input; the inputs are driven one after the other, and the actuator keeps its memory."""
-    bursts = [
-        Sine(amplitude=spec.amplitude_v, frequency_hz=f, axis=1) for f in sorted(spec.frequencies_hz)
-    ] + [
-        Multisine(
-            amplitude=spec.amplitude_v, lowest_hz=5.0, highest_hz=max(spec.frequencies_hz), seed=seeds[0]
-        )
-    ]
     samples = round(spec.record_s / plant.sample_time_s)
     time_s = np.linspace(0.0, (samples - 1) * plant.sample_time_s, samples)
-    one = np.concatenate([np.zeros(20), *(burst.sample(time_s, 1)[0] for burst in bursts)])
-    m = plant.model.hysteresis.n_inputs
-    voltage = np.kron(np.eye(m), one)
+    blocks = []
+    for k, amplitude_v in enumerate(drive.amplitude_v.tolist()):
+        bursts = [
+            Sine(amplitude=amplitude_v, frequency_hz=f, axis=1) for f in sorted(spec.frequencies_hz)
+        ] + [
+            Multisine(
+                amplitude=amplitude_v, lowest_hz=5.0, highest_hz=max(spec.frequencies_hz), seed=seeds[0]
+            )
+        ]
+        waves = np.concatenate([burst.sample(time_s, 1)[0] for burst in bursts])
+        away = drive.centre_v[k] - drive.rest_v[k]
+        ramp = away * smooth_step(np.arange(len(waves)) / samples)
+        blocks.append(np.concatenate([np.zeros(REST_SAMPLES), waves + ramp]))
+    one, m = blocks[0], len(blocks)
+    voltage = drive.rest_v[:, None] + block_diag(*blocks)
     response = plant.respond(voltage, seeds)
     parts = [slice(k * len(one), (k + 1) * len(one)) for k in range(m)]
     return [
@@ -166,18 +177,21 @@ def _finite(bandwidth_hz: float) -> float | None:
     return None if math.isinf(bandwidth_hz) else bandwidth_hz
 
 
-def _settled_loop(bench: Plant, spec: ClosedFormSpec, k: int, seeds: list[int]) -> tuple[Array, Array]:
-    """Mean settled cycle of the driven voltage (phase,) and of the readings (output, phase)."""
+def _settled_loop(
+    bench: Plant, spec: ClosedFormSpec, drive: _Excursion, k: int, seeds: list[int]
+) -> tuple[Array, Array]:
+    """Mean settled cycle of the voltage about its middle (phase,) and of the readings (output, phase)."""
     period = 1.0 / spec.frequency_hz
     settle = max(spec.settle_cycles, math.ceil(0.05 / period))
     samples = round((settle + spec.measured_cycles) * period / bench.sample_time_s)
-    wave = Triangle if spec.waveform == "triangle" else Sine
-    signal = wave(amplitude=spec.amplitude_v, frequency_hz=spec.frequency_hz, axis=k + 1)
+    voltage = np.repeat(drive.rest_v[:, None], samples, axis=1)
     time_s = np.arange(samples, dtype=np.float64) * bench.sample_time_s
-    voltage = signal.sample(time_s, bench.model.hysteresis.n_inputs)
+    shape = Triangle if spec.waveform == "triangle" else Sine
+    wave = shape(amplitude=float(drive.amplitude_v[k]), frequency_hz=spec.frequency_hz, axis=1)
+    voltage[k] = drive.centre_v[k] + wave.sample(time_s, 1)[0]
     response = bench.respond(voltage, [*seeds, k])
     phases = 2 * max(1, round(0.5 * period / bench.sample_time_s))
-    both = np.vstack([response.drive_v[k], response.reading_um])
+    both = np.vstack([response.drive_v[k] - drive.centre_v[k], response.reading_um])
     cycle = settled_cycle(both, spec.frequency_hz, bench.sample_time_s, phases, skip_cycles=settle)
     return cycle[0], cycle[1:]
 
@@ -189,10 +203,34 @@ def _at_sample_time(plant: Plant, sample_time_s: float | None) -> Plant:
     return Plant(plant.model, plant.instruments.model_copy(update={"drive": drive}))
 
 
-def _refuse_cut_voltage(plant: Plant, amplitude_v: float) -> None:
-    drive: Drive = plant.instruments.drive
-    if amplitude_v > drive.range_v:
-        raise IdentificationError(
-            f"the identification asks for {amplitude_v:g} V, the drive gives {drive.range_v:g} V; "
-            "lower amplitude_v"
-        )
+class _Excursion(NamedTuple):
+    """Voltages of an experiment: from rest about the middle of the range that the actuator is known in.
+
+    rest_v, centre_v, amplitude_v : (m,) [V]
+    """
+
+    rest_v: Array
+    centre_v: Array
+    amplitude_v: Array
+
+    @classmethod
+    def of(cls, plant: Plant, amplitude_v: float | None) -> _Excursion:
+        """With an amplitude, or that of the actuator; IdentificationError where the drive would cut it."""
+        known = plant.model.recorded
+        low, high = np.array(known.lowest_v), np.array(known.highest_v)
+        centre = 0.5 * (low + high)
+        size = 0.5 * (high - low) if amplitude_v is None else np.full(len(low), amplitude_v)
+        limits = plant.range
+        if ((centre + size > limits.high_v) | (centre - size < limits.low_v)).any():
+            about = ", ".join(
+                dict.fromkeys(f"{a:g} V about {c:g} V" for a, c in zip(size, centre, strict=True))
+            )
+            raise IdentificationError(
+                f"the identification asks for {about}, the drive gives {limits.words(plant.model.inputs)}; "
+                "lower amplitude_v"
+            )
+        return cls(np.array(known.working_point_v), centre, size)
+
+    def voltages(self) -> Voltages:
+        """What a model file says of them."""
+        return Voltages.of(self.rest_v, self.centre_v - self.amplitude_v, self.centre_v + self.amplitude_v)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hammerstein.blocks import Array
 from hammerstein.errors import InputError, SimulationError
@@ -66,7 +67,7 @@ class Invertibility:
 
 
 def invertibility(
-    hysteresis: PrandtlIshlinskii, range_v: float = math.inf, amplitude_v: float | None = None
+    hysteresis: PrandtlIshlinskii, range_v: ArrayLike = math.inf, amplitude_v: float | None = None
 ) -> Invertibility:
     """Examine every slope matrix that a drive within a range can bring about.
 
@@ -78,7 +79,8 @@ def invertibility(
     Parameters
     ----------
     hysteresis : m inputs, p <= m outputs
-    range_v : range of the drive [V]; operators with larger thresholds never move
+    range_v : farthest from the working point that the drive can go [V], for all inputs or each of them (m,);
+        operators with larger thresholds never move
     amplitude_v : amplitude for the gain matrix of a model with more inputs than outputs [V]
 
     Raises
@@ -91,12 +93,15 @@ def invertibility(
     >>> invertibility(PrandtlIshlinskii([[Pair([0.0, 1.0], [2.0, -3.0])]])).invertible
     False
     """
-    square, smallest = completed(hysteresis, amplitude_v or _usual_amplitude(hysteresis, range_v))
-    if (smallest >= range_v).any():
-        k = int(np.argmax(smallest))
-        message = f"of input {k + 1}, {smallest[k]:g} V, is beyond the range of {range_v:g} V: nothing moves"
+    farthest = np.broadcast_to(np.asarray(range_v, dtype=np.float64), hysteresis.n_inputs)
+    square, smallest = completed(hysteresis, amplitude_v or _usual_amplitude(hysteresis, farthest.max()))
+    if (smallest >= farthest).any():
+        k = int(np.argmax(smallest - farthest))
+        message = (
+            f"of input {k + 1}, {smallest[k]:g} V, is beyond the range of {farthest[k]:g} V: nothing moves"
+        )
         raise InputError("smallest threshold", message)
-    reached = _within(square, range_v - smallest)
+    reached = _within(square, farthest - smallest)
     dominant = _dominant_sign(reached)
     if dominant:
         number = math.prod(int(n) for n in reached.bank.n)

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from hammerstein.errors import InputError, Mistake, SimulationError
 
 if TYPE_CHECKING:
-    import control
+    from hammerstein.interop.block_system import BlockSystem
+    from hammerstein.interop.limit_cycles import HysteresisNonlinearity
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -115,6 +116,13 @@ class Pair:
         """Hear nothing of the input."""
         return cls(_frozen([]), _frozen([]))
 
+    def __repr__(self) -> str:
+        r, w = self.thresholds_v, self.weights_um_per_v
+        if not len(r):
+            return "Pair(absent)"
+        thresholds = f"thresholds {r[0]:.4g} to {r[-1]:.4g} V"
+        return f"Pair({len(r)} operators, {thresholds}, summed weight {w.sum():.4g} um/V)"
+
     @property
     def slopes(self) -> Array:
         """Partial sums of the weights (operator,) [um/V]: the slope while operators 1..j move."""
@@ -135,6 +143,28 @@ class Pair:
         r, w = self.thresholds_v, self.weights_um_per_v
         rise = np.subtract.outer(np.asarray(u_v) + amplitude_v, 2.0 * r)
         return np.asarray(np.maximum(rise, 0.0) @ w)
+
+
+@dataclass(frozen=True, eq=False)
+class WeightCovariance:
+    """How the errors of all weights of one output hang together: their covariance L L^T.
+
+    factor_um_per_v : (weight, weight) lower triangle L [um/V]; pair after pair in the order of the inputs
+    slopes_at_bound : slopes that the fit held at a bound; their weights vary with the others alone
+    """
+
+    factor_um_per_v: Array
+    slopes_at_bound: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "factor_um_per_v", _frozen(self.factor_um_per_v))
+        if not np.isfinite(self.factor_um_per_v).all():
+            raise InputError("weight_covariance", "holds a value that is not finite")
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (weight, weight) [um^2/V^2]."""
+        return np.asarray(self.factor_um_per_v @ self.factor_um_per_v.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,10 +260,11 @@ class PrandtlIshlinskii:
     Parameters
     ----------
     pairs : (output, input) nested sequence of ``Pair``
+    weight_covariance : (output,) covariance of the weights, where it is known
 
     Raises
     ------
-    InputError : rows of different length, or no operator at all
+    InputError : rows of different length, no operator at all, or a covariance of other weights
 
     Examples
     --------
@@ -244,6 +275,7 @@ class PrandtlIshlinskii:
     """
 
     pairs: tuple[tuple[Pair, ...], ...] = field()
+    weight_covariance: tuple[WeightCovariance, ...] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pairs", tuple(tuple(row) for row in self.pairs))
@@ -252,6 +284,25 @@ class PrandtlIshlinskii:
             raise InputError("Prandtl-Ishlinskii model", "every output needs one pair for every input")
         if not any(len(pair.thresholds_v) for row in self.pairs for pair in row):
             raise InputError("Prandtl-Ishlinskii model", "all pairs are absent; give at least one operator")
+        if self.weight_covariance is not None:
+            weights = [sum(len(pair.thresholds_v) for pair in row) for row in self.pairs]
+            if [known.factor_um_per_v.shape for known in self.weight_covariance] != [(n, n) for n in weights]:
+                raise InputError("weight_covariance", f"must have one factor an output, of {weights} rows")
+
+    def __repr__(self) -> str:
+        return f"PrandtlIshlinskii({self.describe()})"
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        pairs = [pair for row in self.pairs for pair in row if len(pair.thresholds_v)]
+        counts = sorted({len(pair.thresholds_v) for pair in pairs})
+        thresholds = np.concatenate([pair.thresholds_v for pair in pairs])
+        operators = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
+        plural = "" if counts[-1] == 1 else "s"
+        return (
+            f"{self.n_inputs} inputs, {self.n_outputs} outputs, {operators} operator{plural} a pair, "
+            f"thresholds {thresholds.min():.4g} to {thresholds.max():.4g} V"
+        )
 
     @classmethod
     def from_arrays(cls, thresholds_v: ArrayLike, weights_um_per_v: ArrayLike) -> PrandtlIshlinskii:
@@ -393,14 +444,32 @@ class PrandtlIshlinskii:
         """Slopes (operator, output) [um/V] while the first 1, 2, ... operators of input k move."""
         return self.bank.slope[k, 1 : self.bank.n[k] + 1]
 
-    def to_nlsys(self, sample_time_s: float, name: str = "hysteresis") -> control.NonlinearIOSystem:
-        """Export as a discrete python-control system whose states are the plays.
+    def to_iosys(self, sample_time_s: float, name: str = "hysteresis") -> BlockSystem:
+        """Give the block as a discrete ``control.NonlinearIOSystem``, ``drive_v[k]`` to ``hysteresis_um[o]``.
 
-        The same law in its textbook form, for use in ``control.interconnect``.
+        Raises InputError for a sample time that is not above zero.
         """
-        from hammerstein.hysteresis.export import to_nlsys
+        from hammerstein.interop.block_system import BlockSystem, Stepwise, require_grid, signals
 
-        return to_nlsys(self, sample_time_s, name)
+        require_grid(None, sample_time_s, "hysteresis")
+        block = Stepwise(self.rest(), self.step, PlayState.as_dict, PlayState.from_dict)
+        wires = signals("drive_v", self.n_inputs), signals("hysteresis_um", self.n_outputs)
+        return BlockSystem(block, *wires, sample_time_s, name)
+
+    def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
+        """Give a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
+
+        Parameters
+        ----------
+        range_v : range of the drive, the same on both sides [V]; inf: none
+
+        Raises
+        ------
+        InputError : more than one input or output, or a range within which no operator moves
+        """
+        from hammerstein.hysteresis.describing_function import nonlinearity_of
+
+        return nonlinearity_of(self, range_v)
 
 
 def _named_pair(r: Array, w: Array, output: int, input_: int) -> Pair:

@@ -67,12 +67,12 @@ def refuse_noise(records: Sequence[Record], answer: Array) -> None:
     ------
     IdentificationError : names every such input, how far it moved, and what to do
     """
-    silent = answer < ANSWERED
-    if silent.all() and all(_is_noise(y) for record in records for y in record.y_um):
+    if all(_is_noise(y) for record in records for y in record.y_um):
         raise IdentificationError(
             "no output follows a voltage: the readings are noise; check the columns, the wiring and the "
             "sensor"
         )
+    silent = answer < ANSWERED
     names, swing = records[0].inputs, half_swing(records)
     for k in np.flatnonzero(silent & (swing < SMALL * swing.max())):
         if all(_is_noise(record.u_v[k]) for record in records):

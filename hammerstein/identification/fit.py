@@ -11,6 +11,7 @@ from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
+from hammerstein.voltages import Voltages
 
 Kind = Literal["linear", "static_hysteresis", "linear_dynamics", "hammerstein"]
 
@@ -41,6 +42,7 @@ class Fit:
     operators : (output, input) number of thresholds of each pair
     amplitude_v : largest half swing of an input in the records [V]
     amplitudes_v : (input,) half swing of each one [V]
+    voltages : working point and range of the records
     delay_samples : whole samples by which the outputs come late
     sample_time_s : time between samples of the records [s]
     sensor_bandwidth_hz : what the sensor was taken for [Hz]
@@ -69,6 +71,7 @@ class Fit:
     operators: tuple[tuple[int, ...], ...]
     amplitude_v: float
     amplitudes_v: tuple[float, ...]
+    voltages: Voltages
     delay_samples: int
     sample_time_s: float
     sensor_bandwidth_hz: float | None
@@ -97,6 +100,7 @@ class Fit:
         """Give plain values for JSON: ``fit`` and ``validation`` hold the errors of each kind of model."""
         plain = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in _OWN_FORM}
         return plain | {
+            "voltages": self.voltages.model_dump(mode="json"),
             "fit": {kind: asdict(score) for kind, score in self.fit.items()},
             "validation": {kind: asdict(score) for kind, score in self.validation.items()},
             "starts": [asdict(start) for start in self.starts],

@@ -30,6 +30,7 @@ from hammerstein.identification.operators import (
     error_curve,
     input_grids,
 )
+from hammerstein.identification.recorded import counted, voltages_of
 from hammerstein.identification.score import Candidate, Score, ranges, score
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.history import (
@@ -54,6 +55,7 @@ from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.records.preparation import driven_inputs, prepare, refuse_swapped
 from hammerstein.records.record import Record
+from hammerstein.voltages import Verdict, Voltages
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -101,7 +103,7 @@ def identify(
 
     Returns
     -------
-    model : the actuator's model; its provenance holds the verdict and whether it has an inverse
+    model : the actuator's model; its file holds the voltages as recorded and the verdict
     fit : errors, offsets, standard errors, statements
 
     Raises
@@ -139,12 +141,13 @@ def identify(
     fitted = {kind: score(c, ready, task.starts) for kind, c in built.candidates.items()}
     judged = {kind: score(c, held, held_starts) for kind, c in built.candidates.items()} if held else {}
     errors = Judgement(fitted, judged, held, held_starts, answer)
-    fit = _account(task, built, curve, errors, [*notes, *held_notes])
+    voltages = voltages_of(records, ready, task.starts)
+    fit = _account(task, built, curve, errors, voltages, [*notes, *held_notes])
     return _model(task, fit, best, name, instruments), fit
 
 
 def _ready(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
-    """Records without their dead start, and what was done to them."""
+    """Records without their dead start, counted from where they began, and what was done to them."""
     if not records:
         raise InputError("records", "none was given")
     ready, notes = [], []
@@ -160,7 +163,7 @@ def _ready(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
                 f"voltages count from their values at rest ({offsets} V)"
             )
         else:
-            ready.append(record)
+            ready.append(counted(record))
     return tuple(ready), notes
 
 
@@ -263,6 +266,7 @@ def _account(
     built: Built,
     curve: tuple[CurvePoint, ...],
     errors: Judgement,
+    voltages: Voltages,
     notes: list[str],
 ) -> Fit:
     """Everything that is said about the model."""
@@ -288,6 +292,7 @@ def _account(
         operators=tuple(tuple(len(p.thresholds_v) for p in row) for row in best.hysteresis.pairs),
         amplitude_v=amplitude,
         amplitudes_v=tuple(swing.tolist()),
+        voltages=voltages,
         delay_samples=task.delay_samples,
         sample_time_s=record.sample_time_s,
         sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
@@ -366,10 +371,15 @@ def _model(
             "method": fit.method,
             "amplitudes_v": list(fit.amplitudes_v),
             "delay_samples": fit.delay_samples,
-            "nrmse_percent": list(fit.judged[fit.kind].nrmse_percent),
             "invertible": fit.invertible,
             "invertibility": fit.invertibility,
-            "verdict": fit.verdict,
-            "flags": list(fit.flags),
         },
+        voltages=fit.voltages,
+        verdict=Verdict(
+            flagged=bool(fit.flags),
+            statements=fit.flags,
+            held_out=bool(fit.held),
+            sentence=fit.verdict,
+            nrmse_percent=fit.judged[fit.kind].nrmse_percent,
+        ),
     )

@@ -26,7 +26,9 @@ class ClosedFormSpec(BaseModel):
 
     method: Literal["closed_form"] = "closed_form"
     frequency_hz: PositiveFloat = 50.0
-    amplitude_v: PositiveFloat = 10.0
+    amplitude_v: PositiveFloat | None = Field(
+        default=None, description="about the middle of the actuator's range; all of that if not given"
+    )
     waveform: Literal["sine", "triangle"] | None = Field(
         default=None, description="what drives the input: a sine if not given"
     )
@@ -49,7 +51,9 @@ class JointFitSpec(BaseModel):
     model_config = _STRICT
 
     method: Literal["hammerstein"]
-    amplitude_v: PositiveFloat = 10.0
+    amplitude_v: PositiveFloat | None = Field(
+        default=None, description="about the middle of the actuator's range; all of that if not given"
+    )
     operators: PositiveInt = 15
     partition: Literal["time", "voltage", "fitted"] = "time"
     frequencies_hz: Frequencies = (50.0,)

@@ -99,6 +99,7 @@ def prepare(record: Record, max_delay_samples: int = 0) -> Prepared:
         record.source,
         record.rows[dead : samples - delay],
         record.period_samples,
+        record.rest_v + offset_v,
         verified=True,
     )
     return Prepared(left, offset_v, offset_um, at_rest, dead, delay)

@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hammerstein.axis_names import unique
 from hammerstein.errors import InputError, Mistake
+from hammerstein.pictured import Pictured
 from hammerstein.records.checks import (
     clipping_mistakes,
     gap_mistakes,
@@ -37,7 +39,7 @@ AXES = ("sample", "channel", "experiment", "period")
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class Record(Pictured):
     """One experiment on one actuator.
 
     Parameters
@@ -45,10 +47,12 @@ class Record:
     u_v : (input, sample) voltages [V]
     y_um : (output, sample) displacements [um]
     sample_time_s : time between two samples [s]
-    inputs, outputs : names of the axes; ``u1``, ``u2``, ... and ``y1``, ``y2``, ... if not given
+    inputs, outputs : names of the axes; ``u1``, ``u2``, ... and ``y1``, ``y2``, ... if not given; a name that
+        stands twice is numbered
     source : where the record comes from, named in every message
     rows : (sample,) row of each sample in its file, from 1
     period_samples : length of one period, where the experiment is known to be periodic
+    rest_v : (input,) voltage from which ``u_v`` counts [V]; zero, for absolute voltages, if not given
     verified : True skips the search for mistakes, for a part of a record that has passed it
 
     Raises
@@ -59,8 +63,8 @@ class Record:
     --------
     >>> u = np.sin(np.linspace(0.0, 12.0, 300))
     >>> record = Record([u], [5.0 * u], 1e-3)
-    >>> record.samples, record.inputs, record.outputs
-    (300, ('u1',), ('y1',))
+    >>> record
+    Record('record': 300 samples of 0.001 s; u1 -1 to 1 V; y1 -5 to 5 um)
     """
 
     u_v: Array
@@ -69,8 +73,9 @@ class Record:
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     source: str = "record"
-    rows: Rows = field(default_factory=lambda: np.empty(0, dtype=np.int64), repr=False)
+    rows: Rows = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     period_samples: int | None = None
+    rest_v: Array = field(default_factory=lambda: np.empty(0), repr=False)
     verified: InitVar[bool] = False
 
     def __post_init__(self, verified: bool) -> None:
@@ -83,15 +88,23 @@ class Record:
             ("u_v", u),
             ("y_um", y),
             ("sample_time_s", float(self.sample_time_s)),
-            ("inputs", tuple(self.inputs) or tuple(f"u{k + 1}" for k in range(len(u)))),
-            ("outputs", tuple(self.outputs) or tuple(f"y{o + 1}" for o in range(len(y)))),
+            ("inputs", unique(self.inputs or [f"u{k + 1}" for k in range(len(u))])),
+            ("outputs", unique(self.outputs or [f"y{o + 1}" for o in range(len(y))])),
             ("rows", rows),
+            ("rest_v", _read_only(self.rest_v if np.size(self.rest_v) else np.zeros(len(u)))),
         ):
             object.__setattr__(self, name, value)
         self._refuse_names()
         mistakes = [] if verified else list(self._mistakes())
         if mistakes:
             raise InputError(self.source, mistakes)
+
+    def __repr__(self) -> str:
+        parts = [f"{self.samples} samples of {self.sample_time_s:.6g} s"]
+        for names, values, unit in ((self.inputs, self.u_v, "V"), (self.outputs, self.y_um, "um")):
+            spans = zip(names, values, strict=True)
+            parts.append(", ".join(f"{n} {v.min():.4g} to {v.max():.4g} {unit}" for n, v in spans))
+        return f"Record({self.source!r}: {'; '.join(parts)})"
 
     def _refuse_shapes(self, u: Array, y: Array) -> None:
         if u.ndim != 2 or y.ndim != 2 or u.shape[1] != y.shape[1] or 0 in u.shape or 0 in y.shape:
@@ -147,6 +160,7 @@ class Record:
             self.source,
             self.rows[start:stop],
             self.period_samples,
+            self.rest_v,
             verified=True,
         )
 

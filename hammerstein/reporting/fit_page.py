@@ -94,11 +94,10 @@ def _score(fit: Fit, kind: Kind, score: Score) -> list[str]:
 def _facts(model: HammersteinModel, fit: Fit) -> Iterator[tuple[str, str]]:
     yield "kind", KIND_NAMES[fit.kind]
     yield "weights", fit.method.replace("_", " ")
-    swings = zip(fit.inputs, fit.amplitudes_v, strict=True)
     rates = ", ".join(dict.fromkeys(f"{record.rate_hz:.6g} Hz" for record in fit.records))
     longest = max(record.samples * record.sample_time_s for record in fit.records)
     yield "sampled at", f"{rates}; the longest record lasts {longest:.4g} s"
-    yield "identified up to", ", ".join(f"{swing:.4g} V on {_cell(name)}" for name, swing in swings)
+    yield "recorded", _cell(fit.voltages.statement(fit.inputs))
     yield "delay", f"{fit.delay_samples} sample{'s' * (fit.delay_samples != 1)} of {fit.sample_time_s:.4g} s"
     if fit.sensor_bandwidth_hz is not None:
         yield "sensor bandwidth, as given", f"{fit.sensor_bandwidth_hz:.4g} Hz"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +89,7 @@ def _write_traces(report: Report, folder: Path, kind: TraceFormat) -> list[Path]
     paths = []
     for number, trace in enumerate(report.traces, start=1):
         path = folder / f"{number:03d}_{_file_name(trace)}.{kind}"
-        columns = _columns(trace, report)
+        columns = {"time_s": trace.time_s} | trace.response.columns()
         write_atomic(path, _csv(columns) if kind == "csv" else _matlab(columns, path))
         paths.append(path)
     return paths
@@ -98,24 +98,6 @@ def _write_traces(report: Report, folder: Path, kind: TraceFormat) -> list[Path]
 def _file_name(trace: Trace) -> str:
     words = f"{trace.label or 'drive'} {trace.excited_axis} {trace.signal.highest_frequency_hz:g}Hz"
     return "".join(c if c.isalnum() or c in ".-" else "_" for c in words)
-
-
-def _columns(trace: Trace, report: Report) -> dict[str, NDArray[np.float64]]:
-    response, outputs, inputs = trace.response, report.axes, report.inputs
-    columns = {"time_s": trace.time_s}
-    wires = {
-        "reference_um": (response.reference_um, outputs),
-        "requested_v": (response.requested_v, inputs),
-        "drive_v": (response.drive_v, inputs),
-        "hysteresis_um": (response.hysteresis_um, outputs),
-        "position_um": (response.position_um, outputs),
-        "reading_um": (response.reading_um, outputs),
-    }
-    for name, (wire, axes) in wires.items():
-        if wire is not None:
-            quantity, unit = name.rsplit("_", 1)
-            columns |= {f"{quantity}_{axis}_{unit}": row for axis, row in zip(axes, wire, strict=True)}
-    return columns
 
 
 def _csv(columns: dict[str, NDArray[np.float64]]) -> str:
@@ -130,7 +112,7 @@ def _matlab(columns: dict[str, NDArray[np.float64]], path: Path) -> bytes:
     if any(len(name) > 31 for name in columns):
         raise InputError(str(path), "MATLAB variables have at most 31 characters; shorten the axis names")
     buffer = io.BytesIO()
-    savemat(buffer, columns, oned_as="column")  # type: ignore[arg-type]  # the stubs know paths only
+    savemat(cast("Any", buffer), columns, oned_as="column")  # SciPy's stubs of some versions know paths only
     # SciPy stamps the time of writing into the first 116 bytes, a free text.
     text = b"MATLAB 5.0 MAT-file, written by hammerstein".ljust(116)
     return text + buffer.getvalue()[116:]

@@ -25,9 +25,10 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited
 from hammerstein.identification.source import ModelSource
 from hammerstein.instruments import Instruments
+from hammerstein.plugins import load_plugins
 from hammerstein.scenario.claims import Claim, MetricName
 from hammerstein.scenario.uncertainty import Uncertainty
-from hammerstein.signals import Excitation, FromFile, Reference
+from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference
 from hammerstein.validation import mistakes_of
 
 Frequencies = Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
@@ -85,7 +86,7 @@ class AlsoOn(BaseModel):
 class Scenario(BaseModel):
     """One experiment: an actuator, a signal, and what is compared."""
 
-    model_config = _STRICT
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     question: Annotated[str, Field(min_length=1)]
     paper_figure: str | None = Field(default=None, description='the figure it answers, such as "Fig. 9"')
@@ -166,6 +167,8 @@ class Scenario(BaseModel):
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
+SIGNALS.used_by(Scenario)
+
 ScenarioSource = Scenario | str | Path | Mapping[str, Any]
 """A scenario as it is, its file, or what a file would hold."""
 
@@ -186,6 +189,7 @@ def scenario_of(source: ScenarioSource) -> tuple[str, Scenario]:
     """
     if isinstance(source, Scenario):
         return "scenario", source
+    load_plugins()
     if isinstance(source, Mapping):
         return "scenario", _validated(source, "scenario")
     return Path(source).stem, load_scenario(source)
@@ -198,6 +202,7 @@ def load_scenario(path: str | Path) -> Scenario:
 
     Raises InputError with every mistake in the file, each with its key, and the nearest known name.
     """
+    load_plugins()
     path = Path(path)
     text = read_limited(path, what="scenario file", limit=1_000_000)
     try:

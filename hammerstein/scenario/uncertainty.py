@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -47,16 +48,7 @@ class Uncertainty(BaseModel):
         generator = np.random.default_rng([self.seed, number])
         hysteresis = _weights_drawn(model.hysteresis, self.weights, generator)
         dynamics = self._dynamics_drawn(model, generator)
-        drawn = HammersteinModel(
-            name=model.name,
-            hysteresis=hysteresis,
-            dynamics=dynamics,
-            amplitude_v=model.amplitude_v,
-            inputs=model.inputs,
-            outputs=model.outputs,
-            instruments=model.instruments,
-            provenance=model.provenance,
-        )
+        drawn = replace(model, hysteresis=hysteresis, dynamics=dynamics)
         noise = instruments.sensor.noise_um * _factor(self.noise, generator)
         sensor = instruments.sensor.model_copy(update={"noise_um": noise})
         return drawn, instruments.model_copy(update={"sensor": sensor})

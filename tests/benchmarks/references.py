@@ -113,10 +113,36 @@ def backlash_objects(model, u):
     return y
 
 
+def textbook_plays(model, dt, name):
+    """Equation 1 for all operators at once as a python-control system; states are the plays.
+
+    Inputs are ``u[0]`` .., outputs ``v[0]`` .., states input by input.
+    """
+    r = [
+        np.unique(np.concatenate([row[k].thresholds_v for row in model.pairs])) for k in range(model.n_inputs)
+    ]
+    of_input, thresholds = np.repeat(np.arange(model.n_inputs), [len(x) for x in r]), np.concatenate(r)
+    weights = np.zeros((model.n_outputs, len(thresholds)))
+    for o, row in enumerate(model.pairs):
+        for k, pair in enumerate(row):
+            places = np.flatnonzero(of_input == k)[np.searchsorted(r[k], pair.thresholds_v)]
+            weights[o, places] = pair.weights_um_per_v
+
+    def plays(t, x, u, params):
+        v = np.atleast_1d(u)[of_input]
+        return np.maximum(v - thresholds, np.minimum(v + thresholds, x))
+
+    def outputs(t, x, u, params):
+        return weights @ plays(t, x, u, params)
+
+    names = {"inputs": _labels("u", model.n_inputs), "outputs": _labels("v", model.n_outputs)}
+    return control.nlsys(plays, outputs, **names, states=len(thresholds), dt=dt, name=name)
+
+
 def hysteresis_and_dynamics(model, dt):
-    """The model as a block diagram: its exported hysteresis, then its dynamics on the sample grid."""
+    """The model as a block diagram: its hysteresis, then its dynamics on the sample grid."""
     block = discretise(model.dynamics, dt)
-    gamma = model.hysteresis.to_nlsys(dt, name="gamma")
+    gamma = textbook_plays(model.hysteresis, dt, name="gamma")
     linear = _linear(block)
     axes = range(model.hysteresis.n_outputs)
     return control.interconnect(
@@ -137,7 +163,7 @@ def experiment_diagram(plant, law):
     systems = [
         _law(law, dt),
         _drive(plant.instruments.drive, dt),
-        plant.model.hysteresis.to_nlsys(dt, name="gamma"),
+        textbook_plays(plant.model.hysteresis, dt, name="gamma"),
         _linear(plant.block),
         _sensor(plant.instruments.sensor, dt),
     ]
@@ -166,11 +192,11 @@ def _labels(name, n):
 
 def _law(law, dt):
     """Theorem 4.1 with one-sample delay: states are the plays of its model, then its feedback."""
-    gamma = law.hysteresis.to_nlsys(dt, name="inside the law")
-    gain, limit, n = law.gain_v_per_um, law.range_v, gamma.nstates
+    gamma = textbook_plays(law.hysteresis, dt, name="inside the law")
+    gain, (low, high), n = law.gain_v_per_um, law.range.counted, gamma.nstates
 
     def drive(t, x, wanted, params):
-        return np.clip(gain @ wanted + x[n:], -limit, limit)
+        return np.clip(gain @ wanted + x[n:], low, high)
 
     def update(t, x, wanted, params):
         u = drive(t, x, wanted, params)
@@ -183,7 +209,7 @@ def _law(law, dt):
 
 def _drive(drive, dt):
     def held(t, x, u, params):
-        clipped = np.clip(u, -drive.range_v, drive.range_v)
+        clipped = np.clip(u, *drive.range_v)
         return np.round(clipped / drive.resolution_v) * drive.resolution_v
 
     names = {"inputs": _labels("u", 2), "outputs": _labels("held", 2)}

@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hammerstein.blocks import Array, Law
+from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import InputError
+from hammerstein.hysteresis import play
 from hammerstein.hysteresis.invertibility import completed, invertibility, require_inverse
 from hammerstein.model import HammersteinModel
 
@@ -64,7 +66,7 @@ class ExactInverse(Law[ExactState]):
     Parameters
     ----------
     model : m inputs, p <= m outputs; its static block is used
-    range_v : range of the drive [V]
+    range_v : range of the drive [V], see ``DriveRange.of``
     softening_v : movement over which the jump at a reversal is spread [V]; 0: at once
     run_anyway : accept a model without an inverse; where no solution is found the drive stays where the walk
         ended
@@ -93,18 +95,23 @@ class ExactInverse(Law[ExactState]):
     """
 
     def __init__(
-        self, model: HammersteinModel, range_v: float, softening_v: float = 0.0, run_anyway: bool = False
+        self,
+        model: HammersteinModel,
+        range_v: RangeLike,
+        softening_v: float = 0.0,
+        run_anyway: bool = False,
     ):
         hysteresis = model.hysteresis
         self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
-        self.range_v, self.softening_v = range_v, softening_v
+        self.range, self.softening_v = DriveRange.of(range_v, model), softening_v
         if not (np.isfinite(softening_v) and softening_v >= 0.0):
             raise InputError("softening_v", f"must be 0 or more volts, not {softening_v:g}")
-        found = invertibility(hysteresis, range_v, model.amplitude_v)
+        found = invertibility(hysteresis, self.range.largest_v, model.amplitude_v)
         self.invertibility = replace(found, inputs=model.inputs)
         require_inverse(self.invertibility, "exact_inverse", run_anyway)
         self.square, self.smallest_v = completed(hysteresis, model.amplitude_v)
         self._table = self._new_table()
+        self._start, self.origin_um = self._at_start()
 
     def _new_table(self) -> Array:
         """Table of ``exact_pieces`` with the model in it."""
@@ -118,7 +125,9 @@ class ExactInverse(Law[ExactState]):
         table[at.GRID, :, : operators + 1, at.SLOPE + m : at.SLOPE + 2 * m] = bank.moment
         about = table[at.HERE, :, at.ABOUT]
         about[:, at.PLAY] = self.smallest_v
-        about[:, at.BOUND] = [_difference(self.range_v, r) for r in self.smallest_v.tolist()]
+        low, high = (ends.tolist() for ends in self.range.counted)
+        about[:, at.LOW] = [-_difference(-u, r) for u, r in zip(low, self.smallest_v.tolist(), strict=True)]
+        about[:, at.HIGH] = [_difference(u, r) for u, r in zip(high, self.smallest_v.tolist(), strict=True)]
         about[:, at.SOFT] = np.where(self.smallest_v > 0.0, self.softening_v, 0.0)
         about[:, at.STILL] = STILL * (1.0 + float(bank.r[np.isfinite(bank.r)].max()))
         about[:, at.GAIN : at.GAIN + m] = np.abs([bank.slope[k, n] for k, n in enumerate(bank.n)])
@@ -128,25 +137,43 @@ class ExactInverse(Law[ExactState]):
         """Say whether there is an inverse, and how far the drive jumps at a reversal."""
         return self.invertibility.statement()
 
+    def _at_start(self) -> tuple[ExactState, Array]:
+        """Memory where the actuator stands, and the positions (p,) there [um].
+
+        The stacks of segments are those of the forward model behind the smallest plays: for an actuator that
+        was never driven one segment an input, nothing engaged. What has no output keeps its value.
+        """
+        from hammerstein.compensators.exact import pieces as at
+
+        m, history = self.n_inputs, self.range.history()
+        q = np.stack([play(u, [r])[0] for u, r in zip(history, self.smallest_v, strict=True)])
+        rows, plays = self.square.respond(q) if q.any() else (np.zeros((m, 1)), self.square.rest())
+        stack, hand = np.zeros((m, self.square.bank.r.shape[1] + 2, 3 + m)), np.zeros((m, 3))
+        for column, values in ((at.END, plays.end), (at.X, plays.x), (at.D, plays.d)):
+            stack[:, :-1, column] = values
+        stack[:, :-1, at.BELOW :] = plays.below
+        slack = np.where(self.smallest_v > 0.0, self.smallest_v, np.inf)
+        hand[:, at.COUNT], hand[:, at.WANTED] = plays.count, q[:, -1]
+        hand[:, at.RAMP] = np.clip((history[:, -1] - q[:, -1]) / slack, -1.0, 1.0)
+        self._table[at.HERE, self.n_outputs :, at.NOW, at.Y] = rows[self.n_outputs :, -1]
+        return ExactState(stack, hand), rows[: self.n_outputs, -1].copy()
+
     def rest(self) -> ExactState:
-        """Actuator never driven: one segment an input, nothing engaged."""
-        m, bank = self.n_inputs, self.square.bank
-        stack, hand = np.zeros((m, bank.r.shape[1] + 2, 3 + m)), np.zeros((m, 3))
-        stack[:, 0, 0], hand[:, 0] = bank.n, 1.0
-        return ExactState(stack, hand)
+        """Memory of an actuator at its start."""
+        return self._start
 
     def restore(self, data: dict[str, Any]) -> ExactState:
         """State from what ``as_dict`` gave."""
         return ExactState.from_dict(data)
 
     def _respond(self, reference_um: Array, start: ExactState) -> tuple[Array, ExactState]:
-        drive, state, _ = self.solve(reference_um, start, np.zeros(0))
+        drive, state, _ = self.solve(self._from_rest(reference_um), start, np.zeros(0))
         return drive, state
 
     def solve(
         self, v_um: Array, start: ExactState, away: Array, recovery: Recovery | None = None
     ) -> tuple[Array, ExactState, Array]:
-        """Drive (m, N) for outputs (p, N) of the static block, and the state after it.
+        """Drive (m, N) for outputs (p, N) of the static block, both counted from rest, and the state after.
 
         away : (n,) distance of a linear block behind it from where its inverse believes it to be; the last
             of what is returned is that distance afterwards

@@ -12,7 +12,9 @@ end of its piece, lets that input change its piece, and aims again, until q* lie
 determinants of J have one sign it ends after finitely many pieces; the last value is the affine solution
 itself, so no error accumulates. At a corner the input of least index goes first (Murty's rule).
 
-An input that would leave its range stands still at the range, and takes one equation with it.
+An input that would leave its range stands still at the range, and takes one equation with it. The range is
+that of u, so that q has another one in each direction: it may rise up to HIGH = u_high - r_0 and fall down to
+LOW = u_low + r_0. Where the actuator starts beyond one of them it can move the other way only.
 
 Sources: Katzenelson, Bell System Technical Journal 44 (1965) 1605-1620; Fujisawa and Kuh, SIAM Journal on
 Applied Mathematics 22 (1972) 307-328 (one sign suffices); Murty, Opsearch 11 (1974) 123-130 (least
@@ -28,7 +30,6 @@ from hammerstein.compensators.exact.pieces import (
     ABOUT,
     AIM,
     AT,
-    BOUND,
     COUNT,
     DEPTH,
     FAR,
@@ -36,9 +37,11 @@ from hammerstein.compensators.exact.pieces import (
     GAIN,
     HAND,
     HERE,
+    HIGH,
     INVERSE,
     JACOBIAN,
     LEFT,
+    LOW,
     MISSED,
     NEAR,
     NOW,
@@ -139,7 +142,7 @@ def stay(w):  # type: ignore[no-untyped-def]
         if (
             d * (q - w[HERE, k, NOW, Q]) < -w[HERE, k, ABOUT, STILL]
             or d * (q - w[HERE, k, NOW, FAR]) > 0.0
-            or abs(q) > w[HERE, k, ABOUT, BOUND]
+            or (q > w[HERE, k, ABOUT, HIGH] if d > 0.0 else q < w[HERE, k, ABOUT, LOW])
         ):
             return False
     for k in range(m):
@@ -257,7 +260,8 @@ def _fix_one(virtual, w):  # type: ignore[no-untyped-def]
     m = w.shape[1]
     worst, excess = -1, 0.0
     for k in range(m):
-        outside = abs(w[HERE, k, NOW, Q]) - w[HERE, k, ABOUT, BOUND]
+        low, high = _ends(w, k)
+        outside = max(w[HERE, k, NOW, Q] - high, low - w[HERE, k, NOW, Q])
         if w[HERE, k, NOW, FIXED] < 0.0 and outside > max(excess, w[HERE, k, ABOUT, STILL]):
             worst, excess = k, outside
     if worst < 0:
@@ -272,9 +276,16 @@ def _fix_one(virtual, w):  # type: ignore[no-untyped-def]
         if not taken and size > most:
             row, most = o, size
     w[HERE, worst, NOW, FIXED] = row
-    bound = w[HERE, worst, ABOUT, BOUND]
-    w[HERE, worst, NOW, AT] = bound if w[HERE, worst, NOW, Q] > 0.0 else -bound
+    low, high = _ends(w, worst)
+    w[HERE, worst, NOW, AT] = high if w[HERE, worst, NOW, Q] > high else low
     return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _ends(w, k):  # type: ignore[no-untyped-def]
+    """Least and largest q that input k can get to from its memory."""
+    last = w[STACK, k, int(w[HERE, k, HAND, COUNT]) - 1, X]
+    return min(w[HERE, k, ABOUT, LOW], last), max(w[HERE, k, ABOUT, HIGH], last)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -284,9 +295,11 @@ def _commit(w, k):  # type: ignore[no-untyped-def]
     Returns whether the input moved, and whether its smallest play lags behind a soft jump.
     """
     last = w[STACK, k, int(w[HERE, k, HAND, COUNT]) - 1, X]
-    q, bound = w[HERE, k, NOW, Q], w[HERE, k, ABOUT, BOUND]
-    if abs(q) > bound - w[HERE, k, ABOUT, STILL]:
-        q = bound if q > 0.0 else -bound
+    q, (low, high) = w[HERE, k, NOW, Q], _ends(w, k)
+    if q > high - w[HERE, k, ABOUT, STILL]:
+        q = high
+    elif q < low + w[HERE, k, ABOUT, STILL]:
+        q = low
     lags = False
     if w[HERE, k, ABOUT, SOFT] > 0.0:
         step = 2.0 * (q - w[HERE, k, HAND, WANTED]) / w[HERE, k, ABOUT, SOFT]
@@ -296,7 +309,7 @@ def _commit(w, k):  # type: ignore[no-untyped-def]
             u = q + w[HERE, k, HAND, RAMP] * w[HERE, k, ABOUT, PLAY]
             q = max(u - w[HERE, k, ABOUT, PLAY], min(u + w[HERE, k, ABOUT, PLAY], last))
             lags = True
-    moved = abs(q - last) > w[HERE, k, ABOUT, STILL] or (q != last and abs(q) == bound)
+    moved = abs(q - last) > w[HERE, k, ABOUT, STILL] or (q != last and q in (low, high))
     if moved:
         while w[HERE, k, NOW, SIGMA] * (q - w[HERE, k, NOW, NEAR]) < 0.0:
             previous_piece(w, k)
@@ -305,5 +318,12 @@ def _commit(w, k):  # type: ignore[no-untyped-def]
         if w[HERE, k, ABOUT, SOFT] == 0.0:
             w[HERE, k, HAND, RAMP] = w[HERE, k, NOW, SIGMA]
             w[HERE, k, HAND, WANTED] = q
+    beyond = last < w[HERE, k, ABOUT, LOW] or last > w[HERE, k, ABOUT, HIGH]
+    if beyond and w[HERE, k, NOW, FIXED] >= 0.0 and not moved:
+        # It cannot move that way from where it started: the voltage goes to the end of the range.
+        end = w[HERE, k, ABOUT, LOW] - w[HERE, k, ABOUT, PLAY]
+        if last > w[HERE, k, ABOUT, HIGH]:
+            end = w[HERE, k, ABOUT, HIGH] + w[HERE, k, ABOUT, PLAY]
+        w[HERE, k, HAND, RAMP] = (end - w[HERE, k, HAND, WANTED]) / w[HERE, k, ABOUT, PLAY]
     w[HERE, k, NOW, U] = w[HERE, k, HAND, WANTED] + w[HERE, k, HAND, RAMP] * w[HERE, k, ABOUT, PLAY]
     return moved, lags

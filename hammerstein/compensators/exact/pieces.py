@@ -7,7 +7,8 @@ k is the input (or the row o of the model); what has one entry a row o stands in
     STACK    the law's memory, a segment a row: END, X, D; BELOW, what lies deeper
     PASSED   pieces that a walk has passed: PREFIX, OWNER, NEAR
     HERE     row HAND     also memory: COUNT of segments, WANTED q, RAMP of the jump from -1 to 1
-             row ABOUT    PLAY, r_0; BOUND, largest |q|; SOFT, ramp of the jump; STILL, no movement;
+             row ABOUT    PLAY, r_0; LOW, HIGH, least q that falls and largest that rises; SOFT, ramp of the
+                          jump; STILL, no movement;
                           GAIN, size of what input k does to each row
              row NOW      where a walk stands; follows from the memory between two samples
              rows JACOBIAN, INVERSE, SCRATCH of the elimination, a row o each
@@ -23,7 +24,7 @@ SINGULAR, POOR = 1e-14, 1e3
 GRID, STACK, PASSED, HERE = range(4)
 HAND, ABOUT, NOW, JACOBIAN, INVERSE, SCRATCH = range(6)
 R, SLOPE = 0, 1
-PLAY, BOUND, SOFT, STILL, GAIN = 0, 1, 2, 3, 4
+PLAY, LOW, HIGH, SOFT, STILL, GAIN = 0, 1, 2, 3, 4, 5
 END, X, D, BELOW = 0, 1, 2, 3
 COUNT, WANTED, RAMP = 0, 1, 2
 # Of an input: the piece (engaged operators, segment that owns the next one, where it begins and ends, how

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.blocks import Array, Law, checked_reference
 from hammerstein.compensators.exact.inverse import ExactInverse
+from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.dynamics import discretise
 from hammerstein.errors import SimulationError
 from hammerstein.model import HammersteinModel
@@ -24,10 +24,10 @@ MISSED_UM = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Largest slow movements about zero that the drive's range allows.
+    """Intervals in which slow paths can move again and again, counted from where the actuator stands.
 
-    alone_um : (p,) amplitude of each output while the others are held at zero
-    together_um : (p,) amplitudes of all outputs at once, in the proportion of ``alone_um``, of any signs
+    alone_um : (p, 2) lowest and highest position of each output while the others stand in their middle
+    together_um : (p, 2) the same for all outputs at once, in the proportion of ``alone_um``
     """
 
     alone_um: Array
@@ -36,17 +36,27 @@ class Reach:
     def statement(self, names: Sequence[str]) -> str:
         """Say the reach of each output and of all together."""
         alone, together = (
-            ", ".join(f"{name} +-{a:.4g}" for name, a in zip(names, values, strict=True))
-            for values in (self.alone_um, self.together_um)
+            ", ".join(
+                f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in zip(names, ends, strict=True)
+            )
+            for ends in (self.alone_um, self.together_um)
         )
-        return f"Reach at low frequency: one at a time {alone} um; all at once {together} um."
+        return f"Slow paths reach, one at a time, {alone} um; all at once {together} um."
 
 
-def reach(model: HammersteinModel, range_v: float, *, run_anyway: bool = False) -> Reach:
-    """Reach of the static block, found by driving the exact inverse to and fro until it stands at the range.
+def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = False) -> Reach:
+    """Reach of the static block: what its hysteresis loop between the ends of a drive range can do.
 
-    Dynamics are left out: at low frequency the displacement is that of the static block, near a resonance
-    the drive reaches further.
+    The middle between the tips of the loop is found by driving the model from its start once to the ends of
+    the range and back. About it the exact inverse is driven to and fro until it stands at the range; so what
+    a cross-coupling takes away is counted. Dynamics are left out: at low frequency the displacement is that
+    of the static block, near a resonance the drive reaches further.
+
+    Parameters
+    ----------
+    model : m inputs, p <= m outputs
+    range_v : range of the drive [V], see ``DriveRange.of``
+    run_anyway : accept a model without an inverse
 
     Raises
     ------
@@ -58,27 +68,48 @@ def reach(model: HammersteinModel, range_v: float, *, run_anyway: bool = False) 
     >>> from hammerstein.hysteresis import (Pair, PrandtlIshlinskii)
     >>> plant = PrandtlIshlinskii([[Pair([0.0, 1.0], [4.0, 2.0])]])
     >>> model = HammersteinModel("one axis", plant, StaticDynamics(n_outputs=1), 10.0, ("u",), ("y",))
-    >>> reach(model, 10.0).alone_um.round(6)
-    array([58.])
+    >>> reach(model, 10.0).alone_um.round(6), reach(model, (0.0, 20.0)).alone_um.round(6)
+    (array([[-58.,  58.]]), array([[  2., 118.]]))
     """
+    limits = DriveRange.of(range_v, model)
     p = model.hysteresis.n_outputs
-    if math.isinf(range_v):
-        return Reach(np.full(p, np.inf), np.full(p, np.inf))
-    law = ExactInverse(model, range_v, run_anyway=run_anyway)
-    most = float(np.abs(model.hysteresis.gain(range_v)).sum()) * range_v
+    if not np.isfinite(limits.span_v).all():
+        nowhere = np.tile([-np.inf, np.inf], (p, 1))
+        return Reach(nowhere, nowhere)
+    middle = 0.5 * (limits.low_v + limits.high_v)
+    about = replace(limits, working_point_v=middle, start_v=middle, conditioned=False)
+    law = ExactInverse(model, about, run_anyway=run_anyway)
+    half = 0.5 * limits.span_v
+    most = float(np.sum([np.abs(model.hysteresis.amplitude(h)).sum() for h in half]))
     alone = np.array([most * _largest(_strokes_fit(law, [most * row])) for row in np.eye(p)])
     corners = [alone * np.array((1, *signs)) for signs in itertools.product((1, -1), repeat=p - 1)]
-    return Reach(alone, alone * _largest(_strokes_fit(law, corners)))
+    together = alone * _largest(_strokes_fit(law, corners))
+    centre = _centre(model, limits)[:, None]
+    return Reach(*(centre + np.stack([-size, size], axis=1) for size in (alone, together)))
 
 
-def largest_scale(law: Law[Any], path_um: ArrayLike, range_v: float) -> float:
+def _centre(model: HammersteinModel, limits: DriveRange) -> Array:
+    """Middle (p,) between the tips of the loop, counted from the start [um]."""
+    low, high = limits.counted
+    before = limits.history()
+    v, _ = model.hysteresis.respond(np.hstack([before, np.stack([high, low, high], axis=1)]))
+    return np.asarray(0.5 * (v[:, -2] + v[:, -1]) - v[:, before.shape[1] - 1])
+
+
+def largest_scale(law: Law[Any], path_um: ArrayLike) -> float:
     """Largest factor, up to 1, for a path (p, N) with which the drive stays within its range."""
     path = checked_reference(path_um, law.n_outputs)
 
     def fits(scale: float) -> bool:
-        return bool(np.abs(law.drive_for(scale * path)).max() < range_v)
+        return _inside(law, scale * path)
 
     return 1.0 if fits(1.0) else _largest(fits)
+
+
+def _inside(law: Law[Any], path_um: Array) -> bool:
+    """Whether the drive of a path (p, N) never stands at its range."""
+    drive, limits = law.drive_for(path_um), law.range
+    return bool(((drive < limits.high_v[:, None]) & (drive > limits.low_v[:, None])).all())
 
 
 def _largest(fits: Callable[[float], bool]) -> float:
@@ -95,8 +126,7 @@ def _strokes_fit(law: ExactInverse, tips_um: Sequence[Array]) -> Callable[[float
     wave = np.sin(0.5 * np.pi * np.arange(10 * STROKE_SAMPLES + 1) / STROKE_SAMPLES)
 
     def fits(scale: float) -> bool:
-        paths = (scale * np.outer(tip, wave) for tip in tips_um)
-        return all(bool((np.abs(law.drive_for(path)) < law.range_v).all()) for path in paths)
+        return all(_inside(law, scale * np.outer(tip, wave)) for tip in tips_um)
 
     return fits
 
@@ -156,9 +186,9 @@ def shortfall(
     model: HammersteinModel,
     law: Law[Any],
     reference_um: ArrayLike,
-    drive_v: Array,
-    range_v: float,
+    asked_v: Array,
     sample_time_s: float,
+    sent_v: Array | None = None,
 ) -> Shortfall:
     """Predict with the model where a drive leaves its path.
 
@@ -166,19 +196,27 @@ def shortfall(
     ----------
     model : the model that the law was built from, dynamics included
     law : the law that gave the drive; a delay it states (``delay_samples``) is not counted as an error
-    reference_um : (p, N) path [um]
-    drive_v : (m, N) what the law gave [V]
-    range_v, sample_time_s : of the drive
+    reference_um : (p, N) path, counted from where the actuator stands [um]
+    asked_v : (m, N) what the law gave [V]
+    sample_time_s : of the drive
+    sent_v : (m, N) the same on the steps of the converter; the same if not given
     """
     reference = checked_reference(reference_um, law.n_outputs)
-    position, _ = discretise(model.dynamics, sample_time_s).respond(model.hysteresis.respond(drive_v)[0])
+    sent = asked_v if sent_v is None else sent_v
+    before, memory = model.hysteresis.respond(law.range.history())
+    v, _ = model.static_response(sent, memory)
+    position, _ = discretise(model.dynamics, sample_time_s).respond(v - before[:, -1:])
     delay = int(getattr(law, "delay_samples", 0))
     asked = np.pad(reference, ((0, 0), (delay, 0)))[:, : reference.shape[1]]
     bends = np.zeros(reference.shape)
     bends[:, 1:-1] = np.abs(np.diff(reference, 2, axis=1))
     axis, sample = np.unravel_index(int(np.argmax(bends)), bends.shape)
-    at_range = np.abs(drive_v) >= range_v * (1.0 - 1e-12)
-    return Shortfall(position, position - asked, at_range, sample_time_s, (int(axis), int(sample)))
+    error = position - asked
+    # An actuator may stand at an end of the range from the start: there it has missed nothing yet.
+    rounding = float(np.abs(model.hysteresis.bank.slope).max() * np.abs(sent - asked_v).max(initial=0.0))
+    missed = (np.abs(error) > MISSED_UM + rounding).any(axis=0)
+    at_range = law.range.reached(asked_v) & ((asked_v != law.range.start_v[:, None]) | missed)
+    return Shortfall(position, error, at_range, sample_time_s, (int(axis), int(sample)))
 
 
 def require_reach(found: Shortfall, inputs: Sequence[str], outputs: Sequence[str]) -> None:

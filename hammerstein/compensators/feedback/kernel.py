@@ -29,17 +29,18 @@ def correct(reference, reading, settings, memory):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True)
-def request(feedforward, inverse_gain, gain, limit, memory, requested):  # type: ignore[no-untyped-def]
+def request(feedforward, inverse_gain, gain, limits, memory, requested):  # type: ignore[no-untyped-def]
     """Voltages (m,) for the correction in the memory, beside a feedforward (m,).
 
-    What the range cuts off is taken out of the integral (back-calculation), in um by the gain matrix.
+    What the range (limits: low and high, (2, m)) cuts off is taken out of the integral (back-calculation), in
+    um by the gain matrix.
     """
     for k in range(requested.shape[0]):
         requested[k] = feedforward[k]
         for o in range(memory.shape[0]):
             requested[k] += inverse_gain[k, o] * memory[o, CORRECTION]
     for k in range(requested.shape[0]):
-        cut = min(max(requested[k], -limit), limit) - requested[k]
+        cut = min(max(requested[k], limits[0, k]), limits[1, k]) - requested[k]
         for o in range(memory.shape[0]):
             memory[o, INTEGRAL] += gain[o, k] * cut
 
@@ -52,9 +53,11 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
     settings,
     inverse_gain,
     gain,
-    limit,
+    limits,
     memory,
     instruments,
+    steps,
+    rest,
     bank,
     plays,
     rows,
@@ -64,7 +67,8 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
     """Controller, drive, hysteresis, linear block and sensor, sample by sample.
 
     reference, noise : (p, N); feedforward : (m, N); settings, memory : the controller's, see above
-    instruments : range [V], step [V], range [um], step [um], noise [um]
+    instruments : step [V], range [um], step [um], noise [um]
+    steps : (2, m) lowest and highest step of the converter; rest : (m,) working point of the hysteresis [V]
     bank : r, slope, moment; plays : count, end, x, d, below; rows, x : of the linear block, positions first
     out : requested and drive (m, N); hysteresis, position, reading (p, N), overwritten
     """
@@ -72,28 +76,30 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
     m, p = drive.shape[0], reading.shape[0]
     both = np.empty(2 * p)
     v = np.empty(p)
-    asked = np.empty(m)
+    asked, counted = np.empty(m), np.empty(m)
     now, heard = np.empty(p), np.empty(p)
     z = np.empty(x.shape[0] + p)
     new = np.empty(x.shape[0])
     for t in range(reference.shape[1]):
-        request(feedforward[:, t], inverse_gain, gain, limit, memory, asked)
+        request(feedforward[:, t], inverse_gain, gain, limits, memory, asked)
         for k in range(m):
             requested[k, t] = asked[k]
-            drive[k, t] = converted(asked[k], instruments[0], instruments[1])
-        _static_output(drive[:, t], bank, plays, v)
+            drive[k, t] = converted(asked[k], steps[0, k], steps[1, k], instruments[0])
+            counted[k] = drive[k, t] - rest[k]
+        _static_output(counted, bank, plays, v)
         _linear_step(rows, x, v, z, new, both)
         for o in range(p):
             hysteresis[o, t], position[o, t] = v[o], both[o]
-            heard[o] = converted(both[p + o] + instruments[4] * noise[o, t], instruments[2], instruments[3])
+            said = both[p + o] + instruments[3] * noise[o, t]
+            heard[o] = converted(said, -instruments[1], instruments[1], instruments[2])
             reading[o, t], now[o] = heard[o], reference[o, t]
         correct(now, heard, settings, memory)
 
 
 @njit(cache=True, nogil=True)
-def converted(value, limit, step):  # type: ignore[no-untyped-def]
+def converted(value, low, high, step):  # type: ignore[no-untyped-def]
     """Clip to a range and round to a step, as ``Drive.apply`` and ``Sensor.read`` do."""
-    held = min(max(value, -limit), limit)
+    held = min(max(value, low), high)
     return held if step == 0.0 else np.rint(held / step) * step
 
 

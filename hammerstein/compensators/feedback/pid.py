@@ -5,18 +5,22 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.blocks import Array, Law, checked_reference
 from hammerstein.compensators.feedback.tuning import POINTS, Gains, tuned
+from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.dynamics import LinearBlock, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.instruments import Drive, Sensor
 from hammerstein.model import HammersteinModel
+
+if TYPE_CHECKING:
+    from hammerstein.interop.block_system import BlockSystem
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +67,7 @@ class Feedback:
     Parameters
     ----------
     model : m inputs, p outputs; its dynamics count for the gains
-    range_v : range of the drive [V]
+    range_v : range of the drive [V], see ``DriveRange.of``
     sample_time_s : time between samples [s]
     sensor_bandwidth_hz : -3 dB of the sensor [Hz]; inf: none
     gains : the gains; None: computed
@@ -93,7 +97,7 @@ class Feedback:
     def __init__(
         self,
         model: HammersteinModel,
-        range_v: float,
+        range_v: RangeLike,
         sample_time_s: float,
         sensor_bandwidth_hz: float = math.inf,
         gains: Gains | None = None,
@@ -102,11 +106,16 @@ class Feedback:
     ):
         hysteresis = model.hysteresis
         self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
-        self.range_v, self.sample_time_s, self.feedforward = range_v, sample_time_s, feedforward
+        self.range, self.sample_time_s, self.feedforward = (
+            DriveRange.of(range_v, model),
+            sample_time_s,
+            feedforward,
+        )
         self.gain_um_per_v = hysteresis.gain(model.amplitude_v)
         self.inverse_gain_v_per_um = np.ascontiguousarray(np.linalg.pinv(self.gain_um_per_v))
         self.gains = gains or _computed(model, sample_time_s, sensor_bandwidth_hz, derivative)
         self._settings = self._new_settings(sensor_bandwidth_hz)
+        self._limits = np.stack([self.range.low_v, self.range.high_v])
 
     def _new_settings(self, sensor_bandwidth_hz: float) -> Array:
         """Lag of the sensor for a reference that is straight between samples, and gains for one sample."""
@@ -142,20 +151,52 @@ class Feedback:
     ) -> tuple[Array, ControllerState]:
         """Voltages (m,) for the next sample, from reference and reading (p,) of this one.
 
-        feedforward_v : (m,) feedforward for the next sample; zero if not given
+        feedforward_v : (m,) feedforward for the next sample; the start voltage if not given
 
         Equal to ``closed_loop`` to the last bit. What is asked may lie beyond the range; the drive cuts it.
         """
-        from hammerstein.compensators.feedback.kernel import correct, request
+        return self.request(self.correct(reference_um, reading_um, state), feedforward_v)
+
+    def correct(
+        self, reference_um: ArrayLike, reading_um: ArrayLike, state: ControllerState
+    ) -> ControllerState:
+        """First half of a step: work out the correction from reference and reading (p,) of a sample."""
+        from hammerstein.compensators.feedback.kernel import correct
 
         memory = state.memory.copy()
-        ahead = np.zeros(self.n_inputs) if feedforward_v is None else feedforward_v
-        signals = (reference_um, reading_um, ahead)
-        reference, reading, forward = (np.ascontiguousarray(x, dtype=np.float64) for x in signals)
-        asked = np.empty(self.n_inputs)
+        reference, reading = (np.ascontiguousarray(x, dtype=np.float64) for x in (reference_um, reading_um))
         correct(reference, reading, self._settings, memory)
-        request(forward, self.inverse_gain_v_per_um, self.gain_um_per_v, self.range_v, memory, asked)
+        return ControllerState(memory)
+
+    def request(
+        self, state: ControllerState, feedforward_v: ArrayLike | None = None
+    ) -> tuple[Array, ControllerState]:
+        """Second half of a step: voltages (m,) of the correction beside a feedforward (m,)."""
+        from hammerstein.compensators.feedback.kernel import request
+
+        memory, asked = state.memory.copy(), np.empty(self.n_inputs)
+        ahead = self.range.start_v if feedforward_v is None else feedforward_v
+        forward = np.ascontiguousarray(ahead, dtype=np.float64)
+        request(forward, self.inverse_gain_v_per_um, self.gain_um_per_v, self._limits, memory, asked)
         return asked, ControllerState(memory)
+
+    @property
+    def late_samples(self) -> int:
+        """Samples by which the position follows the reference, for the feedforward's want of preview."""
+        return int(getattr(self.feedforward, "delay_samples", 0))
+
+    def to_iosys(self, sample_time_s: float, name: str = "compensator") -> BlockSystem:
+        """Give the controller, with its feedforward, as a discrete ``control.NonlinearIOSystem``.
+
+        Inputs are ``reference_um[o]`` and ``reading_um[o]``, outputs ``requested_v[k]``. A feedforward with
+        preview takes the reference that much earlier than the reading it is compared with;
+        ``FeedbackStream.primed`` gives the state to start with where the reference is known ahead.
+
+        Raises InputError for another sample time than the controller was designed for.
+        """
+        from hammerstein.compensators.feedback.stream import FeedbackStream
+
+        return FeedbackStream(self).to_iosys(sample_time_s, name)
 
 
 def closed_loop(
@@ -166,8 +207,9 @@ def closed_loop(
     drive: Drive,
     sensor: Sensor,
     noise: Array,
+    working_point_v: ArrayLike = 0.0,
 ) -> ClosedLoop:
-    """Run a controller on an actuator, from rest.
+    """Run a controller on an actuator, from rest at its working point.
 
     Parameters
     ----------
@@ -178,6 +220,7 @@ def closed_loop(
         lets through (``discretise`` with the sensor's bandwidth)
     drive, sensor : they clip and round exactly as ``Drive.apply`` and ``Sensor.read`` do
     noise : (p, N) standard normal numbers, drawn beforehand; times ``sensor.noise_um`` they are the noise
+    working_point_v : (m,) voltage at which the actuator rests [V]
 
     Raises
     ------
@@ -192,12 +235,13 @@ def closed_loop(
         raise InputError(
             "closed loop", "noise, reference, hysteresis and linear block must have the same axes"
         )
-    forward = np.zeros((m, samples)) if law.feedforward is None else law.feedforward.drive_for(reference)
-    late = int(getattr(law.feedforward, "delay_samples", 0))
-    reference = np.ascontiguousarray(np.pad(reference, ((0, 0), (late, 0)))[:, :samples])
+    forward = np.repeat(law.range.start_v[:, None], samples, axis=1)
+    if law.feedforward is not None:
+        forward = law.feedforward.drive_for(reference)
+    reference = np.ascontiguousarray(np.pad(reference, ((0, 0), (law.late_samples, 0)))[:, :samples])
     bank, state = hysteresis.bank, hysteresis.rest().copy()
     plays = (state.count, state.end, state.x, state.d, state.below)
-    effects = (drive.range_v, drive.resolution_v, sensor.range_um, sensor.resolution_um, sensor.noise_um)
+    effects = (drive.resolution_v, sensor.range_um, sensor.resolution_um, sensor.noise_um)
     requested, driven = np.empty((m, samples)), np.empty((m, samples))
     static, position, reading = np.empty((p, samples)), np.empty((p, samples)), np.empty((p, samples))
     run_closed_loop(
@@ -207,9 +251,11 @@ def closed_loop(
         law._settings,
         law.inverse_gain_v_per_um,
         law.gain_um_per_v,
-        law.range_v,
+        law._limits,
         law.rest().memory,
         np.array(effects),
+        drive.steps(m),
+        np.array(np.broadcast_to(working_point_v, m), dtype=np.float64),
         (bank.r, bank.slope, bank.moment),
         plays,
         block.rows,
@@ -218,7 +264,8 @@ def closed_loop(
     )
     if not np.isfinite(position).all():
         raise SimulationError("The closed loop diverges: its gains are too high for this actuator.")
-    saturated = np.abs(requested) > drive.range_v
+    low, high = drive.limits(m)[:, :, None]
+    saturated = (requested < low) | (requested > high)
     return ClosedLoop(requested, driven, static, position, reading, saturated)
 
 

@@ -71,7 +71,7 @@ def tuned(response: Complex, frequency_hz: Array, sample_time_s: float, derivati
     Source: Astrom, Panagopoulos and Hagglund, Automatica 34 (1998) 585-601; the limit 2 zeta w_n: Fleming,
     Aphale and Moheimani, IEEE Transactions on Nanotechnology 9 (2010) 438-448.
     """
-    z = np.exp(-2j * np.pi * frequency_hz * sample_time_s)
+    z: Complex = np.exp(-2j * np.pi * frequency_hz * sample_time_s)
     integral, change = sample_time_s / (1.0 - z), (1.0 - z) / sample_time_s
     outputs = range(response.shape[2])
     found = [_one(response[:, :, o], frequency_hz, integral, change, derivative) for o in outputs]

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from hammerstein.blocks import Array, Law, checked_reference
 from hammerstein.compensators.exact.inverse import ExactInverse, ExactState, Recovery
 from hammerstein.compensators.preview.linear_inverse import linear_inverse
+from hammerstein.driving import RangeLike
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
@@ -48,7 +49,7 @@ class HammersteinInverse(Law[PathState]):
     model stands on the filtered reference. It needs the reference some samples ahead: one for a resonant
     axis, more for zeros outside the unit circle, half the length of the filter, and the input delay.
     On a stream the drive leaves later by ``preview_samples``; ``drive_for`` aligns a path known ahead. A
-    stream starts from rest, or on a path whose first ``start_samples`` are known (``begin``).
+    stream starts from rest, or on a path whose first ``start_samples`` are known (``primed``).
     With less preview than that (``preview_s``), the rest is a delay of the position, ``delay_samples``.
 
     The filter F is a linear-phase low-pass: 1 within 0.1 % up to 0.7 ``filter_hz``, 1/2 at ``filter_hz``,
@@ -57,15 +58,15 @@ class HammersteinInverse(Law[PathState]):
 
     A path known ahead may start away from rest. Before its first and after its last sample it is continued by
     its point reflection; the modes of G^-1 start so that the drive does not ring (creep starts from rest).
-    The actuator itself starts from rest: the way from there to the path, and from the range back to the path
-    when the range was reached, is taken by a linear-quadratic feedback inside the law on the model's state
-    (1 um of error weighs as much as 100 um of drive), mostly at the range: a few milliseconds for a resonant
-    axis.
+    The actuator itself starts where it stands (``range.start_v``): the way from there to the path, and from
+    the range back to the path when the range was reached, is taken by a linear-quadratic feedback inside the
+    law on the model's state (1 um of error weighs as much as 100 um of drive), mostly at the range: a few
+    milliseconds for a resonant axis.
 
     Parameters
     ----------
     model : m inputs, p <= m outputs
-    range_v : range of the drive [V]
+    range_v : range of the drive [V], see ``DriveRange.of``
     sample_time_s : time between samples [s]
     preview_s : how far ahead the reference is known [s]; None: as far as needed; 0: not at all
     filter_hz : bandwidth of the reference filter [Hz]; None: no filter
@@ -99,7 +100,7 @@ class HammersteinInverse(Law[PathState]):
     def __init__(
         self,
         model: HammersteinModel,
-        range_v: float,
+        range_v: RangeLike,
         sample_time_s: float,
         preview_s: float | None = None,
         filter_hz: float | None = None,
@@ -108,7 +109,8 @@ class HammersteinInverse(Law[PathState]):
     ):
         self.exact = ExactInverse(model, range_v, softening_v, run_anyway)
         self.n_inputs, self.n_outputs = self.exact.n_inputs, self.exact.n_outputs
-        self.range_v, self.sample_time_s = range_v, sample_time_s
+        self.range, self.origin_um = self.exact.range, self.exact.origin_um
+        self.sample_time_s: float = sample_time_s
         self.linear = linear_inverse(model.dynamics, sample_time_s)
         self.taps = _low_pass_taps(filter_hz, sample_time_s)
         self.needed_samples = self.linear.preview_samples + len(self.taps) // 2
@@ -174,7 +176,7 @@ class HammersteinInverse(Law[PathState]):
         raw = np.hstack([start.raw, reference_um])
         known = np.hstack([start.filtered, self._filtered(raw)])
         modes = start.modes.copy()
-        v = self._wanted(known, modes)
+        v = self._from_rest(self._wanted(known, modes))
         drive, exact, away = self.exact.solve(v, start.exact, start.away, self.recovery)
         kept = (
             raw[:, raw.shape[1] - start.raw.shape[1] :],
@@ -182,13 +184,21 @@ class HammersteinInverse(Law[PathState]):
         )
         return drive, PathState(kept[0].copy(), kept[1].copy(), modes, away, exact)
 
-    def drive_for(self, reference_um: ArrayLike) -> Array:
-        """Drive (m, N) aligned with a path (p, N) known ahead, from an actuator at rest.
+    def primed(self, reference_um: ArrayLike) -> tuple[PathState, Array]:
+        """State of the law when the drive for the first sample of a path (p, N) known ahead is due.
+
+        The path is continued at both ends by its point reflection; the actuator stands still at its start.
+        Of a path that is not known to its end, the first ``start_samples`` suffice for the state.
+
+        Returns
+        -------
+        state : the law has seen the first ``preview_samples`` of the path
+        coming : (p, N) the path from there on
 
         Raises InputError where the preview is longer than the path.
         """
         if self.delay_samples:
-            return super().drive_for(reference_um)
+            return super().primed(reference_um)
         reference = checked_reference(reference_um, self.n_outputs)
         samples, needed = reference.shape[1], self.needed_samples
         if samples <= needed:
@@ -197,47 +207,14 @@ class HammersteinInverse(Law[PathState]):
                 f"has {samples} samples, but the law looks {needed} samples ahead; give a longer reference "
                 "or a filter of more bandwidth (filter_hz)",
             )
-        half = len(self.taps) // 2
-        ends = np.pad(reference, ((0, 0), (half, needed)), mode="reflect", reflect_type="odd")
-        return self._respond(ends[:, half + needed :], self._on_path(ends))[0]
-
-    def begin(self, reference_um: ArrayLike) -> PathState:
-        """State at the start of a path, from its first samples: a stream then goes on as ``drive_for`` does.
-
-        The first sample to feed is sample ``preview_samples`` of the path; what then leaves is the drive for
-        its sample 0. Up to ``preview_samples`` before the end of the path, this is ``drive_for`` to the last
-        bit.
-
-        Parameters
-        ----------
-        reference_um : (p, N) the path, or its first ``start_samples``
-
-        Raises
-        ------
-        InputError : fewer samples, or a law with less preview than it needs: it starts from rest
-        """
-        if self.delay_samples:
-            raise InputError("preview_s", "a law with less preview than it needs starts from rest")
-        reference = checked_reference(reference_um, self.n_outputs)[:, : self.start_samples]
-        if reference.shape[1] < self.start_samples:
-            raise InputError(
-                "reference",
-                f"has {reference.shape[1]} samples; the start needs the first {self.start_samples}",
-            )
-        half = len(self.taps) // 2
-        return self._on_path(np.pad(reference, ((0, 0), (half, 0)), mode="reflect", reflect_type="odd"))
-
-    def _on_path(self, ends: Array) -> PathState:
-        """State at the start of a path (p, samples) that is continued before its first sample."""
-        linear = self.linear
-        passed = linear.delay_samples + linear.reach_samples
-        known = self._filtered(ends)[:, linear.delay_samples :]
+        longest = len(self.taps) - 1
+        ends = np.pad(reference, ((0, 0), (longest // 2, needed)), mode="reflect", reflect_type="odd")
+        reach, seen = self.linear.reach_samples, longest // 2 + needed
+        known = self._filtered(ends[:, self.linear.delay_samples : seen + START_SAMPLES])
         modes = self._smooth_start(known)
-        raw = ends[:, passed : passed + len(self.taps) - 1]
-        filtered = known[:, : linear.reach_samples]
-        return PathState(
-            raw.copy(), filtered.copy(), modes, -self._block_state(known, modes), self.exact.rest()
-        )
+        away = -self._block_state(known, modes)
+        raw = ends[:, seen - longest : seen].copy()
+        return PathState(raw, known[:, :reach].copy(), modes, away, self.exact.rest()), ends[:, seen:]
 
     def _filtered(self, raw: Array) -> Array:
         """Reference behind the filter, shorter by its length less one."""

@@ -157,13 +157,13 @@ def fit_static_coupled(
             joint.gram, joint.cross, float(len(outputs)), joint.freedom, bounds=bounds, penalty=penalty
         )
     rows = [
-        pairs_of(row, layout, o, found.coefficients[s], found.covariance[s, s])
+        pairs_of(row, layout, o, found.coefficients[s], found.spread[s], int(found.at_bound[s].sum()))
         for o, (row, s) in enumerate(zip(thresholds_v, joint.own, strict=True))
     ]
     c = joint.merge @ found.coefficients
     left = [(m.power[0] - 2.0 * m.cross[:, 0] @ c + c @ m.gram @ c) / m.freedom for m in outputs]
     return StaticFit(
-        hysteresis=PrandtlIshlinskii(tuple(rows)),
+        hysteresis=PrandtlIshlinskii(tuple(pairs for pairs, _ in rows), tuple(known for _, known in rows)),
         offsets_um=np.column_stack([m.means[:, -1] - m.means[:, :-1] @ c for m in outputs]),
         rms_um=np.sqrt(np.maximum(left, 0.0)),
         samples=outputs[0].samples,

@@ -123,7 +123,7 @@ def weigh(response: FrequencyResponse, weighting: Weighting) -> WeightedLines:
     left = _weights(response, weighting) * output_scale
     scaled = left / output_scale  # weight of an output in its own unit
     right = np.linalg.cholesky(power) / input_scale[:, None]
-    z = np.exp(2j * np.pi * response.frequency_hz * response.sample_time_s)
+    z: NDArray[np.complex128] = np.exp(2j * np.pi * response.frequency_hz * response.sample_time_s)
     warp = _warp(float(np.angle(z).max()))
     return WeightedLines(
         z=(z - warp) / (1.0 - warp * z),

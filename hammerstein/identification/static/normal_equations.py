@@ -117,7 +117,8 @@ class Solution:
     Parameters
     ----------
     coefficients : (column,) estimates
-    covariance : (column, column) of the estimates, for independent errors; nothing from unknowns at a bound
+    spread : (column, free unknown) S, with S S^T the covariance of the estimates, for independent errors;
+        nothing from unknowns at a bound
     residual_rms : rms of what is left, in the unit of the output
     at_bound : (unknown,) whether the unknown stands on its bound
     dependent : (column,) whether the column takes part in a combination that the data leave open; such
@@ -125,7 +126,7 @@ class Solution:
     """
 
     coefficients: Array
-    covariance: Array
+    spread: Array
     residual_rms: float
     at_bound: NDArray[np.bool_]
     dependent: NDArray[np.bool_]
@@ -215,7 +216,7 @@ def solve(
     rest = squares_left(gram, cross, power, found)
     return Solution(
         coefficients=found,
-        covariance=rest / max(freedom - int(free.sum()), 1) * (spread @ spread.T),
+        spread=np.sqrt(rest / max(freedom - int(free.sum()), 1)) * spread,
         residual_rms=float(np.sqrt(rest / max(freedom, 1))),
         at_bound=~free,
         dependent=np.any(np.abs(scaled.lost) > 1e-3, axis=1),

@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii, WeightCovariance
 from hammerstein.identification.static.normal_equations import (
     Bounds,
     Moments,
@@ -220,13 +220,13 @@ def solve_static(
             _solve_output(layout, o, moment, ridge, bounds_of(method, layout, o, gains))
             for o, moment in enumerate(moments)
         ]
-    rows = [
-        pairs_of(row, layout, o, solution.coefficients, solution.covariance)
+    found = [
+        pairs_of(row, layout, o, solution.coefficients, solution.spread, int(solution.at_bound.sum()))
         for o, (row, solution) in enumerate(zip(thresholds_v, solutions, strict=True))
     ]
     parts = [(o, k, part) for o, row in enumerate(layout.parts) for k, part in enumerate(row)]
     return StaticFit(
-        hysteresis=PrandtlIshlinskii(tuple(rows)),
+        hysteresis=PrandtlIshlinskii(tuple(pairs for pairs, _ in found), tuple(known for _, known in found)),
         offsets_um=_offsets(layout, moments, solutions),
         rms_um=np.array([solution.residual_rms for solution in solutions]),
         samples=moments[0].samples,
@@ -313,13 +313,31 @@ def direct_pairs(gains: Array) -> list[tuple[int, int]]:
 
 
 def pairs_of(
-    row: Sequence[Array], layout: Layout, o: int, slopes: Array, covariance: Array
-) -> tuple[Pair, ...]:
-    """Pairs of one output with weights and standard errors, from its slopes."""
+    row: Sequence[Array], layout: Layout, o: int, slopes: Array, spread: Array, at_bound: int
+) -> tuple[tuple[Pair, ...], WeightCovariance]:
+    """Pairs of one output with weights and standard errors, and the covariance of all its weights.
+
+    Parameters
+    ----------
+    row : thresholds of each pair [V]
+    slopes, spread : estimates (slope,) and their ``Solution.spread``
+    at_bound : slopes held at a bound
+    """
     differences = _differences(layout.parts[o])
     weights = differences @ slopes
-    errors = np.sqrt(np.maximum(np.diag(differences @ covariance @ differences.T), 0.0))
-    return tuple(Pair(r, weights[part], errors[part]) for r, part in zip(row, layout.parts[o], strict=True))
+    factor = _triangle(differences @ spread)
+    errors = np.sqrt(np.sum(factor**2, axis=1))
+    pairs = (Pair(r, weights[part], errors[part]) for r, part in zip(row, layout.parts[o], strict=True))
+    return tuple(pairs), WeightCovariance(factor, at_bound)
+
+
+def _triangle(spread: Array) -> Array:
+    """Lower triangle L (n, n) with L L^T = S S^T for a matrix S (n, k), its diagonal not negative."""
+    n = len(spread)
+    factor = np.zeros((n, n))
+    upper = np.asarray(np.linalg.qr(spread.T, mode="r"))
+    factor[:, : len(upper)] = upper.T
+    return factor * np.where(np.diag(factor) < 0.0, -1.0, 1.0)
 
 
 def _offsets(layout: Layout, moments: Sequence[Moments], solutions: Sequence[Solution]) -> Array:

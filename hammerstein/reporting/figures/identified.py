@@ -116,7 +116,8 @@ def measured_loops(fit: Fit) -> Figure | None:
         said = model.predict(record, fit.starts[i])[:, part]
         said += (record.y_um[:, part] - said).mean(axis=1, keepdims=True)
         drawn = ((KIND_NAMES[fit.kind], said),)
-        runs.append(LoopRun("measured", k, record.u_v[k, part], record.y_um[:, part], drawn))
+        sent = record.u_v[k, part] + record.rest_v[k]
+        runs.append(LoopRun("measured", k, sent, record.y_um[:, part], drawn))
     if not runs:
         return None
     inputs = [f"{_words(name)} [V]" for name in fit.inputs]

@@ -58,6 +58,13 @@ def images(figure: Figure) -> dict[str, bytes]:
         return {"svg": _svg(figure), "png": png}
 
 
+def png(figure: Figure) -> bytes:
+    """Give the bytes of a figure as PNG alone."""
+    with styled():
+        _laid_out(figure)
+        return _png(figure)
+
+
 def _laid_out(figure: Figure) -> None:
     """Find the layout once; it holds for both files, and what it measures serves the PNG again."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -1,0 +1,20 @@
+"""Names of axes, as they come from files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+def unique(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of which none stands twice: the second ``Volt`` becomes ``Volt_2``.
+
+    >>> unique(["Volt", "Volt", "Volt_2"])
+    ('Volt', 'Volt_3', 'Volt_2')
+    """
+    found: list[str] = []
+    for i, name in enumerate(names):
+        number, chosen = 2, name
+        while chosen in found or (chosen != name and chosen in names[i:]):
+            chosen, number = f"{name}_{number}", number + 1
+        found.append(chosen)
+    return tuple(found)

@@ -1,0 +1,56 @@
+"""The file of voltages to send: what it counts on stands above its columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def drive_csv(
+    time_s: Array,
+    groups: Sequence[tuple[str, str, Sequence[str], Array]],
+    statements: Sequence[str],
+) -> str:
+    """Text of a CSV file whose first lines, each with ``#`` before it, say what must hold when it is sent.
+
+    Parameters
+    ----------
+    time_s : (sample,) times [s]
+    groups : word, unit, names and rows (name, sample) of every group of columns
+    statements : what stands above the columns
+
+    Raises
+    ------
+    InputError : two columns of one name, or names that are not those of the rows: nothing is written
+
+    Examples
+    --------
+    >>> print(drive_csv(np.zeros(1), [("drive", "v", ["x"], np.ones((1, 1)))], ["To be sent."]), end="")
+    # To be sent.
+    time_s,drive_x_v
+    0.0,1.0
+    """
+    import pandas as pd
+
+    names = ["time_s"]
+    for word, unit, axes, rows in groups:
+        if len(axes) != len(rows):
+            raise InputError("drive file", f"{len(rows)} {word} columns for {len(axes)} names")
+        names += [f"{word}_{_plain(axis)}_{unit}" for axis in axes]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError("drive file", f"two columns would be called {twice[0]}; rename the model's axes")
+    table = pd.DataFrame(np.vstack([time_s, *(rows for *_, rows in groups)]).T, columns=names)
+    above = "".join(f"# {' '.join(text.split())}\n" for text in statements)
+    return above + str(table.to_csv(index=False, lineterminator="\n"))
+
+
+def _plain(name: str) -> str:
+    """Name without what opens a comment or ends a line."""
+    return " ".join(name.replace("#", "").split())

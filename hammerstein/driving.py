@@ -1,0 +1,134 @@
+"""Where a model meets a drive: the voltages that may be sent, and those that were sent before.
+
+Outside, voltages are absolute: as recorded and as sent. The plays of a model count them from its working
+point, at which they rest. A law turns the one into the other here and nowhere else; forwards it is done by
+``HammersteinModel.static_response``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hammerstein.errors import InputError
+from hammerstein.instruments import Drive
+from hammerstein.voltages import Voltages
+
+Array = NDArray[np.float64]
+
+
+class Recorded(Protocol):
+    """A model that knows the voltages of its records."""
+
+    @property
+    def recorded(self) -> Voltages:
+        """Working point and range of the records."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class DriveRange:
+    """Voltages that a law may ask for, and how the actuator came to the one at which it stands.
+
+    Parameters
+    ----------
+    low_v, high_v : (m,) lowest and highest voltage of each input [V]
+    working_point_v : (m,) voltage from which the model counts [V]
+    start_v : (m,) voltage before the first sample [V]
+    conditioned : False: the actuator rested at the working point and went straight to the start; True: it was
+        driven to the highest, then to the lowest voltage, then to the start, so that nothing older counts
+    """
+
+    low_v: Array
+    high_v: Array
+    working_point_v: Array
+    start_v: Array
+    conditioned: bool = False
+
+    def __post_init__(self) -> None:
+        outside = (self.start_v < self.low_v) | (self.start_v > self.high_v)
+        if outside.any():
+            k = int(np.argmax(outside))
+            raise InputError(
+                "start",
+                f"{self.start_v[k]:g} V of input {k + 1} lies outside the range, {self.low_v[k]:g} to "
+                f"{self.high_v[k]:g} V; give a start inside it, or another range",
+            )
+        if self.conditioned and not np.isfinite(self.span_v).all():
+            raise InputError("conditioning", "needs a finite range, whose ends the actuator is driven to")
+
+    @classmethod
+    def of(
+        cls,
+        given: RangeLike,
+        model: Recorded,
+        start_v: ArrayLike | None = None,
+        conditioned: bool = False,
+    ) -> DriveRange:
+        """Range for a model from N (for -N to N), (low, high), or one such an input [V].
+
+        start_v : (m,) voltage at which the actuator stands; the working point if not given
+        """
+        if isinstance(given, DriveRange):
+            return given
+        wanted: Any = given.tolist() if isinstance(given, np.ndarray) else given
+        try:
+            low, high = Drive(range_v=wanted).limits(len(model.recorded.working_point_v))
+        except ValueError:
+            raise InputError("range", f"{given!r} is neither N for -N to N nor (low, high) in V") from None
+        rest = np.array(model.recorded.working_point_v)
+        start = rest if start_v is None else np.asarray(start_v, dtype=np.float64)
+        return cls(low, high, rest, start, conditioned)
+
+    @property
+    def span_v(self) -> Array:
+        """From the lowest to the highest voltage (m,) [V]."""
+        return np.asarray(self.high_v - self.low_v)
+
+    @property
+    def counted(self) -> tuple[Array, Array]:
+        """Lowest and highest voltage (m,), counted from the working point [V]."""
+        return self.low_v - self.working_point_v, self.high_v - self.working_point_v
+
+    @property
+    def largest_v(self) -> Array:
+        """Farthest from the working point (m,) that a voltage can be [V]."""
+        low, high = self.counted
+        return np.asarray(np.maximum(np.abs(low), np.abs(high)))
+
+    def history(self) -> Array:
+        """Voltages (m, steps) from rest, which comes first, to the start; counted from the working point."""
+        low, high = self.counted
+        start, rest = self.start_v - self.working_point_v, np.zeros(len(self.start_v))
+        if self.conditioned:
+            return np.stack([rest, high, low, start], axis=1)
+        return np.stack([rest, start] if start.any() else [rest], axis=1)
+
+    def absolute(self, counted_v: Array) -> Array:
+        """Voltages (m, N) as they are sent, from those counted from the working point."""
+        if not self.working_point_v.any():
+            return counted_v
+        sent = counted_v + self.working_point_v[:, None]
+        return np.clip(sent, self.low_v[:, None], self.high_v[:, None])
+
+    def reached(self, drive_v: Array) -> NDArray[np.bool_]:
+        """Where voltages (m, N) stand at an end of the range."""
+        low, high = self.low_v[:, None], self.high_v[:, None]
+        ends = np.abs([low, high])
+        slack = 1e-9 * np.max(np.where(np.isfinite(ends), ends, 0.0), axis=0)
+        return np.asarray((drive_v >= high - slack) | (drive_v <= low + slack))
+
+    def words(self, inputs: Sequence[str]) -> str:
+        """Say the range of each input."""
+        ends = [f"{low:.6g} to {high:.6g} V" for low, high in zip(self.low_v, self.high_v, strict=True)]
+        if len(set(ends)) == 1:
+            return ends[0]
+        return ", ".join(f"{end} on {name}" for name, end in zip(inputs, ends, strict=True))
+
+
+RangeLike = DriveRange | ArrayLike
+"""A range, or what ``DriveRange.of`` makes one of."""

@@ -1,0 +1,75 @@
+"""Voltages as recorded: what a fit counts them from, and what the model file says of them.
+
+A record may begin at any voltage. The plays of a model that rests do not know where zero is, so that every
+record is counted from the voltage at which it began; the model's working point is that of the first record
+that began at rest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.identification.static.regressors import Start
+from hammerstein.records.preparation import FEWEST_AT_REST, dead_start, driven_inputs
+from hammerstein.records.record import Record
+from hammerstein.voltages import Voltages
+
+Array = NDArray[np.float64]
+
+AT_AN_END = 0.01
+"""Part of its range within which a voltage begins at an end of it."""
+
+
+def counted(record: Record) -> Record:
+    """The same record with its voltages counted from their first values.
+
+    >>> u = 90.0 * np.sin(np.linspace(0.0, 12.0, 300)) - 90.0
+    >>> begun = counted(Record([u], [5.0 * u], 1e-3))
+    >>> begun.rest_v, float(begun.u_v[0, 0])
+    (array([-90.]), 0.0)
+    """
+    first = record.u_v[:, 0]
+    if not first.any():
+        return record
+    return replace(record, u_v=record.u_v - first[:, None], rest_v=record.rest_v + first, verified=True)
+
+
+def voltages_of(records: Sequence[Record], ready: Sequence[Record], starts: Sequence[Start]) -> Voltages:
+    """Working point and range of every input over the records.
+
+    The working point is where the first record began that drives the input and began at rest: with a dead
+    start, at an end of its range, or so judged. Where all began in motion it is the middle of the range.
+
+    Parameters
+    ----------
+    records : as they were read
+    ready : the same without their dead start, counted from where they began
+    starts : what went before each of them
+    """
+    low = np.min([record.u_v.min(axis=1) for record in records], axis=0)
+    high = np.max([record.u_v.max(axis=1) for record in records], axis=0)
+    rest = [_middle(*ends) for ends in zip(low.tolist(), high.tolist(), strict=True)]
+    for record, begun, start in reversed(list(zip(records, ready, starts, strict=True))):
+        for k in driven_inputs(record):
+            if start.kind == "rest" or _began_at_rest(record, k):
+                rest[k] = float(begun.rest_v[k])
+    return Voltages.of(rest, low, high)
+
+
+def _began_at_rest(record: Record, k: int) -> bool:
+    u = record.u_v[k]
+    margin = AT_AN_END * float(np.ptp(u))
+    return (
+        bool(u[0] <= u.min() + margin or u[0] >= u.max() - margin) or dead_start(record) + 1 >= FEWEST_AT_REST
+    )
+
+
+def _middle(low: float, high: float) -> float:
+    """Middle of a range, to a thousandth of it: it was never measured."""
+    step = 10.0 ** (math.floor(math.log10(high - low)) - 3) if high > low else 1.0
+    return round(0.5 * (low + high) / step) * step

@@ -1,0 +1,1 @@
+"""Ways to and from python-control: systems, time responses, describing functions."""

@@ -1,0 +1,108 @@
+"""Kinds that plug in: signals, compensators and every other value that a file names by its kind.
+
+A family is what a scenario or model file chooses from by a tag, such as ``kind = "circle"``. The package's
+own kinds and those of others are registered in the same way, and nothing else knows their names. Others are
+found by the entry point group ``hammerstein.blocks``: each entry is a class, or a module that calls
+``register``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any, Generic, TypeVar, get_args
+
+from pydantic import BaseModel, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from hammerstein.errors import InputError
+
+GROUP = "hammerstein.blocks"
+
+T = TypeVar("T", bound=BaseModel)
+K = TypeVar("K", bound=type[BaseModel])
+
+
+class Family(Generic[T]):
+    """The kinds of one family, by their tag.
+
+    Parameters
+    ----------
+    base : what every kind of the family is a subclass of
+    tag : field that names the kind; in each kind a ``Literal`` of one name
+    """
+
+    def __init__(self, base: type[T], tag: str):
+        self.base, self.tag = base, tag
+        self.kinds: dict[str, type[T]] = {}
+        self._users: list[type[BaseModel]] = []
+        _FAMILIES.append(self)
+
+    def register(self, kind: type[T]) -> None:
+        """Add a kind; InputError where its name is taken or not stated."""
+        field = kind.model_fields.get(self.tag)
+        names = get_args(field.annotation) if field is not None else ()
+        if len(names) != 1 or not isinstance(names[0], str):
+            raise InputError(kind.__name__, f'names no kind: give it a field {self.tag}: Literal["..."]')
+        if names[0] in self.kinds and self.kinds[names[0]] is not kind:
+            raise InputError(kind.__name__, f"{self.tag} = {names[0]!r} is taken")
+        self.kinds[names[0]] = kind
+        for user in self._users:
+            user.model_rebuild(force=True)
+
+    def remove(self, kind: type[T]) -> None:
+        """Forget a kind again, as tests do."""
+        self.kinds = {name: known for name, known in self.kinds.items() if known is not kind}
+        for user in self._users:
+            user.model_rebuild(force=True)
+
+    def used_by(self, model: type[BaseModel]) -> None:
+        """Note a model that has a field of this family: it follows when a kind is added."""
+        self._users.append(model)
+
+    def field(self, form: Callable[[type[T]], type[BaseModel]] = lambda kind: kind) -> Choice:
+        """Annotation of a field that holds one of the kinds, in the form that the field wants."""
+        return Choice(self, form)
+
+
+class Choice:
+    """Annotation of a field that holds one kind of a family, told by its tag."""
+
+    def __init__(self, family: Family[Any], form: Callable[[Any], type[BaseModel]]):
+        self.family, self.form = family, form
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Choose by the tag among the kinds that are known now."""
+        kinds = self.family.kinds.items()
+        choices = {name: handler.generate_schema(self.form(kind)) for name, kind in kinds}
+        return core_schema.tagged_union_schema(choices, discriminator=self.family.tag)
+
+
+_FAMILIES: list[Family[Any]] = []
+
+
+def register(kind: K) -> K:
+    """Add a kind of signal, compensator, hysteresis or dynamics, so that files may name it.
+
+    May be used as a decorator.
+
+    Raises
+    ------
+    InputError : it belongs to no family, or its name is taken
+    """
+    for family in _FAMILIES:
+        if issubclass(kind, family.base):
+            family.register(kind)
+            return kind
+    bases = ", ".join(family.base.__name__ for family in _FAMILIES)
+    raise InputError(kind.__name__, f"is no kind that plugs in; derive it from one of {bases}")
+
+
+@cache
+def load_plugins() -> None:
+    """Import what other packages offer in the entry point group, once."""
+    for entry in entry_points(group=GROUP):
+        found = entry.load()
+        if isinstance(found, type):
+            register(found)

@@ -1,0 +1,76 @@
+"""What a notebook shows of a value: its short text and a picture."""
+
+from __future__ import annotations
+
+import base64
+import html
+from functools import singledispatch
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hammerstein.model import HammersteinModel
+from hammerstein.records.loops import loop_table
+from hammerstein.records.record import Record
+from hammerstein.reporting.figures.loops import LoopRun, loops_figure
+from hammerstein.reporting.figures.measured import loops_of_records
+from hammerstein.reporting.figures.path import PathRun, path_figure
+from hammerstein.reporting.figures.style import plain, symbol
+from hammerstein.reporting.figures.write import png
+from hammerstein.simulation import Response
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CYCLE = 400  # samples of a settled loop
+PARTS = (1.0, 0.5, 0.25)  # of the model's amplitude
+
+
+def html_of(value: Any) -> str:
+    """Text and, where there is one, picture of a value as HTML that needs no other file."""
+    shown = f"<p><code>{html.escape(repr(value))}</code></p>"
+    figure = picture_of(value)
+    if figure is None:
+        return shown
+    data = base64.b64encode(png(figure)).decode()
+    return f'{shown}<img style="max-width: 100%" alt="" src="data:image/png;base64,{data}">'
+
+
+@singledispatch
+def picture_of(value: Any) -> Figure | None:
+    """Picture of a value; None where there is none."""
+    return None
+
+
+@picture_of.register(HammersteinModel)
+def _(model: HammersteinModel) -> Figure | None:
+    """Settled loops of the static block, one input driven at a time."""
+    runs = []
+    sine = np.sin(2.0 * np.pi * np.arange(2 * CYCLE + 1) / CYCLE)
+    for k in range(len(model.inputs)):
+        for part in PARTS:
+            u = np.zeros((len(model.inputs), len(sine)))
+            u[k] = part * model.amplitude_v * sine
+            v, _ = model.hysteresis.respond(u)
+            runs.append(LoopRun(f"{part * model.amplitude_v:g} V", k, u[k, CYCLE:], v[:, CYCLE:]))
+    inputs = [f"{symbol(name, 'voltage')} [V]" for name in model.inputs]
+    outputs = [f"{symbol(name, 'reading')} [µm]" for name in model.outputs]
+    return loops_figure(runs, inputs, outputs, f"{plain(model.name)}: settled loops, without dynamics")
+
+
+@picture_of.register(Response)
+def _(response: Response) -> Figure | None:
+    """Position over time, and the reference where there is one."""
+    time_s, position = response.time_s, response.position_um
+    if len(time_s) < 2:
+        return None
+    length = float(np.ptp(time_s))
+    names = response.outputs or tuple(f"y{o + 1}" for o in range(len(position)))
+    run = PathRun("position", "", time_s, response.reference_um, position, None, length, length)
+    return path_figure([run], names, "reference")
+
+
+@picture_of.register(Record)
+def _(record: Record) -> Figure | None:
+    """Loops of the record, if it has any."""
+    return loops_of_records([record], [loop_table(record)])

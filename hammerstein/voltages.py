@@ -1,0 +1,89 @@
+"""What a model file holds of the records it was found from: voltages as recorded, and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+
+ONE_SIDED = 0.25
+"""Part of the larger side up to which the smaller one does not make a record two-sided."""
+
+Poling = Literal["positive", "negative", "both"]
+
+
+class Voltages(BaseModel):
+    """Voltages of the records behind a model, absolute, one an input.
+
+    The plays rest at the working point; the position there, at rest, is zero.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    working_point_v: tuple[FiniteFloat, ...] = Field(description="voltage at which the plays rest")
+    lowest_v: tuple[FiniteFloat, ...] = Field(description="lowest voltage of the records")
+    highest_v: tuple[FiniteFloat, ...] = Field(description="highest voltage of the records")
+    poling: tuple[Poling, ...] = Field(
+        description="sign of the voltages that the records stayed on, up to a quarter of the larger side"
+    )
+
+    @model_validator(mode="after")
+    def _is_ordered(self) -> Self:
+        sizes = {len(getattr(self, name)) for name in type(self).model_fields}
+        if len(sizes) != 1:
+            raise ValueError("give as many working points, lowest and highest voltages and signs of poling")
+        if any(low >= high for low, high in zip(self.lowest_v, self.highest_v, strict=True)):
+            raise ValueError("lowest_v must lie below highest_v")
+        return self
+
+    @classmethod
+    def of(cls, working_point_v: ArrayLike, lowest_v: ArrayLike, highest_v: ArrayLike) -> Voltages:
+        """Voltages (m,) of records; the sign of poling follows from them.
+
+        >>> Voltages.of([0.0, 0.0], [-20.0, -50.0], [120.0, 50.0]).poling
+        ('positive', 'both')
+        """
+        names = ("working_point_v", "lowest_v", "highest_v")
+        given = dict(zip(names, (working_point_v, lowest_v, highest_v), strict=True))
+        values = {name: tuple(np.asarray(v, dtype=np.float64).tolist()) for name, v in given.items()}
+        signs = map(_poling, values["lowest_v"], values["highest_v"])
+        return cls(**values, poling=tuple(signs))
+
+    @classmethod
+    def symmetric(cls, amplitude_v: float, inputs: int) -> Voltages:
+        """About 0 V, as for a model file that does not say."""
+        ends = np.full(inputs, amplitude_v)
+        return cls.of(np.zeros(inputs), -ends, ends)
+
+    def one_sided(self) -> list[int]:
+        """Inputs, from 0, whose records stayed on one side of 0 V."""
+        return [k for k, sign in enumerate(self.poling) if sign != "both"]
+
+    def statement(self, inputs: Sequence[str]) -> str:
+        """Say the recorded range and the working point of each input."""
+        ends = zip(inputs, self.lowest_v, self.highest_v, self.working_point_v, strict=True)
+        return "; ".join(
+            f"{name} from {low:.6g} to {high:.6g} V, at rest at {rest:.6g} V"
+            for name, low, high, rest in ends
+        )
+
+
+def _poling(low: float, high: float) -> Poling:
+    if low >= -ONE_SIDED * high and high > 0.0:
+        return "positive"
+    return "negative" if high <= -ONE_SIDED * low and low < 0.0 else "both"
+
+
+class Verdict(BaseModel):
+    """What its identification says of a model."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    flagged: bool = Field(description="whether the records do what a model of this kind cannot")
+    statements: tuple[str, ...] = Field(default=(), description="what it cannot represent")
+    held_out: bool = Field(default=False, description="whether it was judged by a record held back")
+    sentence: str = Field(default="", description="which block lowers the error")
+    nrmse_percent: tuple[float, ...] = Field(default=(), description="error of each output it was judged by")

@@ -1,0 +1,137 @@
+"""Short texts of values, and their pictures in a notebook."""
+
+import base64
+import io
+import re
+from pathlib import Path
+
+import control
+import matplotlib as mpl
+import numpy as np
+import pytest
+from PIL import Image
+
+import hammerstein
+from hammerstein.instruments import Instruments
+from hammerstein.model import HammersteinModel
+from hammerstein.records.record import Record
+from hammerstein.reporting.notebook import picture_of
+from hammerstein.simulation import Plant
+
+TIME = 1e-4 * np.arange(2000)
+SINE = 8.0 * np.sin(2.0 * np.pi * 20.0 * TIME)
+README = Path(__file__).resolve().parents[1] / "README.md"
+
+
+@pytest.fixture(scope="module")
+def model():
+    return HammersteinModel.load("duo_bimorph")
+
+
+@pytest.fixture(scope="module")
+def response(model):
+    return Plant(model, Instruments.ideal(1e-4)).respond(np.stack([SINE, 0.5 * SINE]), [0])
+
+
+@pytest.fixture(scope="module")
+def record(response):
+    return Record(response.drive_v[:1], response.position_um[:1], 1e-4, ("u <x>",), ("x",), "a & b.csv")
+
+
+def _picture(value):
+    html = value._repr_html_()
+    png = base64.b64decode(re.search(r'src="data:image/png;base64,([^"]*)"', html)[1])
+    return html, Image.open(io.BytesIO(png))
+
+
+def test_texts_are_short_and_say_what_it_is(model, response, record):
+    said = {
+        repr(model): [
+            "duo_bimorph",
+            "x, y [V] to x, y [um]",
+            "15 operators a pair",
+            "0.07 to 9.7 V",
+            "279.7 Hz",
+        ],
+        repr(model.hysteresis): ["PrandtlIshlinskii(2 inputs, 2 outputs, 15 operators a pair"],
+        repr(model.hysteresis.pairs[0][0]): ["Pair(15 operators", "6.231 um/V"],
+        repr(hammerstein.Pair.absent()): ["Pair(absent)"],
+        repr(hammerstein.discretise(model.dynamics, 5e-5)): [
+            "LinearBlock(order 4, 2 inputs, 2 outputs, 5e-05 s"
+        ],
+        repr(response): ["Response(2000 samples of 0.0001 s, 2 inputs, 2 outputs; position -"],
+        repr(record): ["Record('a & b.csv': 2000 samples of 0.0001 s; u <x> -8 to 8 V; x -"],
+    }
+    for text, parts in said.items():
+        assert len(text) < 250
+        for part in parts:
+            assert part in text
+    uneven = hammerstein.PrandtlIshlinskii(
+        [[hammerstein.Pair.linear(2.0), hammerstein.Pair([0.1, 2.0], [1.0, 1.0])]]
+    )
+    assert "2 inputs, 1 outputs, 1 to 2 operators a pair, thresholds 0 to 2 V" in repr(uneven)
+
+
+def test_the_text_of_a_report_does_not_hold_its_rows():
+    loop = {"kind": "sine", "amplitude_v": 9.0, "frequency_hz": 50.0}
+    report = hammerstein.run(
+        {"question": "How large?", "actuator": "duo_bimorph_static", "drive": loop}, "loop"
+    )
+    assert repr(report) == "Report('loop' on duo_bimorph_static: 4 rows, 2 traces)"
+
+
+def test_a_cut_drive_is_in_the_text(model):
+    cut = Plant(model, Instruments()).respond(np.array([[0.0, 20.0, 20.0], [0.0, 0.0, 0.0]]), [0])
+    assert "the range cut 2 samples" in repr(cut)
+
+
+def test_pictures_stand_in_the_page_itself(model, response, record):
+    for value in (model, response, record):
+        html, image = _picture(value)
+        assert image.size[0] == 1000
+        assert np.ptp(np.asarray(image)) > 100
+    assert "a &amp; b.csv" in html
+    assert "u &lt;x&gt;" in html
+
+
+def test_a_model_shows_its_settled_loops(model):
+    figure = picture_of(model)
+    loop = figure.axes[0].lines[0]
+    half = model.hysteresis.pairs[0][0].amplitude(10.0)
+    assert np.ptp(loop.get_ydata()) == pytest.approx(2.0 * half, rel=1e-9)
+    assert loop.get_ydata()[0] == pytest.approx(loop.get_ydata()[-1], abs=1e-9)
+    assert len(figure.axes) == 4
+
+
+def test_a_response_shows_position_and_reference(model, response):
+    assert len(picture_of(response).axes) == 3
+    plant = Plant(model, Instruments.ideal(1e-4))
+    followed = plant.respond(response.requested_v, [0], reference_um=response.position_um + 1.0).after(1800)
+    lines = [line.get_ydata() for line in picture_of(followed).axes[1].lines]
+    assert any(np.array_equal(line, followed.reference_um[0]) for line in lines)
+    assert picture_of(response.after(1999)) is None
+
+
+def test_what_has_no_picture_shows_its_text():
+    ramp = Record([np.linspace(0.0, 5.0, 200)], [np.linspace(0.0, 20.0, 200)], 1e-3)
+    assert picture_of(ramp) is None
+    assert ramp._repr_html_().startswith("<p><code>Record(")
+
+
+def test_the_example_of_the_readme_runs(capsys):
+    """Through ``control.interconnect``, with the error that the report of such a path shows."""
+    import matplotlib.pyplot as plt
+
+    blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    (example,) = [block for block in blocks if "control.interconnect" in block]
+    mpl.use("Agg")
+    names = {}
+    try:
+        exec(compile(example, "README.md", "exec"), names)
+    finally:
+        plt.close("all")
+    error = names["response"].outputs - names["reference"]
+    assert np.sqrt(np.mean(error[:, 200:] ** 2)) < 2.0
+    assert isinstance(names["chain"], control.InterconnectedSystem)
+    assert [cycle.stable for cycle in names["cycles"]] == [False, True]
+    assert "LimitCycle(amplitude_v=" in capsys.readouterr().out
