@@ -24,7 +24,7 @@ def rising_resonance_hz(frequency_hz: float, damping_ratio: float) -> float:
     Raises InputError where the gain never rises so far.
 
     >>> round(rising_resonance_hz(430.0, 0.05), 1)
-    791.4
+    792.9
     """
     half = 1.0 - 2.0 * damping_ratio**2
     inner = half**2 - (1.0 - RISE**-2)

@@ -62,8 +62,10 @@ def variations(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Ite
     words = f"with a sample time of {1e6 * step:g} us"
     yield Variation("sample_time", words, scenario.model_copy(update={"instruments": finer}), model)
     volts = _amplitude_of_path(scenario, model, claim)
-    words = f"identified at {volts:.2g} V"
-    yield Variation("identification_amplitude", words, _identified(scenario, "amplitude_v", volts), model)
+    if volts < model.amplitude_v:
+        words = f"identified at {volts:.2g} V"
+        smaller = _identified(scenario, "amplitude_v", volts)
+        yield Variation("identification_amplitude", words, smaller, model)
     if len(set(_frequencies(scenario))) == 1:  # a claim that compares frequencies is not asked what they cost
         words = f"identified at {LOW_HZ:g} Hz"
         lower = _identified(scenario, "frequency_hz", LOW_HZ)

@@ -129,7 +129,7 @@ def share_held(draws: int) -> float:
     Beta(s - r, n - s + r + 1) (Wilks, Annals of Mathematical Statistics 12 (1941) 91-96).
 
     >>> round(share_held(20), 2), round(share_held(300), 2)
-    (0.66, 0.87)
+    (0.66, 0.86)
     """
     from scipy.stats import beta
 

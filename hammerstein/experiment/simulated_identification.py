@@ -54,10 +54,7 @@ def identify_by_experiment(plant: Plant, spec: ClosedFormSpec | JointFitSpec, se
     IdentificationError : the data do not determine the model, or the drive cuts the voltage
     """
     actuator = replace(plant.model, instruments=plant.instruments)
-    # The text is a part of the seed: what was added later and is not given must not move the noise.
-    unsaid = {"waveform"} if getattr(spec, "waveform", None) is None else set()
-    text = spec.model_dump_json(exclude=unsaid)
-    return HammersteinModel.from_json(kept(_identified)(actuator.to_json(), text, seed))
+    return HammersteinModel.from_json(kept(_identified)(actuator.to_json(), spec.model_dump_json(), seed))
 
 
 def _identified(actuator_json: str, spec_json: str, seed: int) -> str:
@@ -66,7 +63,9 @@ def _identified(actuator_json: str, spec_json: str, seed: int) -> str:
     plant = Plant(actuator, actuator.instruments)
     spec: ClosedFormSpec | JointFitSpec = TypeAdapter(IdentificationSpec).validate_json(spec_json)
     asked = spec.model_copy(update={"amplitude_v": spec.amplitude_v or actuator.amplitude_v})
-    seeds = [seed, zlib.crc32(asked.model_dump_json().encode())]
+    # The text is a part of the seed: what was added later and is not given must not move the noise.
+    unsaid = {"waveform"} if getattr(spec, "waveform", None) is None else set()
+    seeds = [seed, zlib.crc32(asked.model_dump_json(exclude=unsaid).encode())]
     if isinstance(spec, JointFitSpec):
         return _joint_fit(_at_sample_time(plant, spec.sample_time_s), spec, seeds).to_json()
     return _closed_form(plant, spec, seeds).to_json()
@@ -187,8 +186,8 @@ def _settled_loop(
     samples = round((settle + spec.measured_cycles) * period / bench.sample_time_s)
     voltage = np.repeat(drive.rest_v[:, None], samples, axis=1)
     time_s = np.arange(samples, dtype=np.float64) * bench.sample_time_s
-    kind = Triangle if spec.waveform == "triangle" else Sine
-    wave = kind(amplitude=drive.amplitude_v[k], frequency_hz=spec.frequency_hz, axis=1)
+    shape = Triangle if spec.waveform == "triangle" else Sine
+    wave = shape(amplitude=float(drive.amplitude_v[k]), frequency_hz=spec.frequency_hz, axis=1)
     voltage[k] = drive.centre_v[k] + wave.sample(time_s, 1)[0]
     response = bench.respond(voltage, [*seeds, k])
     phases = 2 * max(1, round(0.5 * period / bench.sample_time_s))
