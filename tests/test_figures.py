@@ -13,12 +13,16 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pytest
+import theory
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hammerstein.errors import InputError
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
+from hammerstein.identification.identify import identify
+from hammerstein.identification.settings import Settings
+from hammerstein.records.record import Record
 from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure, save_figures, write_figures
 from hammerstein.reporting.figures.loop_data import legend_labels, legible_parts
 from hammerstein.reporting.figures.style import MOST_POINTS, line_style, thin_path, thin_trace
@@ -369,3 +373,14 @@ def test_labels_have_one_unit():
         assert label.count("V]") <= 1
         assert "um]" not in label
         assert "um)" not in label
+
+
+def test_the_largest_loop_of_falling_amplitudes_is_drawn():
+    from hammerstein.reporting.figures.identified import measured_loops
+
+    corners = [0.0, 100.0, 0.0, 60.0, 0.0, 30.0, 0.0]
+    u = np.interp(np.linspace(0.0, 6.0, 1800), np.arange(7.0), corners)
+    y = theory.prandtl_ishlinskii([u], [[[0.0, 5.0, 20.0]]], [[[0.4, 0.1, 0.1]]])
+    _, fit = identify([Record([u], y, 1e-3)], Settings(operators=6, delay_samples=0, error_curve=False))
+    measured = measured_loops(fit).axes[0].lines[0]
+    assert np.ptp(measured.get_xdata()) == pytest.approx(100.0, rel=0.01)

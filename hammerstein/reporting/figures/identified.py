@@ -80,10 +80,15 @@ def _longest(records: Sequence[Record]) -> list[Record]:
 
 
 def _cycle(record: Record, k: int) -> slice | None:
-    """Last closed cycle in which an input is driven alone, if there is one."""
-    alone = [e for e in find_cycles(record.u_v[k]).excursions if driven_alone(record, k, e.start, e.stop)]
+    """Last closed cycle of largest swing in which an input is driven alone, if there is one."""
+    u = record.u_v[k]
+    alone = [e for e in find_cycles(u).excursions if driven_alone(record, k, e.start, e.stop)]
     cycles = [e for e in alone if not e.minor] or alone
-    return slice(cycles[-1].start, cycles[-1].stop + 1) if cycles else None
+    if not cycles:
+        return None
+    swings = [float(np.ptp(u[e.start : e.stop + 1])) for e in cycles]
+    wide = [e for e, swing in zip(cycles, swings, strict=True) if swing >= (1.0 - SAME_SWING) * max(swings)]
+    return slice(wide[-1].start, wide[-1].stop + 1)
 
 
 def measured_loops(fit: Fit) -> Figure | None:
