@@ -399,3 +399,13 @@ def test_signs_of_poling():
     for low, high in itertools.product((1.0, 2.0), (1.0,)):
         with pytest.raises(ValueError, match="must lie below"):
             Voltages.of([0.0], [low], [high])
+
+
+def test_a_drive_file_with_columns_of_other_axes_is_never_written():
+    from hammerstein.compensators.drive_csv import drive_csv
+
+    rows = np.zeros((2, 3))
+    with pytest.raises(InputError, match="two columns would be called drive_u_v"):
+        drive_csv(np.zeros(3), [("drive", "v", ["u", "u#"], rows)], [])
+    with pytest.raises(InputError, match="2 drive columns for 1 names"):
+        drive_csv(np.zeros(3), [("drive", "v", ["u"], rows)], [])

@@ -47,6 +47,7 @@ from hammerstein.compensators.exact.pieces import (
     PLAY,
     QUALITY,
     RAMP,
+    REACH,
     SIGMA,
     SOFT,
     STACK,
@@ -139,11 +140,7 @@ def stay(w):  # type: ignore[no-untyped-def]
             q += w[HERE, k, INVERSE, o] * (w[HERE, o, NOW, Y] - w[HERE, o, NOW, TOTAL])
         w[HERE, k, NOW, AIM] = q
         d = w[HERE, k, NOW, SIGMA]
-        if (
-            d * (q - w[HERE, k, NOW, Q]) < -w[HERE, k, ABOUT, STILL]
-            or d * (q - w[HERE, k, NOW, FAR]) > 0.0
-            or (q > w[HERE, k, ABOUT, HIGH] if d > 0.0 else q < w[HERE, k, ABOUT, LOW])
-        ):
+        if d * (q - w[HERE, k, NOW, Q]) < -w[HERE, k, ABOUT, STILL] or d * (q - w[HERE, k, NOW, REACH]) > 0.0:
             return False
     for k in range(m):
         d, q = w[HERE, k, NOW, SIGMA], w[HERE, k, NOW, AIM]

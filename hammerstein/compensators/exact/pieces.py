@@ -34,7 +34,8 @@ PREFIX, OWNER, NEAR, FAR, SIGMA, DEPTH, Q, AIM, FIXED, AT, U = range(11)
 # Of a row: target, sum of the constants, what is left, what the memory has more than the target. Of the
 # first row alone: whether the Jacobian is singular (0), inverted poorly (1) or well (2).
 Y, TOTAL, LEFT, MISSED, QUALITY = range(11, 16)
-CONSTANT = 16
+# Of an input: how far its piece goes within the range. CONSTANT has one entry a row.
+REACH, CONSTANT = 16, 17
 
 
 @compiled(error_model="numpy")
@@ -69,6 +70,10 @@ def _describe(w, k):  # type: ignore[no-untyped-def]
     if i >= 0:
         gap = (1.0 - direction * w[STACK, k, i, D]) * w[GRID, k, j, R]
         w[HERE, k, NOW, FAR] = w[STACK, k, i, X] + direction * gap
+    if direction > 0.0:
+        w[HERE, k, NOW, REACH] = min(w[HERE, k, NOW, FAR], w[HERE, k, ABOUT, HIGH])
+    else:
+        w[HERE, k, NOW, REACH] = max(w[HERE, k, NOW, FAR], w[HERE, k, ABOUT, LOW])
     for o in range(m):
         w[HERE, o, JACOBIAN, k] = w[GRID, k, j, SLOPE + o]
         below = _below(w, m, k, i, j, o)
