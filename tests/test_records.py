@@ -175,3 +175,11 @@ class TestSeveralExperiments:
         )
         assert "name sample" in message(read_paired_records, *pair, axes=("time",), rate_hz=200.0)
         assert "is no file of arrays" in message(read_paired_records, __file__, pair[1], rate_hz=200.0)
+
+
+def test_a_cell_that_no_displacement_is_is_named_before_anything_is_summed():
+    t = np.arange(400) / 100.0
+    u, y = np.sin(t)[None], 3.0 * np.sin(t)[None]
+    y[0, 7] = 1e300
+    with pytest.raises(InputError, match=r"column x, row 8 +holds 1e\+300 um, which must be -1e9 to 1e9"):
+        Record(u, y, 0.01, ["u"], ["x"])

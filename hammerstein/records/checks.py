@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import Mistake
+from hammerstein.quantities import Range
 from hammerstein.records.noise import quantum
 
 Array = NDArray[np.float64]
@@ -53,6 +54,19 @@ def gap_mistakes(names: Sequence[str], values: Array, rows: Rows) -> Iterator[Mi
             yield Mistake(where(name, rows, start, stop), f"{what}; mend the record or cut it before the gap")
         if len(gaps) > SHOWN:
             yield Mistake(where(name), f"{len(gaps) - SHOWN} more gaps further down")
+
+
+def far_mistakes(
+    names: Sequence[str], values: Array, rows: Rows, limit: Range, unit: str
+) -> Iterator[Mistake]:
+    """Numbers that no voltage or displacement is, with which no sum can be taken; values (column, sample)."""
+    for name, column in zip(names, values, strict=True):
+        far = runs((column < limit.low) | (column > limit.high))
+        for start, stop in far[:SHOWN]:
+            what = f"holds {column[start]:.3g} {unit}, which {limit.words()}; mend the cell, or give a scale"
+            yield Mistake(where(name, rows, start, stop), what)
+        if len(far) > SHOWN:
+            yield Mistake(where(name), f"{len(far) - SHOWN} more such places further down")
 
 
 def length_mistakes(samples: int) -> Iterator[Mistake]:

@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from hammerstein.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.pictured import Pictured
-from hammerstein.quantities import RATE_HZ, SCALE
+from hammerstein.quantities import POSITION_UM, RATE_HZ, SCALE, VOLTAGE_V
 from hammerstein.records.checks import (
     clipping_mistakes,
+    far_mistakes,
     gap_mistakes,
     length_mistakes,
     moves,
@@ -133,7 +134,11 @@ class Record(Pictured):
             *gap_mistakes(self.inputs, self.u_v, self.rows),
             *gap_mistakes(self.outputs, self.y_um, self.rows),
         ]
-        return [*gaps, *length_mistakes(self.samples)]
+        far = [
+            *far_mistakes(self.inputs, self.u_v, self.rows, VOLTAGE_V, "V"),
+            *far_mistakes(self.outputs, self.y_um, self.rows, POSITION_UM, "um"),
+        ]
+        return [*gaps, *far, *length_mistakes(self.samples)]
 
     def _mend(self) -> list[Mistake]:
         """Replace outliers; mistakes where there are too many."""
