@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
+import re
 import stat
 import tempfile
 from collections.abc import Callable, Iterable
@@ -13,6 +15,10 @@ from pathlib import Path
 from hammerstein.errors import InputError
 
 LARGEST_TEXT_BYTES = 50_000_000
+DEEPEST = 100
+"""Brackets in brackets that a file may have; readers that call themselves end somewhere beyond."""
+_BRACKETS = re.compile(r"[\[\]{}]")
+_QUOTED = re.compile(r'"(?:[^"\\\n]|\\.)*"?|\'[^\'\n]*\'?')
 SIGNED_BYTES = 1_000_000
 """How far into a file its sign is searched."""
 NOTHING = b" \t\r\n{}[]"
@@ -35,11 +41,23 @@ def read_limited(path: Path, what: str, limit: int = LARGEST_TEXT_BYTES) -> str:
             )
         if size == 0:
             raise InputError(str(path), f"is empty; a {what} was expected")
-        return path.read_text(encoding="utf-8-sig")
+        text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(str(path), f"is not UTF-8 text; a {what} was expected") from None
     except OSError as error:
         raise InputError(str(path), f"cannot be read ({reason_of(error)})") from None
+    if _depth(text) > DEEPEST:
+        raise InputError(
+            str(path),
+            f"has brackets in more than {DEEPEST} others; a {what} was expected, is it the right file?",
+        )
+    return text
+
+
+def _depth(text: str) -> int:
+    """How many brackets stand in one another, those in quoted texts left out."""
+    brackets = _BRACKETS.findall(_QUOTED.sub("", text))
+    return max(itertools.accumulate(1 if found in "[{" else -1 for found in brackets), default=0)
 
 
 def is_there(path: Path) -> bool:

@@ -120,6 +120,19 @@ def test_no_cell_of_words_is_a_formula(text):
     assert cell(text).startswith("'")
 
 
+@pytest.mark.parametrize(("name", "text"), [("m.json", "[" * 5000), ("s.toml", f"a = {'[' * 5000}")])
+def test_brackets_without_end_are_refused(folder, capsys, name, text):
+    (folder / name).write_text(text)
+    arguments = ("run", name) if name == "s.toml" else ("compensate", name, "path.csv")
+    assert call(*arguments) == 2
+    assert f"{name}: has brackets in more than 100 others" in capsys.readouterr().err
+
+
+def test_brackets_in_quotes_are_no_brackets(folder):
+    (folder / "odd.toml").write_text(SCENARIO.replace("question =", f"question = '{'[' * 300}' #", 1))
+    assert call("run", "odd.toml", "--no-figures") == 0
+
+
 def test_a_file_larger_than_its_limit_and_one_that_never_ends_are_refused(folder, capsys):
     with open("big.json", "wb") as file:
         file.truncate(10**9)
