@@ -42,7 +42,7 @@ note = {json.dumps(EVIL)}
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     content = json.loads(HammersteinModel.load("duo_bimorph_static").to_json())
-    content |= {"name": EVIL, "inputs": ["=u<script>", "v"], "outputs": ["=x<b>", "y`\x1b[5m"]}
+    content |= {"name": EVIL, "inputs": ["=u<script>", "v"], "outputs": ["=x<b>", "y`[5m"]}
     (tmp_path / "evil.json").write_text(json.dumps(content))
     (tmp_path / "odd.toml").write_text(SCENARIO)
     return tmp_path
