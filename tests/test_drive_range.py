@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -22,6 +23,7 @@ from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.instruments import Drive, Instruments
 from hammerstein.model import HammersteinModel
+from hammerstein.simulation import Plant
 from hammerstein.voltages import Verdict, Voltages
 
 T = 50e-6
@@ -155,8 +157,8 @@ def test_reach_is_the_loop_between_the_ends():
 
 
 def test_ranges_of_a_drive():
-    drive = Drive(range_v=[[0.0, 1.0], [-0.3, 2.0]], resolution_v=0.25)
-    held, cut = drive.apply(np.array([[-1.0, 0.6, 1.01], [-0.3, -0.29, 9.0]]))
+    drive = Drive(range_v=[[0.0, 1.0], [-0.4, 2.2]], resolution_v=0.25)
+    held, cut = drive.apply(np.array([[-1.0, 0.6, 1.01], [-0.4, -0.39, 9.0]]))
     np.testing.assert_array_equal(held, [[0.0, 0.5, 1.0], [-0.25, -0.25, 2.0]])  # no step beyond the range
     np.testing.assert_array_equal(cut, [[True, False, True], [False, False, True]])
     assert Drive(range_v=7).range_v == (-7.0, 7.0)
@@ -348,6 +350,26 @@ def test_every_reference_takes_an_offset(tmp_path, kind):
         for more in ({}, {"offset_um": (7.0, -3.0)})
     )
     np.testing.assert_allclose(moved, plain + np.array([[7.0], [-3.0]]), atol=1e-12)
+
+
+def test_a_drive_scenario_lies_about_the_working_point():
+    """Simulated, the voltages are absolute, what is not driven rests, and the positions count from there."""
+    import hammerstein
+    from hammerstein.experiment.prepare import prepare
+
+    model = model_of(rest=[40.0, 55.0])
+    content = {
+        "question": "?",
+        "actuator": "duo_bimorph",
+        "drive": {"kind": "sine", "amplitude_v": 20.0, "frequency_hz": 50.0},
+    }
+    setup = prepare(hammerstein.Scenario.model_validate(content))
+    setup = replace(setup, plant=Plant(model, model.instruments))  # in place of the packaged one
+    run = setup.simulate(next(setup.cases()))
+    time_s = T * np.arange(run.drive_v.shape[1])
+    expected = np.stack([40.0 + 20.0 * np.sin(2.0 * np.pi * 50.0 * time_s), np.full(len(time_s), 55.0)])
+    np.testing.assert_allclose(run.drive_v, expected, atol=1e-9)
+    np.testing.assert_allclose(run.position_um, played(expected, [40.0, 55.0]), atol=1e-9)
 
 
 def test_a_drive_without_offset_lies_about_the_working_point():
