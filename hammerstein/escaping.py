@@ -28,6 +28,15 @@ def markdown(text: object) -> str:
     return _SPECIAL.sub(lambda found: f"\\{found[0]}", one_line)
 
 
+def code(text: object) -> str:
+    r"""Text as code in Markdown, in a table too.
+
+    >>> code("stage"), code("a`b|c")
+    ('`stage`', '`ab\\|c`')
+    """
+    return "`" + clean(str(text)).replace("`", "").replace("|", r"\|") + "`"
+
+
 def cell(text: str) -> str:
     """Text in a CSV file that no spreadsheet takes for a formula.
 

@@ -166,7 +166,7 @@ def test_ranges_of_a_drive():
     with pytest.raises(InputError, match="names 2 inputs; the actuator has 3"):
         drive.limits(3)
     for wrong in ([1.0, 0.0], [1.0, 2.0, 3.0], "ten", -1.0, True, [], [0.0, float("nan")]):
-        with pytest.raises(ValueError, match="low below high|must be -1e6 to 1e6"):
+        with pytest.raises(ValueError, match=r"low below high|must be -1e6 to 1e6"):
             Drive(range_v=wrong)
 
 

@@ -259,7 +259,7 @@ def test_laws_that_need_the_whole_path_say_so(law):
 
 def test_a_run_that_does_not_fit_the_memory_is_refused_before_it_begins():
     slow = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 1e-6}
-    with pytest.raises(SimulationError, match=r"needs about .* GB of memory.*simulate_in_stretches"):
+    with pytest.raises(SimulationError, match=r"needs about .* GB of memory.*record_every"):
         run(_scenario(drive=slow))
 
 

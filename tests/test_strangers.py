@@ -57,9 +57,8 @@ def call(*arguments):
 def active(text):
     """What a renderer of Markdown would not show as text: tags and links that stand free."""
     outside = re.sub(r"`[^`\n]*`", "", text)
-    return re.findall(
-        r"(?<!\\)<[a-zA-Z/!]|(?<!\\)\]\((?!\w[\w%.-]*\.(?:png|svg)\)|paper)|(?<!\\)&\w", outside
-    )
+    own = r"\w[\w%.-]*\.(?:png|svg)\)|paper|readings/README.md\)"
+    return re.findall(rf"(?<!\\)<[a-zA-Z/!]|(?<!\\)\]\((?!{own})|(?<!\\)&\w", outside)
 
 
 def test_pages_tables_and_figures_of_a_hostile_scenario(folder, capsys):

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hammerstein.escaping import cell, markdown
+from hammerstein.escaping import cell, code, markdown
 from hammerstein.experiment.report import Report
 from hammerstein.model import HammersteinModel, packaged_actuators
 from hammerstein.scenario.claims import Answer, Verdict
@@ -127,7 +127,7 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
         keep_trailing_newline=True,
         autoescape=False,  # Markdown, which has its own filter
     )
-    environment.filters["md"] = markdown
+    environment.filters |= {"md": markdown, "code": code}
     verdicts = [verdict for report in reports for verdict in report.verdicts]
     actuators = list(dict.fromkeys(answer.actuator for verdict in verdicts for answer in verdict.answers))
     counted = [verdict for verdict in verdicts if not verdict.calibrated]

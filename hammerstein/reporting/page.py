@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
 
-from hammerstein.escaping import clean, markdown
+from hammerstein.escaping import code, markdown
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.selection import identified_at, number
 from hammerstein.metrics import METRICS
@@ -101,7 +101,7 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"md": markdown, "code": _code, "number": _number}
+    environment.filters |= {"md": markdown, "code": code, "number": _number}
     page = environment.get_template("report.md.jinja").render(
         report=report,
         answer=_answer(report),
@@ -121,10 +121,6 @@ def _answer(report: Report) -> str:
     opening, closing = "\ue000", "\ue001"
     text = answer(report, quote=lambda label: opening + re.sub(f"[{opening}{closing}]", "", label) + closing)
     return re.sub(f"[{opening}{closing}]", "*", markdown(text))
-
-
-def _code(text: object) -> str:
-    return f"`{clean(str(text)).replace('`', '')}`"
 
 
 def _number(value: float | None) -> str:
@@ -188,7 +184,7 @@ def _setting(report: Report) -> Iterator[tuple[str, str]]:
     """What was run, as pairs of a name and a text."""
     scenario, portable = report.scenario, report.scenario.portable()
     model = HammersteinModel.load(scenario.actuator)
-    yield "Actuator", f"{_code(report.actuator)}, dynamics: {markdown(model.dynamics.describe())}"
+    yield "Actuator", f"{code(report.actuator)}, dynamics: {markdown(model.dynamics.describe())}"
     for name in ("drive", "reference"):
         if name in portable:
             kind = {"kind": portable[name]["kind"]}
@@ -201,8 +197,8 @@ def _setting(report: Report) -> Iterator[tuple[str, str]]:
     yield "Converter and amplifier", _listed(report.instruments.drive.model_dump())
     yield "Sensor", _listed(report.instruments.sensor.model_dump())
     yield "Seed of the noise", str(scenario.seed)
-    yield "Digest of the scenario", _code(report.digest)
-    yield "Digest of the actuator's model", _code(report.model_digest)
+    yield "Digest of the scenario", code(report.digest)
+    yield "Digest of the actuator's model", code(report.model_digest)
 
 
 def _source(source: ModelSource) -> tuple[str, str, str, str]:
@@ -222,7 +218,7 @@ def _source(source: ModelSource) -> tuple[str, str, str, str]:
 def _listed(values: dict[str, Any], plain: bool = False) -> str:
     """Keys and values in one line, as in ``frequency_hz = 50, amplitude_v = 10``."""
     texts = [f"{key} = {_value(value)}" for key, value in values.items()]
-    return ", ".join(texts if plain else [_code(text) for text in texts])
+    return ", ".join(texts if plain else [code(text) for text in texts])
 
 
 def _value(value: Any) -> str:
