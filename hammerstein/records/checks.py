@@ -61,7 +61,7 @@ def far_mistakes(
 ) -> Iterator[Mistake]:
     """Numbers that no voltage or displacement is, with which no sum can be taken; values (column, sample)."""
     for name, column in zip(names, values, strict=True):
-        far = runs((column < limit.low) | (column > limit.high))
+        far = runs(np.isfinite(column) & ((column < limit.low) | (column > limit.high)))
         for start, stop in far[:SHOWN]:
             what = f"holds {column[start]:.3g} {unit}, which {limit.words()}; mend the cell, or give a scale"
             yield Mistake(where(name, rows, start, stop), what)
