@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 import theory
 
+from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, WeightCovariance
 from hammerstein.identification.static.static_block import fit_static
+from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel, ModelFile
 from hammerstein.records.record import Record
+from hammerstein.scenario.uncertainty import Uncertainty
 
 R = [[np.array([0.0, 1.0, 2.5]), np.array([0.5, 2.0])]]
 W = [[np.array([3.0, 0.5, 0.4]), np.array([0.3, 0.1])]]
@@ -120,3 +123,25 @@ def _digest(content):
 def test_a_covariance_of_other_weights_is_refused():
     with pytest.raises(InputError, match=r"one factor an output, of \[1\] rows"):
         PrandtlIshlinskii([[Pair([0.0], [1.0])]], (WeightCovariance(np.eye(2)),))
+
+
+def test_draws_of_an_actuator_scatter_as_refits_do():
+    """Half height of the loop: errors of neighbouring weights cancel, which draws one by one would miss."""
+    fits = [refitted(seed) for seed in range(300)]
+    known = HammersteinModel(
+        "refitted", fits[0].hysteresis, StaticDynamics(n_outputs=1), 4.0, ("u", "v"), ("y",)
+    )
+    uncertain = Uncertainty(weights="standard_errors")
+    drawn = [uncertain.draw(known, Instruments(), number)[0].hysteresis for number in range(300)]
+    seen = np.std([fit.hysteresis.pairs[0][0].amplitude(4.0) for fit in fits])
+    told = np.std([one.pairs[0][0].amplitude(4.0) for one in drawn])
+    assert told == pytest.approx(seen, rel=0.2)
+
+
+def test_a_model_that_knows_errors_one_by_one_cannot_be_drawn():
+    pair = Pair([0.0, 1.0], [2.0, 1.0], [0.1, 0.1])
+    model = HammersteinModel(
+        "old", PrandtlIshlinskii([[pair]]), StaticDynamics(n_outputs=1), 4.0, ("u",), ("y",)
+    )
+    with pytest.raises(InputError, match="hang together"):
+        Uncertainty(weights="standard_errors").draw(model, Instruments(), 0)

@@ -23,7 +23,8 @@ class Uncertainty(BaseModel):
     """Relative standard deviations of the actuator's parameters; each draw is another actuator.
 
     Frequencies, dampings, creep gains and noise are multiplied by exp(s g), g standard normal, so that they
-    stay positive. Each weight gets s |w| g added, or its own standard error times g.
+    stay positive. Each weight gets s |w| g added; or the weights of an output together get L g, with the
+    factor L of their covariance, for the errors of neighbouring weights cancel.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -31,7 +32,8 @@ class Uncertainty(BaseModel):
     draws: Draws = 50
     seed: Seed = 1
     weights: Deviation | Literal["standard_errors"] = Field(
-        default=0.0, description='relative, or "standard_errors" from the actuator\'s model file'
+        default=0.0,
+        description='relative, or "standard_errors": covariance in the actuator\'s model file',
     )
     resonance: Deviation = 0.0
     damping: Deviation = 0.0
@@ -43,8 +45,8 @@ class Uncertainty(BaseModel):
     ) -> tuple[HammersteinModel, Instruments]:
         """Actuator and instruments of one draw; it does not depend on how many are drawn.
 
-        Raises InputError where standard errors are asked for and the model has none, or where axes are
-        perturbed and the dynamics have none.
+        Raises InputError where standard errors are asked for and the model has no covariance, or where axes
+        are perturbed and the dynamics have none.
         """
         generator = np.random.default_rng([self.seed, number])
         hysteresis = _weights_drawn(model.hysteresis, self.weights, generator)
@@ -86,20 +88,26 @@ def _weights_drawn(
     hysteresis: PrandtlIshlinskii, relative: float | str, generator: np.random.Generator
 ) -> PrandtlIshlinskii:
     rows = []
-    for row in hysteresis.pairs:
-        pairs = []
-        for pair in row:
-            deviations = _deviations(pair, relative) * generator.standard_normal(len(pair.thresholds_v))
-            pairs.append(Pair(pair.thresholds_v, pair.weights_um_per_v + deviations))
-        rows.append(tuple(pairs))
+    for output, row in enumerate(hysteresis.pairs):
+        weights = np.concatenate([pair.weights_um_per_v for pair in row])
+        normal = generator.standard_normal(len(weights))
+        drawn = weights + _deviations(hysteresis, output, weights, relative, normal)
+        ends = np.cumsum([len(pair.thresholds_v) for pair in row])[:-1]
+        pairs = zip(row, np.split(drawn, ends), strict=True)
+        rows.append(tuple(Pair(pair.thresholds_v, own) for pair, own in pairs))
     return PrandtlIshlinskii(tuple(rows))
 
 
-def _deviations(pair: Pair, relative: float | str) -> Array:
+def _deviations(
+    hysteresis: PrandtlIshlinskii, output: int, weights: Array, relative: float | str, normal: Array
+) -> Array:
+    """Deviations of all weights of one output, from as many standard normal numbers."""
     if not isinstance(relative, str):
-        return np.asarray(relative * np.abs(pair.weights_um_per_v))
-    if pair.weight_errors_um_per_v is None:
+        return np.asarray(relative * np.abs(weights) * normal)
+    if hysteresis.weight_covariance is None:
         raise InputError(
-            "uncertainty.weights", "the actuator's model has no standard errors; give a relative deviation"
+            "uncertainty.weights",
+            "the actuator's model does not say how the errors of its weights hang together; identify it "
+            "again, or give a relative deviation",
         )
-    return pair.weight_errors_um_per_v
+    return np.asarray(hysteresis.weight_covariance[output].factor_um_per_v @ normal)
