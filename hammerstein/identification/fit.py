@@ -57,7 +57,7 @@ class Fit:
     notes : what was done to the records
     invertible : whether the model has an inverse
     invertibility : the same as a sentence, with the frequency or the slope to blame
-    verdict : which block earns its place
+    verdict : which block improves the model
     candidates : the models behind the errors
     records, held : the records as they were fitted and judged, without their dead start
     """
