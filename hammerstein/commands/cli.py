@@ -141,6 +141,9 @@ def run(
         Path | None, typer.Option(metavar="DIR", help="Write all claims and figures on one page there.")
     ] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help=f"Pass by what earlier runs kept {KEPT}.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print what would be run, with memory and time; run nothing.")
+    ] = False,
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
@@ -164,6 +167,12 @@ def run(
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
+    if dry_run:
+        from hammerstein.commands.tables import plan_table
+        from hammerstein.experiment.plan import plan_of
+
+        show(plan_table({name: plan_of(scenario, jobs) for name, scenario in scenarios.items()}, jobs))
+        return
     store, useless = kept_results.opened(fresh)
     if useless:
         complain(useless)
@@ -241,7 +250,8 @@ def _planned(scenarios: dict[str, Scenario], jobs: int, yes: bool) -> int:
 
     plans = plans_of(scenarios)
     if text := together(plans).announcement(jobs):
-        if sys.stdin.isatty() and sys.stderr.isatty() and not yes:
+        watched = sys.stdin.isatty() and sys.stderr.isatty()
+        if watched and not yes and together(plans).is_long(jobs):
             raise InputError("plan", f"{text}. Or start it with --yes")
         complain(text)
     fitting = jobs_that_fit(plans, jobs)

@@ -14,6 +14,7 @@ from hammerstein.experiment.measure import statements_of
 from hammerstein.experiment.plan import Plan, identification_parts, plan_of
 from hammerstein.experiment.prepare import Case, Progress, SetUp, plant_of, prepare, scenario_axes
 from hammerstein.experiment.report import Report
+from hammerstein.experiment.sensitivity import sensitivities_of
 from hammerstein.experiment.uncertainty_bands import bands_of
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
@@ -169,6 +170,7 @@ def run(
             lambda claim: tuple(changes_of(scenario, setup.plant.model, claim, store)),
         ),
         bands=bands_of(kept, cases, jobs, progress),
+        sensitivities=sensitivities_of(kept, cases, jobs, progress),
         traces=traces,
     )
 
