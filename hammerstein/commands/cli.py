@@ -19,8 +19,11 @@ from hammerstein.runtime.deadline import ended_in_time
 from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, leave
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from hammerstein.experiment.batch import Outcome
     from hammerstein.experiment.prepare import Progress
+    from hammerstein.experiment.report import Report
     from hammerstein.scenario import Scenario
 
 app = typer.Typer(
@@ -137,6 +140,10 @@ def run(
     page: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write all claims and figures on one page there.")
     ] = None,
+    interactive: Annotated[
+        bool, typer.Option("--interactive", help="Put plots to zoom into on each page.")
+    ] = False,
+    open_: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
@@ -152,6 +159,8 @@ def run(
     from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.claims_page import CLAIMS, PAGE, write_claims, write_page
     from hammerstein.reporting.folder import Writer
+    from hammerstein.reporting.html.interactive import refuse_without_library
+    from hammerstein.reporting.html.overview import OVERVIEW, write_overview
     from hammerstein.storage.staging import prepare
 
     refuse_unwritable("--out", out)
@@ -162,8 +171,14 @@ def run(
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
     jobs = _planned(scenarios, jobs, yes)
-    writer = Writer(out, figures, "mat" if traces == "mat" else "csv" if traces == "csv" else None)
+    if interactive:
+        refuse_without_library()
+    writer = Writer(
+        out, figures, "mat" if traces == "mat" else "csv" if traces == "csv" else None, interactive
+    )
     writer.prepare(scenarios)
+    if len(scenarios) > 1:
+        prepare(out, OVERVIEW, [OVERVIEW.sign[0]])
     if any(scenario.claims for scenario in scenarios.values()):
         prepare(out, CLAIMS, [CLAIMS.sign[0]])
     compile_once(complain)
@@ -183,6 +198,7 @@ def run(
     else:
         kept += write_claims(claimed, out) if claimed else ()
         kept += write_page(reports, out, page) if page is not None else ()
+    kept += write_overview(reports, out) if len(reports) > 1 else ()
     for place in kept:
         complain(kept_aside(place))
     if as_json:
@@ -196,7 +212,22 @@ def run(
             show(claims_table(claimed))
         if reports:
             tell(f"{len(reports)} of {len(outcomes)} reports written in {out}")
+            tell(f"look at {_first_page(reports, out)}")
+    if open_ and reports:
+        _open(_first_page(reports, out))
     _fail_with(outcomes)
+
+
+def _first_page(reports: Sequence[Report], out: Path) -> Path:
+    """The page to look at first: of one report its own, of several the one over all of them."""
+    return out / "index.html" if len(reports) > 1 else out / reports[0].name / "report.html"
+
+
+def _open(page: Path) -> None:
+    import webbrowser
+
+    if not webbrowser.open(page.resolve().as_uri()):
+        complain(f"no browser could be started; open {page} in one")
 
 
 def _planned(scenarios: dict[str, Scenario], jobs: int, yes: bool) -> int:
@@ -237,7 +268,12 @@ def check(
         bool, typer.Option("--update-baseline", help="Accept the numbers as the new baseline.")
     ] = False,
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the result for CI.")] = None,
-    markdown: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a summary page.")] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a summary in Markdown.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a page with old and new curves.")
+    ] = None,
     jobs: Jobs = PROCESSORS,
     yes: Yes = False,
     as_json: AsJson = False,
@@ -248,8 +284,10 @@ def check(
     from hammerstein.files import refuse_overwriting, refuse_unwritable, write_atomic
     from hammerstein.regression.check import check_files
     from hammerstein.regression.result import JUNIT, SUMMARY
+    from hammerstein.reporting.html.check_page import CONTENT, check_page
 
-    for option, file, content in (("--junit", junit, JUNIT), ("--markdown", markdown, SUMMARY)):
+    outputs = (("--junit", junit, JUNIT), ("--markdown", markdown, SUMMARY), ("--html", html, CONTENT))
+    for option, file, content in outputs:
         if file is not None:
             refuse_unwritable(option, file.parent)
             refuse_overwriting(option, file, content)
@@ -262,6 +300,8 @@ def check(
         write_atomic(junit, result.junit())
     if markdown is not None:
         write_atomic(markdown, result.markdown())
+    if html is not None:
+        write_atomic(html, check_page(result))
     tell(json.dumps(result.as_dict()) if as_json else result.text())
     raise typer.Exit(result.exit_code)
 

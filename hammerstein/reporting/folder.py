@@ -23,7 +23,7 @@ LONGEST_NAME = 60  # a character takes up to four of the 255 bytes that most sys
 
 
 REPORT = Owner("report", sign=("report.json", f'"format": "{FORMAT}"'), replaces=(FIGURES.name,))
-ALWAYS = ("report.json", "report.md", "rms.csv")
+ALWAYS = ("report.html", "report.json", "report.md", "rms.csv")
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,14 @@ class Written:
 
 
 def write_report(
-    report: Report, folder: Path, *, figures: bool = True, traces: TraceFormat | None = None
+    report: Report,
+    folder: Path,
+    *,
+    figures: bool = True,
+    traces: TraceFormat | None = None,
+    interactive: bool = False,
 ) -> Written:
-    """Write ``report.json``, ``rms.csv``, ``report.md``, figures and, on request, traces.
+    """Write ``report.json``, ``rms.csv``, ``report.md``, ``report.html``, figures and, on request, traces.
 
     They take the place of those of an earlier run together; where one cannot be written, that report stays.
     Files that this program did not write stay as well.
@@ -48,28 +53,32 @@ def write_report(
     folder : where to; made if it does not exist
     figures : whether to draw
     traces : format of the traces, none if not given
+    interactive : whether the page holds plots to zoom into
 
     Raises
     ------
     InputError : the folder cannot be written, is a link, or holds other people's files under these names
     """
+    from hammerstein.reporting.html.interactive import interactive_of
+    from hammerstein.reporting.html.run_page import run_page
     from hammerstein.reporting.page import render
 
     with staged(folder, REPORT) as stage:
-        drawn = []
+        drawn: dict[str, bytes] = {}
         if figures:
             from hammerstein.reporting.figures import figures_of
             from hammerstein.reporting.figures.write import files_of
 
             for name, content in files_of(figures_of(report)):
                 stage.write(name, content)
-                drawn.append(name)
+                drawn[name] = content
         if traces is not None:
             _write_traces(report, stage, traces)
         if report.bands:
             stage.write("bands.csv", report.bands_to_csv())
         stage.write("rms.csv", report.to_csv())
         stage.write("report.md", render(report, sorted(name for name in drawn if name.endswith(".png"))))
+        stage.write("report.html", run_page(report, drawn, interactive_of(report) if interactive else None))
         stage.write("report.json", report.to_json())
     return Written(tuple(stage.written), stage.kept)
 
@@ -81,6 +90,7 @@ class Writer:
     out: Path
     figures: bool = True
     traces: TraceFormat | None = None
+    interactive: bool = False
 
     def prepare(self, names: Iterable[str]) -> None:
         """Refuse folders that cannot take a report, before the work; InputError says why."""
@@ -90,7 +100,9 @@ class Writer:
     def __call__(self, report: Report) -> tuple[Path, ...]:
         """Write one report; give the places of files that were kept."""
         folder = self.out / report.name
-        return write_report(report, folder, figures=self.figures, traces=self.traces).kept
+        return write_report(
+            report, folder, figures=self.figures, traces=self.traces, interactive=self.interactive
+        ).kept
 
 
 def _write_traces(report: Report, stage: Stage, kind: TraceFormat) -> None:
