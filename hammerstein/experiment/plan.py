@@ -161,7 +161,7 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
     """The cases, and their repetition on drawn actuators."""
     m, p = plant.model.hysteresis.n_inputs, plant.model.hysteresis.n_outputs
     axes = len(driven_axes(scenario, len(scenario_axes(scenario, plant.model))))
-    others = math.prod(len(v) for k, v in scenario.sweep.values() if k != "frequency_hz")
+    others = scenario.sweep.others("frequency_hz")
     cases = samples = work = longest = 0.0
     for signal in scenario.signals(only="frequency_hz"):
         total = float(Window.of(scenario, signal, plant.sample_time_s).total)

@@ -99,6 +99,13 @@ def _chosen(
 ) -> tuple[SetUp, Case]:
     _, scenario = scenario_of(source)
     swept = {key: (value,) for key, value in values.items()}
+    if scenario.sweep.is_zip:  # a value brings those of the other keys with it
+        for found in scenario.sweep.combinations():
+            if all(found.get(key) == value for key, value in values.items()):
+                swept = {key: (value,) for key, value in found.items()}
+                break
+        else:
+            raise InputError("simulate", f"the scenario has no case with {dict(values)}")
     chosen = scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update=swept)})
     Plan(tuple(identification_parts(chosen, plant_of(chosen)))).refuse_too_large()
     setup = prepare(chosen)
