@@ -72,8 +72,12 @@ def c_block_of(hysteresis: object, state: object) -> CPart:
     ------
     InputError : there are no templates for this kind
     """
+    raise _no_code(hysteresis)
+
+
+def _no_code(hysteresis: object) -> InputError:
     kind = getattr(hysteresis, "kind", type(hysteresis).__name__)
-    raise InputError("export", f"hysteresis of kind {kind} has no C code; prandtl_ishlinskii has")
+    return InputError("export", f"hysteresis of kind {kind} has no C code; prandtl_ishlinskii has")
 
 
 @c_block_of.register
@@ -104,8 +108,20 @@ def _segment_above(
     return {"end": end, "x": x, "d": d, "tip": tip}
 
 
-def moving_plays(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
-    """Plays inside a law that decides each sample from the one before (``play_kernels.move``)."""
+@singledispatch
+def c_moving_block_of(hysteresis: object, state: object) -> CPart:
+    """The same block inside a law that decides each sample from the one before (``play_kernels.move``).
+
+    Raises
+    ------
+    InputError : there are no templates for this kind
+    """
+    raise _no_code(hysteresis)
+
+
+@c_moving_block_of.register
+def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
+    """Stack of segments, with what those below each of them add."""
     rows = hysteresis.bank.r.shape[1] + 1
     plays = [
         {

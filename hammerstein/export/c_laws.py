@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
 from hammerstein.compensators.exact import kernel as exact_kernel, pieces
-from hammerstein.compensators.exact.inverse import ExactInverseLaw
+from hammerstein.compensators.exact.inverse import ExactInverseLaw, StaticInverse
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.compensators.kernels import STILL_V
 from hammerstein.compensators.no_compensation import NoCompensationLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.driving import DriveRange
 from hammerstein.errors import InputError
-from hammerstein.export.c_blocks import CPart, Size, Table, c_block_of, linear_part, moving_plays
+from hammerstein.export.c_blocks import CPart, Size, Table, c_block_of, c_moving_block_of, linear_part
 from hammerstein.export.forward import ForwardModel
 
 Array = NDArray[np.float64]
@@ -89,7 +89,7 @@ def _(law: InverseMultiplicativeLaw) -> CPart:
         ),
         start={"held": start.memory_v},
     )
-    return moving_plays(law.hysteresis, start.plays) + own + _range(law.range) + _origin(law.origin_um)
+    return c_moving_block_of(law.hysteresis, start.plays) + own + _range(law.range) + _origin(law.origin_um)
 
 
 @c_law_of.register
@@ -108,10 +108,22 @@ def _(law: DecoupledInverseLaw) -> CPart:
 
 @c_law_of.register
 def _(law: ExactInverseLaw) -> CPart:
-    return _walk(law, law.rest()) + _range(law.range) + _origin(law.origin_um)
+    return c_inverse_of(law, law.rest()) + _range(law.range) + _origin(law.origin_um)
 
 
-def _walk(law: ExactInverseLaw, start: Any) -> CPart:
+@singledispatch
+def c_inverse_of(law: StaticInverse[Any], start: Any) -> CPart:
+    """Exact inverse of a static block, on which other laws build.
+
+    Raises
+    ------
+    InputError : there is no template for the inverse of this kind of hysteresis
+    """
+    raise InputError("export", f"{type(law).__name__} has no C code")
+
+
+@c_inverse_of.register
+def _(law: ExactInverseLaw, start: Any) -> CPart:
     """The walk over the pieces: the table of ``exact.pieces`` by its names."""
     m, bank, table = law.n_inputs, law.square.bank, law.design_table()
     about = table[pieces.HERE, :, pieces.ABOUT]
@@ -192,7 +204,7 @@ def _(law: HammersteinInverseLaw) -> CPart:
         start={name: value for name, value in states.items() if value.size},
         values={"n_raw": raw, "n_known": known, "n_modes": modes, "n_states": n},
     )
-    return ahead + _walk(law.exact, start.exact) + _range(law.range) + _origin(law.origin_um)
+    return ahead + c_inverse_of(law.exact, start.exact) + _range(law.range) + _origin(law.origin_um)
 
 
 @c_law_of.register

@@ -34,7 +34,7 @@ class ForwardModel:
     """
 
     def __init__(self, model: HammersteinModel, range_v: DriveRange, sample_time_s: float):
-        self.model, self.range, self.sample_time_s = model, range_v, sample_time_s
+        self.model, self.range, self.sample_time_s = model.on_grid(sample_time_s), range_v, sample_time_s
         self.block = discretise(model.dynamics, sample_time_s)
         self.n_inputs, self.n_outputs = model.hysteresis.n_inputs, model.hysteresis.n_outputs
 
