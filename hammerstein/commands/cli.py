@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from hammerstein.commands import records as record_commands, study as study_commands, terminal
+from hammerstein.commands import (
+    export as export_command,
+    records as record_commands,
+    study as study_commands,
+    terminal,
+)
 from hammerstein.commands.terminal import complain, show, tell
 from hammerstein.errors import HammersteinError
 from hammerstein.escaping import clean
@@ -42,6 +47,7 @@ app.command()(record_commands.loops)
 app.command()(record_commands.identify)
 app.command()(record_commands.compensate)
 app.command()(study_commands.sweep)
+app.command()(export_command.export)
 
 Paths = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Scenario files, or folders of them.")]
 Jobs = Annotated[
