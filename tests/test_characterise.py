@@ -102,3 +102,36 @@ def test_a_delay_is_not_taken_for_hysteresis_between_coarse_thresholds():
     assert model.dynamics.input_delay_s == 0.0
     for found, true in zip(model.dynamics.axes, plant.model.dynamics.axes, strict=True):
         assert found.resonance_hz == pytest.approx(true.resonance_hz, rel=3e-3)
+
+
+def test_the_loop_is_taken_when_it_has_settled():
+    """The resonance of 280 Hz and damping 0.12 rings by exp(-211 t); the experiment waits 50 ms at least."""
+    plant = _plant("duo_bimorph", instruments=Instruments.ideal())
+    soon, late = (
+        identify_by_experiment(plant, ClosedFormSpec(frequency_hz=200, settle_cycles=n, measured_cycles=1), 1)
+        for n in (1, 60)
+    )
+    for one, other in zip(soon.hysteresis.pairs[0], late.hysteresis.pairs[0], strict=True):
+        height = theory.loop_amplitude(other.thresholds_v, other.weights_um_per_v, 10.0)
+        found = theory.loop_amplitude(one.thresholds_v, one.weights_um_per_v, 10.0)
+        assert found == pytest.approx(height, rel=1e-3)
+
+
+def test_every_input_is_driven_with_the_full_amplitude(monkeypatch):
+    """Sines of 10 V, then a multisine whose peaks come near them."""
+    seen = []
+
+    def kept(records, *_, **__):
+        seen.extend(records)
+        raise IdentificationError("enough")
+
+    monkeypatch.setattr("hammerstein.identification.identify.identify", kept)
+    monkeypatch.setenv("HAMMERSTEIN_CACHE", "")
+    with pytest.raises(IdentificationError, match="enough"):
+        identify_by_experiment(_plant("duo_bimorph", instruments=Instruments.ideal()), JOINT, 1)
+    assert len(seen) == 2
+    for k, record in enumerate(seen):
+        sine, noise = np.split(record.u_v[k][20:], 2)
+        assert np.abs(sine).max() == pytest.approx(10.0, rel=1e-3)
+        assert 6.0 < np.abs(noise).max() <= 10.0
+        assert not record.u_v[1 - k].any()
