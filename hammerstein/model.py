@@ -19,10 +19,16 @@ from hammerstein.axis_names import unique
 from hammerstein.dynamics import AxesDynamics, Dynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import Content, is_there, read_limited, write_atomic
-from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii, WeightCovariance
+from hammerstein.hysteresis import (
+    Pair,
+    PlayState,
+    PrandtlIshlinskii,
+    ThresholdCovariance,
+    WeightCovariance,
+)
 from hammerstein.instruments import Instruments
 from hammerstein.pictured import Pictured
-from hammerstein.quantities import Name, NoCycles, Plain, Size, Threshold, Weight, WeightError
+from hammerstein.quantities import Entry, Name, NoCycles, Plain, Size, Threshold, Weight, WeightError
 from hammerstein.validation import mistakes_of, suggestion
 from hammerstein.voltages import Verdict, Voltages
 
@@ -240,18 +246,60 @@ class CovarianceFile(BaseModel):
 
     def covariance(self) -> WeightCovariance:
         """Give the covariance this describes."""
-        n = len(self.factor_um_per_v)
-        if [len(row) for row in self.factor_um_per_v] != list(range(1, n + 1)):
-            raise InputError("weight_covariance", "row i of a factor must hold i numbers, up to its diagonal")
-        factor = np.zeros((n, n))
-        factor[np.tril_indices(n)] = [value for row in self.factor_um_per_v for value in row]
+        factor = _square("weight_covariance", self.factor_um_per_v)
         return WeightCovariance(factor, self.slopes_at_bound)
 
     @classmethod
     def of(cls, found: WeightCovariance) -> CovarianceFile:
         """Describe a covariance."""
-        rows = tuple(tuple(row[: i + 1].tolist()) for i, row in enumerate(found.factor_um_per_v))
-        return cls(factor_um_per_v=rows, slopes_at_bound=found.slopes_at_bound)
+        return cls(factor_um_per_v=_rows(found.factor_um_per_v), slopes_at_bound=found.slopes_at_bound)
+
+
+class ThresholdCovarianceFile(BaseModel):
+    """Covariance L L^T of the fitted thresholds of all inputs, and how the best weights follow them."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    factor_v: tuple[tuple[Entry, ...], ...] = Field(description="rows of L, each up to its diagonal")
+    following_um_per_v2: tuple[tuple[tuple[Entry, ...], ...], ...] = Field(
+        description="of each output, a row a weight: what it changes by with each threshold"
+    )
+    open: tuple[NoCycles, ...] = Field(
+        default=(), description="thresholds that the records leave open, counted from 0; they are held"
+    )
+
+    def covariance(self) -> ThresholdCovariance:
+        """Give the covariance this describes."""
+        n = len(self.factor_v)
+        following = []
+        for matrix in self.following_um_per_v2:
+            if [len(row) for row in matrix] != [n] * n:
+                raise InputError("threshold_covariance", f"must have {n} rows of {n} numbers for each output")
+            following.append(np.array(matrix, dtype=float).reshape(n, n))
+        return ThresholdCovariance(
+            _square("threshold_covariance", self.factor_v), tuple(following), self.open
+        )
+
+    @classmethod
+    def of(cls, found: ThresholdCovariance) -> ThresholdCovarianceFile:
+        """Describe a covariance."""
+        following = tuple(tuple(map(tuple, matrix.tolist())) for matrix in found.following_um_per_v2)
+        return cls(factor_v=_rows(found.factor_v), following_um_per_v2=following, open=found.open)
+
+
+def _rows(triangle: NDArray[np.float64]) -> tuple[tuple[float, ...], ...]:
+    """Rows of a lower triangle, each up to its diagonal."""
+    return tuple(tuple(row[: i + 1].tolist()) for i, row in enumerate(triangle))
+
+
+def _square(where: str, rows: tuple[tuple[float, ...], ...]) -> NDArray[np.float64]:
+    """Lower triangle with zeros above, from what ``_rows`` gave."""
+    n = len(rows)
+    if [len(row) for row in rows] != list(range(1, n + 1)):
+        raise InputError(where, "row i of a factor must hold i numbers, up to its diagonal")
+    square = np.zeros((n, n))
+    square[np.tril_indices(n)] = [value for row in rows for value in row]
+    return square
 
 
 class PrandtlIshlinskiiFile(BaseModel):
@@ -262,20 +310,26 @@ class PrandtlIshlinskiiFile(BaseModel):
     kind: Literal["prandtl_ishlinskii"] = "prandtl_ishlinskii"
     pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
     weight_covariance: tuple[CovarianceFile, ...] | None = None
+    threshold_covariance: ThresholdCovarianceFile | None = None
 
     def hysteresis(self) -> PrandtlIshlinskii:
         """Give the hysteresis this describes."""
         pairs = tuple(tuple(pair.pair() for pair in row) for row in self.pairs)
-        known = self.weight_covariance
-        return PrandtlIshlinskii(pairs, None if known is None else tuple(one.covariance() for one in known))
+        weights, thresholds = self.weight_covariance, self.threshold_covariance
+        return PrandtlIshlinskii(
+            pairs,
+            None if weights is None else tuple(one.covariance() for one in weights),
+            None if thresholds is None else thresholds.covariance(),
+        )
 
     @classmethod
     def of(cls, hysteresis: PrandtlIshlinskii) -> PrandtlIshlinskiiFile:
         """Describe a hysteresis."""
-        known = hysteresis.weight_covariance
+        weights, thresholds = hysteresis.weight_covariance, hysteresis.threshold_covariance
         return cls(
             pairs=tuple(tuple(PairFile.of(pair) for pair in row) for row in hysteresis.pairs),
-            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
+            weight_covariance=None if weights is None else tuple(map(CovarianceFile.of, weights)),
+            threshold_covariance=None if thresholds is None else ThresholdCovarianceFile.of(thresholds),
         )
 
 

@@ -11,6 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.errors import InputError, Mistake, SimulationError
+from hammerstein.hysteresis.covariance import (
+    ThresholdCovariance,
+    WeightCovariance,
+    frozen,
+    refuse_other_sizes,
+)
 
 if TYPE_CHECKING:
     from hammerstein.interop.block_system import BlockSystem
@@ -18,12 +24,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
-
-
-def _frozen(values: ArrayLike) -> Array:
-    array = np.array(values, dtype=np.float64)
-    array.flags.writeable = False
-    return array
 
 
 def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
@@ -83,10 +83,10 @@ class Pair:
     weight_errors_um_per_v: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "thresholds_v", _frozen(self.thresholds_v))
-        object.__setattr__(self, "weights_um_per_v", _frozen(self.weights_um_per_v))
+        object.__setattr__(self, "thresholds_v", frozen(self.thresholds_v))
+        object.__setattr__(self, "weights_um_per_v", frozen(self.weights_um_per_v))
         if self.weight_errors_um_per_v is not None:
-            object.__setattr__(self, "weight_errors_um_per_v", _frozen(self.weight_errors_um_per_v))
+            object.__setattr__(self, "weight_errors_um_per_v", frozen(self.weight_errors_um_per_v))
         mistakes = list(self._mistakes())
         if mistakes:
             raise InputError("Prandtl-Ishlinskii pair", mistakes)
@@ -109,12 +109,12 @@ class Pair:
     @classmethod
     def linear(cls, gain_um_per_v: float) -> Pair:
         """Pass the input times a gain [um/V]."""
-        return cls(_frozen([0.0]), _frozen([gain_um_per_v]))
+        return cls(frozen([0.0]), frozen([gain_um_per_v]))
 
     @classmethod
     def absent(cls) -> Pair:
         """Hear nothing of the input."""
-        return cls(_frozen([]), _frozen([]))
+        return cls(frozen([]), frozen([]))
 
     def __repr__(self) -> str:
         r, w = self.thresholds_v, self.weights_um_per_v
@@ -143,28 +143,6 @@ class Pair:
         r, w = self.thresholds_v, self.weights_um_per_v
         rise = np.subtract.outer(np.asarray(u_v) + amplitude_v, 2.0 * r)
         return np.asarray(np.maximum(rise, 0.0) @ w)
-
-
-@dataclass(frozen=True, eq=False)
-class WeightCovariance:
-    """How the errors of all weights of one output hang together: their covariance L L^T.
-
-    factor_um_per_v : (weight, weight) lower triangle L [um/V]; pair after pair in the order of the inputs
-    slopes_at_bound : slopes that the fit held at a bound; their weights vary with the others alone
-    """
-
-    factor_um_per_v: Array
-    slopes_at_bound: int = 0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "factor_um_per_v", _frozen(self.factor_um_per_v))
-        if not np.isfinite(self.factor_um_per_v).all():
-            raise InputError("weight_covariance", "holds a value that is not finite")
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance (weight, weight) [um^2/V^2]."""
-        return np.asarray(self.factor_um_per_v @ self.factor_um_per_v.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,6 +239,7 @@ class PrandtlIshlinskii:
     ----------
     pairs : (output, input) nested sequence of ``Pair``
     weight_covariance : (output,) covariance of the weights, where it is known
+    threshold_covariance : that of the thresholds, where they were fitted
 
     Raises
     ------
@@ -276,6 +255,7 @@ class PrandtlIshlinskii:
 
     pairs: tuple[tuple[Pair, ...], ...] = field()
     weight_covariance: tuple[WeightCovariance, ...] | None = None
+    threshold_covariance: ThresholdCovariance | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pairs", tuple(tuple(row) for row in self.pairs))
@@ -284,10 +264,8 @@ class PrandtlIshlinskii:
             raise InputError("Prandtl-Ishlinskii model", "every output needs one pair for every input")
         if not any(len(pair.thresholds_v) for row in self.pairs for pair in row):
             raise InputError("Prandtl-Ishlinskii model", "all pairs are absent; give at least one operator")
-        if self.weight_covariance is not None:
-            weights = [sum(len(pair.thresholds_v) for pair in row) for row in self.pairs]
-            if [known.factor_um_per_v.shape for known in self.weight_covariance] != [(n, n) for n in weights]:
-                raise InputError("weight_covariance", f"must have one factor an output, of {weights} rows")
+        counts = [[len(pair.thresholds_v) for pair in row] for row in self.pairs]
+        refuse_other_sizes(counts, self.weight_covariance, self.threshold_covariance)
 
     def __repr__(self) -> str:
         return f"PrandtlIshlinskii({self.describe()})"
@@ -314,7 +292,7 @@ class PrandtlIshlinskii:
         if weights.ndim != 3:
             message = f"weights have shape {weights.shape}; give (output, input, operator)"
             raise InputError("Prandtl-Ishlinskii model", message)
-        r = _frozen(thresholds_v)
+        r = frozen(thresholds_v)
         rows = []
         for l, row in enumerate(weights):  # noqa: E741 - the paper's index of an output
             rows.append(tuple(_named_pair(r, w, l, k) for k, w in enumerate(row)))

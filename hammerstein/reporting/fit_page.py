@@ -54,6 +54,7 @@ def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> 
             ("pair", "operators", "gain [um/V]", "slopes [um/V]", "largest standard error [um/V]"),
             _pairs(model, fit),
         ),
+        *_thresholds(model, fit),
         *(["## Dynamics", *_dynamics(model, fit)] if fit.kind == "hammerstein" else []),
         *(["## Figures", *_pictures(figures)] if figures else []),
         "Every number with full precision is in `fit.json`.",
@@ -127,6 +128,22 @@ def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[list[str]]:
                 f"{pair.slopes.min():.4g} to {pair.slopes.max():.4g}",
                 f"{errors.max():.2g}" if errors is not None else "not known",
             ]
+
+
+def _thresholds(model: HammersteinModel, fit: Fit) -> Iterator[str]:
+    """Fitted thresholds with their standard errors."""
+    known = model.hysteresis.threshold_covariance
+    if known is None:
+        return
+    yield "## Thresholds"
+    first, rows = 0, []
+    for name, pair in zip(fit.inputs, model.hysteresis.pairs[0], strict=True):
+        for i, r in enumerate(pair.thresholds_v, start=first):
+            error = "held" if i in known.open or r == 0.0 else f"{known.errors_v[i]:.1g}"
+            rows.append([markdown(name), f"{r:.4g}", error])
+        first += len(pair.thresholds_v)
+    yield _table(("input", "threshold [V]", "standard error [V]"), rows)
+    yield "Errors of thresholds and weights together, for given dynamics; 0 is an end, open places are held."
 
 
 def _dynamics(model: HammersteinModel, fit: Fit) -> Iterator[str]:

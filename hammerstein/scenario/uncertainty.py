@@ -24,7 +24,8 @@ class Uncertainty(BaseModel):
 
     Frequencies, dampings, creep gains and noise are multiplied by exp(s g), g standard normal, so that they
     stay positive. Each weight gets s |w| g added; or the weights of an output together get L g, with the
-    factor L of their covariance, for the errors of neighbouring weights cancel.
+    factor L of their covariance, for the errors of neighbouring weights cancel; fitted thresholds are drawn
+    with them.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -87,15 +88,29 @@ def _factor(relative: float, generator: np.random.Generator) -> float:
 def _weights_drawn(
     hysteresis: PrandtlIshlinskii, relative: float | str, generator: np.random.Generator
 ) -> PrandtlIshlinskii:
-    rows = []
+    rows, moved = [], np.zeros(0)
+    places = hysteresis.threshold_covariance if isinstance(relative, str) else None
+    if places is not None:
+        moved = places.factor_v @ generator.standard_normal(len(places.factor_v))
     for output, row in enumerate(hysteresis.pairs):
+        thresholds = np.concatenate([pair.thresholds_v for pair in row])
         weights = np.concatenate([pair.weights_um_per_v for pair in row])
         normal = generator.standard_normal(len(weights))
         drawn = weights + _deviations(hysteresis, output, weights, relative, normal)
+        if places is not None:
+            thresholds = thresholds + moved
+            drawn = drawn + places.following_um_per_v2[output] @ moved
         ends = np.cumsum([len(pair.thresholds_v) for pair in row])[:-1]
-        pairs = zip(row, np.split(drawn, ends), strict=True)
-        rows.append(tuple(Pair(pair.thresholds_v, own) for pair, own in pairs))
+        parts = zip(np.split(thresholds, ends), np.split(drawn, ends), strict=True)
+        rows.append(tuple(_in_order(*part) for part in parts))
     return PrandtlIshlinskii(tuple(rows))
+
+
+def _in_order(thresholds_v: Array, weights_um_per_v: Array) -> Pair:
+    """Pair of drawn thresholds, of which one near 0 may have come out negative: it lies as far above."""
+    r = np.abs(thresholds_v)
+    order = np.argsort(r)
+    return Pair(r[order], weights_um_per_v[order])
 
 
 def _deviations(

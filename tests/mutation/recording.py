@@ -94,6 +94,7 @@ class Recording:
 
     def __init__(self, touched: dict[str, dict[str, list[int]]], seconds: dict[str, float]):
         self.touched, self.seconds = touched, seconds
+        self._sizes: dict[str, int] = {}
 
     @classmethod
     def read(cls, kept: Path) -> Recording:
@@ -113,18 +114,29 @@ class Recording:
             both.setdefault(path, {}).update(lines)
         return Recording(both, self.seconds | seconds)
 
-    def tests_of(self, tree: Path, path: str, line: int) -> set[str]:
-        """Tests and scenarios that touch a line.
+    def tests_of(self, tree: Path, path: str, line: int) -> dict[str, float]:
+        """Tests and scenarios that touch a line, and how much of what each touches is the file's.
 
         A line that runs at import is touched by whoever touches a line that names what it makes; a compiled
         loop, which coverage does not see into, by whoever calls it.
         """
         found = self._direct(path, line)
+        about = {path}
         if not found:
-            for name in _made_by(tree / path, line):
-                for place in _named_at(tree, name):
-                    found |= self._direct(*place)
-        return found or {name for context in self.touched.get(path, ()) for name in self._of(context)}
+            places = [place for name in _made_by(tree / path, line) for place in _named_at(tree, name)]
+            found = {name for place in places for name in self._direct(*place)}
+            about = {file for file, _ in places}
+        found = found or {name for context in self.touched.get(path, ()) for name in self._of(context)}
+        return {name: self._focus(name, about) for name in found}
+
+    def _focus(self, name: str, about: set[str]) -> float:
+        """Part that files have of all lines that a test touches."""
+        if not self._sizes:
+            for lines in self.touched.values():
+                for context, own in lines.items():
+                    self._sizes[context] = self._sizes.get(context, 0) + len(own)
+        own = sum(len(self.touched.get(file, {}).get(name, ())) for file in about)
+        return own / max(self._sizes.get(name, 0), 1)
 
     def _direct(self, path: str, line: int) -> set[str]:
         lines = self.touched.get(path, {})

@@ -61,7 +61,11 @@ def test_lines_are_touched_by_tests_by_fixtures_of_their_file_and_through_names(
     (package / "user.py").write_text("def use(x):\n    return loop(x)\n")
     touched = {"hammerstein/user.py": {"a.py::one": [2], "b.py::two|setup": [1]}}
     recording = Recording(touched, {"a.py::one": 1.0, "b.py::two": 1.0, "b.py::three": 1.0})
-    assert recording.tests_of(tmp_path, "hammerstein/user.py", 2) == {"a.py::one"}
-    assert recording.tests_of(tmp_path, "hammerstein/user.py", 1) == {"b.py::two", "b.py::three"}
-    assert recording.tests_of(tmp_path, "hammerstein/kernel.py", 3) == {"a.py::one"}
-    assert recording.tests_of(tmp_path, "hammerstein/kernel.py", 6) == {"a.py::one"}
+
+    def tests_of(path, line):
+        return set(recording.tests_of(tmp_path, f"hammerstein/{path}", line))
+
+    assert tests_of("user.py", 2) == {"a.py::one"}
+    assert tests_of("user.py", 1) == {"b.py::two", "b.py::three"}
+    assert tests_of("kernel.py", 3) == {"a.py::one"}
+    assert tests_of("kernel.py", 6) == {"a.py::one"}

@@ -22,6 +22,8 @@ LIBRARIES = (
 """Loaded once, before a process forks for each change."""
 PATIENCE = 4.0
 """Times as long as the tests took before: what lasts longer hangs."""
+FIRST = 2
+"""Test files that are tried before all others: they end most trials."""
 START_S = 60.0
 """Time of a trial beside its tests, such as that to compile loops."""
 
@@ -40,38 +42,44 @@ def outcome(kept: Path, recording: Recording, change: Change, tests_s: float, ki
     Parameters
     ----------
     kept : folder that holds the recording and the tree it was made in
-    tests_s : most time of tests, cheap files first [s]
+    tests_s : most time of tests [s]
     killers : the test file that last noticed a change, by changed file; brought up to date
     """
     touching = recording.tests_of(kept / "tree", change.path, change.line)
-    scenarios = sorted(name for name in touching if name.endswith(".toml") or ".toml::" in name)
-    tests = _chosen(touching - set(scenarios), recording.seconds, tests_s, killers.get(change.path))
+    scenarios = sorted(name for name in touching if name.split("::")[0].endswith(".toml"))
+    seconds = recording.seconds
+    tests = {name: focus for name, focus in touching.items() if name not in scenarios}
+    files = _chosen(tests, seconds, tests_s, killers.get(change.path))
+    groups = [("tests", files[:FIRST]), ("tests", files[FIRST:]), ("check", [scenarios])]
     with _changed(kept / "tree", change) as loops:
-        for kind, files in (("tests", tests), ("check", [[name] for name in scenarios])):
-            for names in files:
-                limit = START_S + PATIENCE * sum(recording.seconds[name] for name in names)
-                code = _forked(kept / "tree", names, limit, loops)
-                if code != 0:
-                    killers[change.path] = names[0].split("::")[0]
-                    return "time" if code is None else kind
+        for kind, group in groups:
+            names = [name for own in group for name in own]
+            if not names:
+                continue
+            limit = START_S + PATIENCE * sum(seconds[name] for name in names)
+            code = _forked(kept / "tree", names, limit, loops)
+            if code != 0:
+                killers[change.path] = names[0].split("::")[0]
+                return "time" if code is None else kind
     return "survived" if touching else "untouched"
 
 
-def _chosen(names: set[str], seconds: dict[str, float], most_s: float, killer: str | None) -> list[list[str]]:
-    """Tests file by file: the one that noticed the last change, then the cheap ones."""
+def _chosen(
+    focus: dict[str, float], seconds: dict[str, float], most_s: float, killer: str | None
+) -> list[list[str]]:
+    """Tests file by file: the file that noticed the last change of a module, then those most about it."""
     files: dict[str, list[str]] = {}
-    for name in sorted(names, key=lambda n: seconds.get(n, 0.0)):
+    for name in sorted(focus, key=lambda n: (-focus[n], n)):
         files.setdefault(name.split("::")[0], []).append(name)
-    cost = {file: sum(seconds.get(name, 0.0) for name in own) for file, own in files.items()}
     chosen, spent = [], 0.0
-    for file in sorted(files, key=lambda f: (f != killer, cost[f])):
+    for file in sorted(files, key=lambda f: f != killer):  # the rest stays in its order
         own = []
         for name in files[file]:
-            if spent + seconds.get(name, 0.0) <= most_s:
+            if spent + seconds[name] <= most_s:
                 own.append(name)
-                spent += seconds.get(name, 0.0)
+                spent += seconds[name]
         chosen += [own] if own else []
-    return [[name for own in chosen for name in own]] if chosen else []
+    return chosen
 
 
 @contextlib.contextmanager
