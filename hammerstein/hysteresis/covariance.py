@@ -1,4 +1,4 @@
-"""How sure the thresholds and weights of a model are."""
+"""How sure fitted thresholds are, and what follows them."""
 
 from __future__ import annotations
 
@@ -6,42 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.errors import InputError
-
-Array = NDArray[np.float64]
-
-
-def frozen(values: ArrayLike) -> Array:
-    """Copy of numbers that cannot be written to."""
-    array = np.array(values, dtype=np.float64)
-    array.flags.writeable = False
-    return array
-
-
-@dataclass(frozen=True, eq=False)
-class WeightCovariance:
-    """How the errors of all weights of one output hang together: their covariance L L^T.
-
-    Where thresholds are fitted as well it holds for these thresholds, see ``ThresholdCovariance``.
-
-    factor_um_per_v : (weight, weight) lower triangle L [um/V]; pair after pair in the order of the inputs
-    slopes_at_bound : slopes that the fit held at a bound; their weights vary with the others alone
-    """
-
-    factor_um_per_v: Array
-    slopes_at_bound: int = 0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "factor_um_per_v", frozen(self.factor_um_per_v))
-        if not np.isfinite(self.factor_um_per_v).all():
-            raise InputError("weight_covariance", "holds a value that is not finite")
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance (weight, weight) [um^2/V^2]."""
-        return np.asarray(self.factor_um_per_v @ self.factor_um_per_v.T)
+from hammerstein.hysteresis.pair import Array, WeightCovariance, frozen
 
 
 @dataclass(frozen=True, eq=False)

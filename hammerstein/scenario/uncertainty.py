@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from hammerstein.dynamics import AxesDynamics, Axis, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Hysteresis
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Deviation, Draws, Seed
-
-Array = NDArray[np.float64]
 
 
 class Uncertainty(BaseModel):
@@ -86,43 +83,16 @@ def _factor(relative: float, generator: np.random.Generator) -> float:
 
 
 def _weights_drawn(
-    hysteresis: PrandtlIshlinskii, relative: float | str, generator: np.random.Generator
-) -> PrandtlIshlinskii:
-    rows, moved = [], np.zeros(0)
-    places = hysteresis.threshold_covariance if isinstance(relative, str) else None
-    if places is not None:
-        moved = places.factor_v @ generator.standard_normal(len(places.factor_v))
-    for output, row in enumerate(hysteresis.pairs):
-        thresholds = np.concatenate([pair.thresholds_v for pair in row])
-        weights = np.concatenate([pair.weights_um_per_v for pair in row])
-        normal = generator.standard_normal(len(weights))
-        drawn = weights + _deviations(hysteresis, output, weights, relative, normal)
-        if places is not None:
-            thresholds = thresholds + moved
-            drawn = drawn + places.following_um_per_v2[output] @ moved
-        ends = np.cumsum([len(pair.thresholds_v) for pair in row])[:-1]
-        parts = zip(np.split(thresholds, ends), np.split(drawn, ends), strict=True)
-        rows.append(tuple(_in_order(*part) for part in parts))
-    return PrandtlIshlinskii(tuple(rows))
-
-
-def _in_order(thresholds_v: Array, weights_um_per_v: Array) -> Pair:
-    """Pair of drawn thresholds, of which one near 0 may have come out negative: it lies as far above."""
-    r = np.abs(thresholds_v)
-    order = np.argsort(r)
-    return Pair(r[order], weights_um_per_v[order])
-
-
-def _deviations(
-    hysteresis: PrandtlIshlinskii, output: int, weights: Array, relative: float | str, normal: Array
-) -> Array:
-    """Deviations of all weights of one output, from as many standard normal numbers."""
+    hysteresis: Hysteresis[Any], relative: float | str, generator: np.random.Generator
+) -> Hysteresis[Any]:
     if not isinstance(relative, str):
-        return np.asarray(relative * np.abs(weights) * normal)
+        return hysteresis.with_weights(
+            [own + relative * np.abs(own) * generator.standard_normal(len(own)) for own in hysteresis.weights]
+        )
     if hysteresis.weight_covariance is None:
         raise InputError(
             "uncertainty.weights",
             "the actuator's model does not say how the errors of its weights hang together; identify it "
             "again, or give a relative deviation",
         )
-    return np.asarray(hysteresis.weight_covariance[output].factor_um_per_v @ normal)
+    return hysteresis.drawn(generator)

@@ -57,11 +57,11 @@ def with_threshold_errors(task: ThresholdTask, fit: StaticFit) -> StaticFit:
     ]
     spread, held = _spread(np.sum([information for information, _ in told], axis=0), grids)
     found = ThresholdCovariance(triangle(spread), tuple(follow for _, follow in told), held)
-    rows = [
-        _with_errors(row, known, follow @ found.factor_v)
-        for row, known, (_, follow) in zip(block.pairs, block.weight_covariance, told, strict=True)
-    ]
-    return replace(fit, hysteresis=PrandtlIshlinskii(tuple(rows), block.weight_covariance, found))
+    joint = PrandtlIshlinskii(block.pairs, block.weight_covariance, found)
+    assert joint.weight_errors is not None  # as both covariances are known
+    rows = zip(block.pairs, joint.weight_errors, strict=True)
+    pairs = tuple(_with_errors(row, split(errors, grids)) for row, errors in rows)
+    return replace(fit, hysteresis=replace(joint, pairs=pairs))
 
 
 def _told_by(
@@ -119,9 +119,7 @@ def _room(grid: Array) -> Array:
     return np.minimum(np.where(grid > 0.0, gaps[:-1], np.inf), gaps[1:])
 
 
-def _with_errors(row: Sequence[Pair], known: WeightCovariance, followed: Array) -> tuple[Pair, ...]:
-    """Pairs of one output whose weights err by themselves and with the thresholds."""
-    errors = np.sqrt(np.sum(known.factor_um_per_v**2, axis=1) + np.sum(followed**2, axis=1))
-    own = split(errors, [pair.thresholds_v for pair in row])
-    pairs = zip(row, own, strict=True)
-    return tuple(Pair(pair.thresholds_v, pair.weights_um_per_v, error) for pair, error in pairs)
+def _with_errors(row: Sequence[Pair], errors: Sequence[Array]) -> tuple[Pair, ...]:
+    """Pairs of one output with the standard errors of their weights."""
+    each = zip(row, errors, strict=True)
+    return tuple(Pair(pair.thresholds_v, pair.weights_um_per_v, error) for pair, error in each)
