@@ -47,6 +47,16 @@ def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> 
     parts = [
         f"# Fit report of {markdown(model.name)}",
         markdown(fit.verdict),
+        fit_body(model, fit),
+        *(["## Figures", *_pictures(figures)] if figures else []),
+        "Every number with full precision is in `fit.json`.",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def fit_body(model: HammersteinModel, fit: Fit) -> str:
+    """Markdown of what stands between the verdict and the figures."""
+    parts = [
         *_statements(fit),
         "## Errors",
         *_errors(fit),
@@ -59,10 +69,8 @@ def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> 
         ),
         *_thresholds(model, fit),
         *(["## Dynamics", *_dynamics(model, fit)] if fit.kind == "hammerstein" else []),
-        *(["## Figures", *_pictures(figures)] if figures else []),
-        "Every number with full precision is in `fit.json`.",
     ]
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(parts)
 
 
 def _statements(fit: Fit) -> Iterator[str]:

@@ -30,12 +30,17 @@ class NumberTable:
     remark: str = ""
 
 
-def number_tables(report: Report) -> Iterator[NumberTable]:
+def number_tables(report: Report, frequencies: int = MOST_FREQUENCIES) -> Iterator[NumberTable]:
     """Errors of the reading, errors of the true position, and loops, as far as the report has them.
 
     A long sweep is shown at a few frequencies: its ends, those of identification, and some between.
+
+    Parameters
+    ----------
+    report : what was found
+    frequencies : how many are shown at most
     """
-    kept, remark = _kept_rows(report)
+    kept, remark = _kept_rows(report, frequencies)
     if any(row.rms_um is not None for row in kept):
         target = "reference" if report.scenario.reference is not None else "prediction"
         errors = _path_errors if is_path(report) else _transfer_errors
@@ -48,12 +53,12 @@ def number_tables(report: Report) -> Iterator[NumberTable]:
         yield _bands(report, [row for row in kept if row.compensator], remark)
 
 
-def _kept_rows(report: Report) -> tuple[list[Row], str]:
+def _kept_rows(report: Report, most: int) -> tuple[list[Row], str]:
     """Rows that are shown, and what is left out."""
     frequencies = sorted({row.frequency_hz for row in report.rows})
-    if len(frequencies) <= MOST_FREQUENCIES:
+    if len(frequencies) <= most:
         return list(report.rows), ""
-    kept = selected_frequencies(frequencies, identified_at(report).values(), MOST_FREQUENCIES)
+    kept = selected_frequencies(frequencies, identified_at(report).values(), most)
     remark = f"Shown are {len(kept)} of {len(frequencies)} frequencies; all are in `rms.csv`."
     return [row for row in report.rows if row.frequency_hz in kept], remark
 

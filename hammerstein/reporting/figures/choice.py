@@ -118,7 +118,7 @@ def _sweeps(report: Report) -> dict[str, Figure]:
     for name, merit, quantity, title in wanted:
         curves = sweep_curves(report, merit)
         if any(np.isfinite(curve.values).any() for curve in curves):
-            figures[name] = sweep_figure(curves, _transfers(report), quantity, title)
+            figures[name] = sweep_figure(curves, transfers_of(report), quantity, title)
     return figures
 
 
@@ -131,7 +131,7 @@ def _excited(report: Report) -> list[str]:
     return list(dict.fromkeys(row.excited_axis for row in report.rows))
 
 
-def _transfers(report: Report) -> list[list[str]]:
+def transfers_of(report: Report) -> list[list[str]]:
     """What stands above each panel (output, excited axis) of a sweep."""
     role, _ = _driven_quantity(report)
     square = len(_excited(report)) == len(report.axes) > 1
@@ -209,13 +209,13 @@ def _operators(report: Report) -> dict[str, Figure]:
         curves.append(SweepCurve(label, np.array(numbers, float), _grid(report, len(numbers), found)))
     title = "Model error against its size"
     figure = sweep_figure(
-        curves, _transfers(report), "rms error [µm]", title, "play operators of each transfer"
+        curves, transfers_of(report), "rms error [µm]", title, "play operators of each transfer"
     )
     return {"operators": figure}
 
 
 def _paths(report: Report) -> dict[str, Figure]:
-    runs = [run for trace in report.traces for run in _path_runs(report, trace)]
+    runs = [run for trace in report.traces for run in path_runs_of(report, trace)]
     volts = report.scenario.drive is not None
     kind = report.scenario.signal.kind.capitalize()
     compared = runs[0].target_um is not None
@@ -227,7 +227,7 @@ def _paths(report: Report) -> dict[str, Figure]:
     return figures
 
 
-def _path_runs(report: Report, trace: Trace) -> Iterator[PathRun]:
+def path_runs_of(report: Report, trace: Trace) -> Iterator[PathRun]:
     """A compensator's reading against its reference, or each model's prediction against the reading."""
     response, signal, time_s = trace.response, trace.signal, trace.time_s
     group = swept_label(signal, report.scenario.sweep)
