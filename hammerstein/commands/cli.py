@@ -46,8 +46,8 @@ app = typer.Typer(
 app.command()(record_commands.loops)
 app.command()(record_commands.identify)
 app.command()(record_commands.compensate)
-app.command()(study_commands.sweep)
 app.command()(export_command.export)
+app.command()(study_commands.sweep)
 
 Paths = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Scenario files, or folders of them.")]
 Jobs = Annotated[
