@@ -1,5 +1,6 @@
-"""Rate-independent hysteresis: the Prandtl-Ishlinskii block and its compiled loops."""
+"""Hysteresis of every kind, each with its compiled loops."""
 
+from hammerstein.hysteresis.asymmetric import Asymmetric, AsymmetricState, DeadZones
 from hammerstein.hysteresis.prandtl_ishlinskii import (
     Bank,
     Pair,
@@ -9,4 +10,14 @@ from hammerstein.hysteresis.prandtl_ishlinskii import (
     play,
 )
 
-__all__ = ["Bank", "Pair", "PlayState", "PrandtlIshlinskii", "WeightCovariance", "play"]
+__all__ = [
+    "Asymmetric",
+    "AsymmetricState",
+    "Bank",
+    "DeadZones",
+    "Pair",
+    "PlayState",
+    "PrandtlIshlinskii",
+    "WeightCovariance",
+    "play",
+]

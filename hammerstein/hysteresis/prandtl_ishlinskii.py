@@ -335,6 +335,10 @@ class PrandtlIshlinskii:
         """All operators on one threshold grid an input."""
         return Bank.of(self.pairs)
 
+    def counted_from(self, working_point_v: ArrayLike) -> PrandtlIshlinskii:
+        """Give the same hysteresis for voltages counted from another working point: plays are the same."""
+        return self
+
     def rest(self) -> PlayState:
         """State of a model that was never driven: all plays at zero."""
         return self.state_of([np.zeros(n) for n in self.bank.n], at_rest=True)
