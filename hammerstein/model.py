@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,10 @@ from hammerstein.axis_names import unique
 from hammerstein.dynamics import AxesDynamics, Dynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import Content, is_there, read_limited, write_atomic
-from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii, WeightCovariance
+from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
 from hammerstein.instruments import Instruments
 from hammerstein.pictured import Pictured
-from hammerstein.quantities import Name, NoCycles, Plain, Size, Threshold, Weight, WeightError
+from hammerstein.quantities import Name, Plain, Size
 from hammerstein.validation import mistakes_of, suggestion
 from hammerstein.voltages import Verdict, Voltages
 
@@ -38,7 +38,7 @@ CONTENT = Content("model file", sign="hammerstein-model/")
 
 @dataclass(frozen=True, eq=False)
 class HammersteinModel(Pictured):
-    """An actuator or a model of one: Prandtl-Ishlinskii hysteresis followed by linear dynamics.
+    """An actuator or a model of one: hysteresis of some kind followed by linear dynamics.
 
         v = Gamma(u - u_0),    y = G v            (Hammerstein structure: paper, section 6)
 
@@ -58,7 +58,7 @@ class HammersteinModel(Pictured):
     """
 
     name: str
-    hysteresis: PrandtlIshlinskii
+    hysteresis: Hysteresis[Any]
     dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics
     amplitude_v: float
     inputs: tuple[str, ...]
@@ -79,9 +79,11 @@ class HammersteinModel(Pictured):
         for name in ("inputs", "outputs"):
             object.__setattr__(self, name, unique(getattr(self, name)))
         mistakes = []
-        if len(self.recorded.working_point_v) != m:
-            given = len(self.recorded.working_point_v)
-            mistakes.append(Mistake("voltages", f"are those of {given} inputs, not of {m}"))
+        rest = self.recorded.working_point_v
+        if len(rest) != m:
+            mistakes.append(Mistake("voltages", f"are those of {len(rest)} inputs, not of {m}"))
+        else:
+            object.__setattr__(self, "hysteresis", self.hysteresis.counted_from(rest))
         if len(self.inputs) != m:
             mistakes.append(Mistake("inputs", f"names {len(self.inputs)} inputs of {m}"))
         if len(self.outputs) != p:
@@ -147,9 +149,14 @@ class HammersteinModel(Pictured):
         plant = Plant(self, around.model_copy(update={"drive": drive}))
         return plant.to_iosys(seed, outputs, name)
 
+    def on_grid(self, sample_time_s: float) -> HammersteinModel:
+        """Give the model whose hysteresis stands on a sample grid, as one that knows the rate must."""
+        here = self.hysteresis.on_grid(sample_time_s)
+        return self if here is self.hysteresis else replace(self, hysteresis=here)
+
     def static_response(
-        self, drive_v: NDArray[np.float64], start: PlayState | None = None
-    ) -> tuple[NDArray[np.float64], PlayState]:
+        self, drive_v: NDArray[np.float64], start: Any = None
+    ) -> tuple[NDArray[np.float64], Any]:
         """Outputs (output, sample) of the hysteresis [um] for voltages as they are sent, and its state.
 
         drive_v : (input, sample) [V]; start : state before; at rest at the working point if not given
@@ -196,93 +203,6 @@ class HammersteinModel(Pictured):
         return NUMBERS.sub(lambda found: f"[{' '.join(found[1].split())}]", text) + "\n"
 
 
-class PairFile(BaseModel):
-    """One pair in a model file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    thresholds_v: tuple[Threshold, ...]
-    weights_um_per_v: tuple[Weight, ...]
-    weight_errors_um_per_v: tuple[WeightError, ...] | None = None
-
-    @model_validator(mode="after")
-    def _is_a_pair(self) -> Self:
-        try:
-            self.pair()
-        except InputError as error:
-            raise ValueError("; ".join(f"{m.where} {m.what}" for m in error.mistakes)) from None
-        return self
-
-    def pair(self) -> Pair:
-        """Give the pair this describes."""
-        errors = self.weight_errors_um_per_v
-        return Pair(
-            np.asarray(self.thresholds_v, dtype=float),
-            np.asarray(self.weights_um_per_v, dtype=float),
-            None if errors is None else np.asarray(errors, dtype=float),
-        )
-
-    @classmethod
-    def of(cls, pair: Pair) -> PairFile:
-        """Describe a pair."""
-        return cls.model_validate({name: getattr(pair, name) for name in cls.model_fields})
-
-
-class CovarianceFile(BaseModel):
-    """Covariance L L^T of all weights of one output, pair after pair in the order of the inputs."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    factor_um_per_v: tuple[tuple[Weight, ...], ...] = Field(description="rows of L, each up to its diagonal")
-    slopes_at_bound: NoCycles = Field(
-        default=0, description="slopes held at a bound of the fit: the covariance is that of the others"
-    )
-
-    def covariance(self) -> WeightCovariance:
-        """Give the covariance this describes."""
-        n = len(self.factor_um_per_v)
-        if [len(row) for row in self.factor_um_per_v] != list(range(1, n + 1)):
-            raise InputError("weight_covariance", "row i of a factor must hold i numbers, up to its diagonal")
-        factor = np.zeros((n, n))
-        factor[np.tril_indices(n)] = [value for row in self.factor_um_per_v for value in row]
-        return WeightCovariance(factor, self.slopes_at_bound)
-
-    @classmethod
-    def of(cls, found: WeightCovariance) -> CovarianceFile:
-        """Describe a covariance."""
-        rows = tuple(tuple(row[: i + 1].tolist()) for i, row in enumerate(found.factor_um_per_v))
-        return cls(factor_um_per_v=rows, slopes_at_bound=found.slopes_at_bound)
-
-
-class PrandtlIshlinskiiFile(BaseModel):
-    """Classical Prandtl-Ishlinskii hysteresis: pairs (output, input), and what is known of their errors."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    kind: Literal["prandtl_ishlinskii"] = "prandtl_ishlinskii"
-    pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
-    weight_covariance: tuple[CovarianceFile, ...] | None = None
-
-    def hysteresis(self) -> PrandtlIshlinskii:
-        """Give the hysteresis this describes."""
-        pairs = tuple(tuple(pair.pair() for pair in row) for row in self.pairs)
-        known = self.weight_covariance
-        return PrandtlIshlinskii(pairs, None if known is None else tuple(one.covariance() for one in known))
-
-    @classmethod
-    def of(cls, hysteresis: PrandtlIshlinskii) -> PrandtlIshlinskiiFile:
-        """Describe a hysteresis."""
-        known = hysteresis.weight_covariance
-        return cls(
-            pairs=tuple(tuple(PairFile.of(pair) for pair in row) for row in hysteresis.pairs),
-            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
-        )
-
-
-Hysteresis = Annotated[PrandtlIshlinskiiFile, Field(description="tagged by its kind")]
-"""Every kind of hysteresis in a model file; a second one makes this a union told apart by ``kind``."""
-
-
 class ModelFile(BaseModel):
     """What a model file holds: hysteresis, dynamics, voltages, names, verdict and provenance."""
 
@@ -290,7 +210,7 @@ class ModelFile(BaseModel):
 
     format: Literal["hammerstein-model/2"] = "hammerstein-model/2"
     name: str
-    hysteresis: Hysteresis
+    hysteresis: Annotated[HysteresisFile, HYSTERESIS.field(), Field(description="told by its kind")]
     dynamics: Dynamics
     amplitude_v: Size
     inputs: tuple[Name, ...]
@@ -320,7 +240,10 @@ class ModelFile(BaseModel):
     def of(cls, model: HammersteinModel) -> ModelFile:
         """Describe a model."""
         fields = {n: getattr(model, n) for n in cls.model_fields if n != "format"}
-        return cls(**fields | {"hysteresis": PrandtlIshlinskiiFile.of(model.hysteresis)})
+        return cls(**fields | {"hysteresis": model.hysteresis.file()})
+
+
+HYSTERESIS.used_by(ModelFile)
 
 
 def packaged_actuators() -> list[str]:

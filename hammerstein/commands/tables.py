@@ -59,7 +59,7 @@ def actuator_table(models: Iterable[HammersteinModel]) -> Table:
     """One line an actuator: size, operators, dynamics."""
     table = _table("Packaged actuators", ("name", "inputs", "outputs", "operators", "dynamics", "range_v"))
     for model in models:
-        operators = sum(len(pair.thresholds_v) for row in model.hysteresis.pairs for pair in row)
+        operators = sum(sum(row) for row in model.hysteresis.operators)
         words = (model.name, ", ".join(model.inputs), ", ".join(model.outputs), str(operators))
         volts = dict.fromkeys(zip(model.recorded.lowest_v, model.recorded.highest_v, strict=True))
         table.add_row(

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.blocks import Controller, Law
-from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
+from hammerstein.compensators.feedback.pid import closed_loop
 from hammerstein.driving import DriveRange
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, Mistake, SimulationError
-from hammerstein.instruments import Instruments, standard_noise
+from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.memory import refuse_too_long
 from hammerstein.scenario import Scenario
@@ -109,7 +109,7 @@ class SetUp:
             return lambda tested, seed: tested.respond(values, case.seed(seed))
         law = self.laws[case.label]
         if isinstance(law, Controller):
-            return lambda tested, seed: _closed(tested, law, values, case.seed(seed))
+            return lambda tested, seed: closed_loop(law, tested, values, case.seed(seed))
         voltages = law.drive_for(values)
         return lambda tested, seed: tested.respond(voltages, case.seed(seed), reference_um=values)
 
@@ -147,36 +147,6 @@ class SetUp:
         time_s = self.plant.sample_time_s * np.arange(first, stop, dtype=np.float64)
         rest = 0.0 if self.scenario.drive is None else self.plant.range.working_point_v
         return values_of(case, time_s, len(scenario_axes(self.scenario, self.plant.model)), rest)
-
-
-def _closed(plant: Plant, law: Controller[Any], reference_um: Array, seed: list[int]) -> Response:
-    """Response of an actuator whose voltages depend on what the sensor reads, from rest."""
-    if not isinstance(law, FeedbackController):
-        return plant.closed_loop(law, reference_um, seed)
-    noise = standard_noise(np.random.default_rng(seed), *reference_um.shape)
-    instruments = plant.instruments
-    wires = closed_loop(
-        law,
-        reference_um,
-        plant.model.hysteresis,
-        plant.block,
-        instruments.drive,
-        instruments.sensor,
-        noise,
-        plant.model.recorded.working_point_v,
-    )
-    return Response(
-        sample_time_s=plant.sample_time_s,
-        reference_um=reference_um,
-        requested_v=wires.requested_v,
-        drive_v=wires.drive_v,
-        hysteresis_um=wires.hysteresis_um,
-        position_um=wires.position_um,
-        reading_um=wires.reading_um,
-        saturated=wires.saturated,
-        inputs=plant.model.inputs,
-        outputs=plant.model.outputs,
-    )
 
 
 def scenario_axes(scenario: Scenario, model: HammersteinModel) -> tuple[str, ...]:
@@ -348,19 +318,5 @@ def _check_reach(scenario: Scenario, plant: Plant, source: str) -> None:
 
 
 def _far_ends(model: HammersteinModel, limits: DriveRange) -> tuple[Array, Array]:
-    """Least and largest position (p,) of the static block from rest, whatever the other outputs do [um].
-
-    About the middle of the range every pair moves by its settled loop; rest itself is reached, too.
-    """
-    low, high = limits.counted
-    half, middle = 0.5 * limits.span_v, 0.5 * (low + high)
-    pairs = model.hysteresis.pairs
-    tips = np.array([[pair.amplitude(h) for pair, h in zip(row, half, strict=True)] for row in pairs])
-    centre = np.array(
-        [
-            sum(float(pair.weights_um_per_v.sum()) * u for pair, u in zip(row, middle, strict=True))
-            for row in pairs
-        ]
-    )
-    reach = np.abs(tips).sum(axis=1)
-    return np.minimum(centre - reach, 0.0), np.maximum(centre + reach, 0.0)
+    """Least and largest position (p,) of the static block from rest, whatever the other outputs do [um]."""
+    return model.hysteresis.extremes(*limits.counted)

@@ -1,23 +1,38 @@
-"""Hysteresis of every kind, each with its compiled loops."""
+"""Hysteresis: what every kind is, and each of them with its compiled loops.
 
-from hammerstein.hysteresis.asymmetric import Asymmetric, AsymmetricState, DeadZones
-from hammerstein.hysteresis.prandtl_ishlinskii import (
-    Bank,
-    Pair,
-    PlayState,
-    PrandtlIshlinskii,
-    WeightCovariance,
-    play,
+To add a kind to the package, write it in a file of its own and name it here.
+"""
+
+from hammerstein.hysteresis.asymmetric import Asymmetric, AsymmetricFile, AsymmetricState, DeadZones
+from hammerstein.hysteresis.bank import Bank, PlayState
+from hammerstein.hysteresis.kind import (
+    HYSTERESIS,
+    Hysteresis,
+    HysteresisFile,
+    Memory,
+    Sloped,
+    slopes_of,
 )
+from hammerstein.hysteresis.pair import Pair, WeightCovariance, play
+from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii, PrandtlIshlinskiiFile
 
 __all__ = [
+    "HYSTERESIS",
     "Asymmetric",
     "AsymmetricState",
     "Bank",
     "DeadZones",
+    "Hysteresis",
+    "HysteresisFile",
+    "Memory",
     "Pair",
     "PlayState",
     "PrandtlIshlinskii",
+    "Sloped",
     "WeightCovariance",
     "play",
+    "slopes_of",
 ]
+
+HYSTERESIS.register(PrandtlIshlinskiiFile)
+HYSTERESIS.register(AsymmetricFile)

@@ -5,21 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.errors import InputError, Mistake
-from hammerstein.hysteresis.prandtl_ishlinskii import Pair, PlayState, PrandtlIshlinskii
-
-Array = NDArray[np.float64]
-
-
-def _frozen(values: ArrayLike) -> Array:
-    array = np.array(values, dtype=np.float64)
-    array.flags.writeable = False
-    return array
+from hammerstein.hysteresis.bank import PlayState
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
+from hammerstein.hysteresis.pair import Array, Pair, WeightCovariance, frozen
+from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile
+from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
+from hammerstein.quantities import Offset, Weight, WeightError
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +48,10 @@ class DeadZones:
     weight_errors_um_per_v: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "breakpoints_v", _frozen(self.breakpoints_v))
-        object.__setattr__(self, "weights_um_per_v", _frozen(self.weights_um_per_v))
+        object.__setattr__(self, "breakpoints_v", frozen(self.breakpoints_v))
+        object.__setattr__(self, "weights_um_per_v", frozen(self.weights_um_per_v))
         if self.weight_errors_um_per_v is not None:
-            object.__setattr__(self, "weight_errors_um_per_v", _frozen(self.weight_errors_um_per_v))
+            object.__setattr__(self, "weight_errors_um_per_v", frozen(self.weight_errors_um_per_v))
         mistakes = list(self._mistakes())
         if mistakes:
             raise InputError("dead-zones", mistakes)
@@ -61,7 +59,7 @@ class DeadZones:
     def _mistakes(self) -> Iterable[Mistake]:
         q, v, errors = self.breakpoints_v, self.weights_um_per_v, self.weight_errors_um_per_v
         if q.ndim != 1 or v.shape != q.shape:
-            yield Mistake("weights_um_per_v", f"has shape {v.shape}, the breakpoints {q.shape}; give one each")
+            yield Mistake("weights_um_per_v", f"has shape {v.shape}, the breakpoints {q.shape}; one each")
         if errors is not None and errors.shape != v.shape:
             yield Mistake("weight_errors_um_per_v", f"has shape {errors.shape}, the weights {v.shape}")
         if not np.isfinite(q).all():
@@ -74,7 +72,7 @@ class DeadZones:
     @classmethod
     def absent(cls) -> DeadZones:
         """No dead-zone."""
-        return cls(_frozen([]), _frozen([]))
+        return cls(frozen([]), frozen([]))
 
     @property
     def slopes(self) -> Array:
@@ -151,7 +149,7 @@ class AsymmetricState:
 
 
 @dataclass(frozen=True, eq=False)
-class Asymmetric:
+class Asymmetric(Hysteresis[AsymmetricState]):
     """Plays and one-sided dead-zones side by side, of m inputs and p outputs.
 
         v_l = sum over inputs j of ( sum_i w_lji play(u_j; r_lji) + sum_q v_ljq D_q(play(u_j; r_j)) )
@@ -170,6 +168,8 @@ class Asymmetric:
     plays : the play operators of all pairs
     zones : (output, input) nested sequence of ``DeadZones``
     working_point_v : (m,) voltage from which the model counts [V]; zeros if not given
+    weight_covariance : (output,) covariance of the weights, where it is known: pair after pair those of the
+        plays, then those of the dead-zones
 
     Raises
     ------
@@ -190,8 +190,9 @@ class Asymmetric:
     plays: PrandtlIshlinskii
     zones: tuple[tuple[DeadZones, ...], ...] = field()
     working_point_v: Array | None = None
+    weight_covariance: tuple[WeightCovariance, ...] | None = None
 
-    kind = "asymmetric"
+    kind: ClassVar[str] = "asymmetric"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "zones", tuple(tuple(row) for row in self.zones))
@@ -201,12 +202,13 @@ class Asymmetric:
                 "asymmetric model", f"dead-zones must be {p} rows of {m}, one for every pair of the plays"
             )
         given = np.zeros(m) if self.working_point_v is None else self.working_point_v
-        object.__setattr__(self, "working_point_v", _frozen(given))
+        object.__setattr__(self, "working_point_v", frozen(given))
         if np.shape(given) != (m,) or not np.isfinite(given).all():
             raise InputError("asymmetric model", f"its working point must be {m} finite voltages")
-
-    def __repr__(self) -> str:
-        return f"Asymmetric({self.describe()})"
+        if self.weight_covariance is not None:
+            weights = [sum(row) for row in self.operators]
+            if [known.factor_um_per_v.shape for known in self.weight_covariance] != [(n, n) for n in weights]:
+                raise InputError("weight_covariance", f"must have one factor an output, of {weights} rows")
 
     def describe(self) -> str:
         """Say in a few words what it is."""
@@ -234,7 +236,7 @@ class Asymmetric:
     def smallest_v(self) -> Array:
         """Smallest threshold of each input (m,) [V]; 0 where an input has no play."""
         bank = self.plays.bank
-        return _frozen(np.where(bank.n > 0, bank.r[:, 0], 0.0))
+        return frozen(np.where(bank.n > 0, bank.r[:, 0], 0.0))
 
     def counted_from(self, working_point_v: ArrayLike) -> Asymmetric:
         """Give the same hysteresis for voltages counted from another working point (m,) [V]."""
@@ -248,54 +250,27 @@ class Asymmetric:
         """State from what ``as_dict`` gave."""
         return AsymmetricState.from_dict(data)
 
-    def respond(self, u_v: ArrayLike, start: AsymmetricState | None = None) -> tuple[Array, AsymmetricState]:
-        """Outputs for a whole signal.
-
-        Parameters
-        ----------
-        u_v : (input, sample) voltages counted from the working point [V], finite
-        start : state before the first sample; at rest if not given
-
-        Returns
-        -------
-        v_um : (output, sample) outputs [um]
-        state : state after the last sample
-
-        Raises
-        ------
-        InputError : wrong number of inputs
-        SimulationError : a voltage that is not finite
-        """
+    def _respond(self, u_v: Array, start: AsymmetricState) -> tuple[Array, AsymmetricState]:
         from hammerstein.hysteresis.asymmetric_kernels import add_dead_zones
 
-        begin = self.rest() if start is None else start
-        u = np.ascontiguousarray(np.atleast_2d(np.asarray(u_v, dtype=np.float64)))
-        v, plays = self.plays.respond(u, begin.plays)
-        held, lines = begin.smallest_v.copy(), self.lines
+        v, plays = self.plays.respond(u_v, start.plays)
+        held, lines = start.smallest_v.copy(), self.lines
         zones = (lines.ends, lines.slope, lines.intercept)
-        add_dead_zones(u, self.smallest_v, held, *zones, v, (0,) * self.n_outputs)
+        add_dead_zones(u_v, self.smallest_v, held, *zones, v, (0,) * self.n_outputs)
         return v, AsymmetricState(plays, held)
 
-    def step(self, u_v: ArrayLike, state: AsymmetricState) -> tuple[Array, AsymmetricState]:
-        """Outputs (output,) [um] for one sample (input,) [V]; equal to ``respond`` to the last bit."""
-        v, after = self.respond(np.reshape(np.asarray(u_v, dtype=np.float64), (-1, 1)), state)
-        return v[:, 0], after
-
-    def amplitude(self, amplitude_v: float) -> Array:
-        """Half heights of the settled loops about the working point (output, input) [um].
+    def amplitude(self, amplitude_v: ArrayLike) -> Array:
+        """Half heights of the settled loops about the working point (output, input) [um], in closed form.
 
         That of the plays, and half of what the dead-zones add between the two ends of the smallest play.
         """
         halves = self.plays.amplitude(amplitude_v)
-        for k, r in enumerate(self.smallest_v):
-            reach = max(amplitude_v - r, 0.0)
+        sizes = np.broadcast_to(np.asarray(amplitude_v, dtype=np.float64), self.n_inputs)
+        for k, (size, r) in enumerate(zip(sizes, self.smallest_v, strict=True)):
+            reach = max(float(size - r), 0.0)
             ends = self.lines.values(k, [-reach, reach])
             halves[:, k] += 0.5 * (ends[:, 1] - ends[:, 0])
         return halves
-
-    def gain(self, amplitude_v: float) -> Array:
-        """Gain matrix (output, input) [um/V] of the settled loops at a voltage amplitude [V]."""
-        return self.amplitude(amplitude_v) / amplitude_v
 
     def loop_area(self, amplitude_v: float) -> Array:
         """Areas of the settled loops about the working point (output, input) [um V].
@@ -314,3 +289,93 @@ class Asymmetric:
         steps = self.plays.slope_columns(k) if self.plays.bank.n[k] else np.zeros((1, self.n_outputs))
         zones = self.lines.slope[k, : self.lines.n[k] + 1]
         return np.asarray((zones[:, None] + steps).reshape(-1, self.n_outputs))
+
+    @property
+    def operators(self) -> tuple[tuple[int, ...], ...]:
+        """Number of plays and dead-zones of every pair (output, input)."""
+        zones = (tuple(len(zone.breakpoints_v) for zone in row) for row in self.zones)
+        return tuple(
+            tuple(n + k for n, k in zip(*rows, strict=True))
+            for rows in zip(self.plays.operators, zones, strict=True)
+        )
+
+    @property
+    def weights(self) -> tuple[Array, ...]:
+        """Weights of each output [um/V], pair after pair: those of the plays, then of the dead-zones."""
+        return tuple(
+            np.concatenate([part.weights_um_per_v for both in zip(*rows, strict=True) for part in both])
+            for rows in zip(self.plays.pairs, self.zones, strict=True)
+        )
+
+    def with_weights(self, weights: Sequence[ArrayLike]) -> Asymmetric:
+        """Give the same thresholds and breakpoints with other weights."""
+        rows, zones = [], []
+        for pairs, bends, own in zip(self.plays.pairs, self.zones, weights, strict=True):
+            counts = [
+                n
+                for pair, bend in zip(pairs, bends, strict=True)
+                for n in (len(pair.thresholds_v), len(bend.breakpoints_v))
+            ]
+            parts = np.split(np.asarray(own, dtype=np.float64), np.cumsum(counts)[:-1])
+            rows.append([Pair(pair.thresholds_v, w) for pair, w in zip(pairs, parts[::2], strict=True)])
+            zones.append([DeadZones(b.breakpoints_v, w) for b, w in zip(bends, parts[1::2], strict=True)])
+        plays = PrandtlIshlinskii(tuple(tuple(row) for row in rows))
+        return Asymmetric(plays, tuple(tuple(row) for row in zones), self.working_point_v)
+
+    def file(self) -> AsymmetricFile:
+        """Give its form in a model file; the working point stands there once, with the voltages."""
+        known = self.weight_covariance
+        return AsymmetricFile(
+            pairs=self.plays.file().pairs,
+            dead_zones=tuple(tuple(DeadZonesFile.of(zones) for zones in row) for row in self.zones),
+            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
+        )
+
+
+class DeadZonesFile(BaseModel):
+    """Dead-zones of one pair in a model file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    breakpoints_v: tuple[Offset, ...] = Field(description="voltages as they are sent")
+    weights_um_per_v: tuple[Weight, ...]
+    weight_errors_um_per_v: tuple[WeightError, ...] | None = None
+
+    @model_validator(mode="after")
+    def _are_dead_zones(self) -> Self:
+        try:
+            self.zones()
+        except InputError as error:
+            raise ValueError("; ".join(f"{m.where} {m.what}" for m in error.mistakes)) from None
+        return self
+
+    def zones(self) -> DeadZones:
+        """Give the dead-zones this describes."""
+        errors = self.weight_errors_um_per_v
+        return DeadZones(
+            np.asarray(self.breakpoints_v, dtype=float),
+            np.asarray(self.weights_um_per_v, dtype=float),
+            None if errors is None else np.asarray(errors, dtype=float),
+        )
+
+    @classmethod
+    def of(cls, zones: DeadZones) -> DeadZonesFile:
+        """Describe dead-zones."""
+        return cls.model_validate({name: getattr(zones, name) for name in cls.model_fields})
+
+
+class AsymmetricFile(HysteresisFile):
+    """Plays and one-sided dead-zones side by side: both of every pair (output, input)."""
+
+    kind: Literal["asymmetric"] = "asymmetric"
+    pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
+    dead_zones: Annotated[tuple[tuple[DeadZonesFile, ...], ...], Field(min_length=1)]
+    weight_covariance: tuple[CovarianceFile, ...] | None = None
+
+    def hysteresis(self) -> Asymmetric:
+        """Give the hysteresis this describes."""
+        plays = PrandtlIshlinskii(tuple(tuple(pair.pair() for pair in row) for row in self.pairs))
+        zones = tuple(tuple(zone.zones() for zone in row) for row in self.dead_zones)
+        known = self.weight_covariance
+        covariance = None if known is None else tuple(one.covariance() for one in known)
+        return Asymmetric(plays, zones, weight_covariance=covariance)

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import singledispatch
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.blocks import Array
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Asymmetric, DeadZones, Hysteresis, Pair, PrandtlIshlinskii
 from hammerstein.hysteresis.slopes import every_matrix
 
 SINGULAR = 1e-9
@@ -73,10 +74,9 @@ class Invertibility:
         )
 
 
+@singledispatch
 def invertibility(
-    hysteresis: PrandtlIshlinskii | Asymmetric,
-    range_v: ArrayLike = math.inf,
-    amplitude_v: float | None = None,
+    hysteresis: Hysteresis[Any], range_v: ArrayLike = math.inf, amplitude_v: float | None = None
 ) -> Invertibility:
     """Examine every slope matrix that a drive within a range can bring about.
 
@@ -94,7 +94,8 @@ def invertibility(
 
     Raises
     ------
-    InputError : more outputs than inputs, an input that moves no output, or one that the range cannot move
+    InputError : a kind that cannot tell, more outputs than inputs, an input that moves no output, or one
+        that the range cannot move
     SimulationError : too many slope matrices to examine
 
     Examples
@@ -102,6 +103,16 @@ def invertibility(
     >>> invertibility(PrandtlIshlinskii([[Pair([0.0, 1.0], [2.0, -3.0])]])).invertible
     False
     """
+    raise InputError("inverse", f"hysteresis of kind {hysteresis.kind!r} does not tell whether it has one")
+
+
+@invertibility.register(PrandtlIshlinskii)
+@invertibility.register(Asymmetric)
+def _(
+    hysteresis: PrandtlIshlinskii | Asymmetric,
+    range_v: ArrayLike = math.inf,
+    amplitude_v: float | None = None,
+) -> Invertibility:
     given = np.asarray(range_v, dtype=np.float64)
     low, high = given if given.ndim == 2 else (-given, given)
     low, high = (np.broadcast_to(end, hysteresis.n_inputs) for end in (low, high))
@@ -211,9 +222,7 @@ def _ends_v(square: Asymmetric, k: int, zone: int) -> tuple[float, float]:
     return (float(tops[zone - 1]) + rest if zone else -math.inf), float(tops[zone]) + rest
 
 
-def completed(
-    hysteresis: PrandtlIshlinskii | Asymmetric, amplitude_v: float
-) -> tuple[Asymmetric, Array]:
+def completed(hysteresis: PrandtlIshlinskii | Asymmetric, amplitude_v: float) -> tuple[Asymmetric, Array]:
     """Make the model square and its smallest thresholds zero, as the exact inverse wants it.
 
     The smallest threshold of each input is taken off all of its thresholds; dead-zones stand behind it

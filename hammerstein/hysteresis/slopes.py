@@ -1,29 +1,31 @@
-"""Slope matrices that a model of plays and dead-zones can have."""
+"""Slope matrices that multivariable hysteresis can have."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from hammerstein.blocks import Array
 from hammerstein.errors import SimulationError
-from hammerstein.hysteresis.asymmetric import Asymmetric
-from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
+from hammerstein.hysteresis import Hysteresis, slopes_of
 
 LARGEST_NUMBER = 2_000_000
 
 
-def slope_matrices(hysteresis: PrandtlIshlinskii | Asymmetric) -> Array:
+def slope_matrices(hysteresis: Hysteresis[Any], amplitude_v: float) -> Array:
     """All slope matrices J (combination, output, input) [um/V].
 
-    Column k is the slope of all outputs while the first 1, 2, ..., n_k operators of input k move, in every
-    zone of its dead-zones; every combination of columns can occur.
+    Column k is a slope of all outputs while input k moves; every combination of columns can occur.
+
+    amplitude_v : of the loops along which slopes are taken, for a kind that does not know all of its own [V]
 
     Raises SimulationError where there are too many to examine.
     """
-    return every_matrix([hysteresis.slope_columns(k) for k in range(hysteresis.n_inputs)])
+    columns = [slopes_of(hysteresis, k, amplitude_v) for k in range(hysteresis.n_inputs)]
+    return every_matrix(columns)
 
 
 def every_matrix(columns: Sequence[Array]) -> Array:

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from hammerstein.dynamics import AxesDynamics, Axis, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Hysteresis
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Deviation, Draws, Seed
-
-Array = NDArray[np.float64]
 
 
 class Uncertainty(BaseModel):
@@ -85,29 +82,21 @@ def _factor(relative: float, generator: np.random.Generator) -> float:
 
 
 def _weights_drawn(
-    hysteresis: PrandtlIshlinskii, relative: float | str, generator: np.random.Generator
-) -> PrandtlIshlinskii:
-    rows = []
-    for output, row in enumerate(hysteresis.pairs):
-        weights = np.concatenate([pair.weights_um_per_v for pair in row])
-        normal = generator.standard_normal(len(weights))
-        drawn = weights + _deviations(hysteresis, output, weights, relative, normal)
-        ends = np.cumsum([len(pair.thresholds_v) for pair in row])[:-1]
-        pairs = zip(row, np.split(drawn, ends), strict=True)
-        rows.append(tuple(Pair(pair.thresholds_v, own) for pair, own in pairs))
-    return PrandtlIshlinskii(tuple(rows))
-
-
-def _deviations(
-    hysteresis: PrandtlIshlinskii, output: int, weights: Array, relative: float | str, normal: Array
-) -> Array:
-    """Deviations of all weights of one output, from as many standard normal numbers."""
-    if not isinstance(relative, str):
-        return np.asarray(relative * np.abs(weights) * normal)
-    if hysteresis.weight_covariance is None:
+    hysteresis: Hysteresis[Any], relative: float | str, generator: np.random.Generator
+) -> Hysteresis[Any]:
+    known = hysteresis.weight_covariance
+    if isinstance(relative, str) and known is None:
         raise InputError(
             "uncertainty.weights",
             "the actuator's model does not say how the errors of its weights hang together; identify it "
             "again, or give a relative deviation",
         )
-    return np.asarray(hysteresis.weight_covariance[output].factor_um_per_v @ normal)
+    drawn = []
+    for output, weights in enumerate(hysteresis.weights):
+        normal = generator.standard_normal(len(weights))
+        if isinstance(relative, str):
+            assert known is not None
+            drawn.append(weights + known[output].factor_um_per_v @ normal)
+        else:
+            drawn.append(weights + relative * np.abs(weights) * normal)
+    return hysteresis.with_weights(drawn)

@@ -1,4 +1,4 @@
-"""The affine pieces of a model of plays and dead-zones seen from its memory, for the walk of ``exact_kernel``.
+"""The affine pieces of plays and dead-zones seen from their memory, for the walk of ``exact_kernel``.
 
 Everything stands in one array ``w[table, k, row, column]``, for one argument makes the compiled calls cheap.
 k is the input (or the row o of the model); what has one entry a row o stands in the columns from its name on.

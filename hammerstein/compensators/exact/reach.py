@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.blocks import Array, Law, checked_reference
-from hammerstein.compensators.exact.inverse import ExactInverseLaw
+from hammerstein.compensators.exact.inverse import exact_inverse_of
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.dynamics import discretise
 from hammerstein.errors import SimulationError
@@ -78,11 +78,11 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
         return Reach(nowhere, nowhere)
     middle = 0.5 * (limits.low_v + limits.high_v)
     about = replace(limits, working_point_v=middle, start_v=middle, conditioned=False)
-    law = ExactInverseLaw(model, about, run_anyway=run_anyway)
+    counted = model.hysteresis.counted_from(middle)
+    law = exact_inverse_of(counted, model, about, 0.0, run_anyway)
     between = _centre(model, about)[:, None]
     half = 0.5 * limits.span_v
-    hysteresis = model.hysteresis.counted_from(middle)
-    most = float(np.sum([np.abs(hysteresis.amplitude(h)).sum() for h in half]))
+    most = float(np.abs(counted.amplitude(half)).sum()) * len(half)
     alone = np.array([most * _largest(_strokes_fit(law, between, [most * row])) for row in np.eye(p)])
     corners = [alone * np.array((1, *signs)) for signs in itertools.product((1, -1), repeat=p - 1)]
     together = alone * _largest(_strokes_fit(law, between, corners))
@@ -124,10 +124,8 @@ def _largest(fits: Callable[[float], bool]) -> float:
     return low
 
 
-def _strokes_fit(
-    law: ExactInverseLaw, middle_um: Array, tips_um: Sequence[Array]
-) -> Callable[[float], bool]:
-    """Whether a factor times each tip (p,), and its negative, can be reached from a middle (p, 1) for ever."""
+def _strokes_fit(law: Law[Any], middle_um: Array, tips_um: Sequence[Array]) -> Callable[[float], bool]:
+    """Whether a factor times each tip (p,) and its negative can be reached about a middle (p, 1) for ever."""
     wave = np.sin(0.5 * np.pi * np.arange(10 * STROKE_SAMPLES + 1) / STROKE_SAMPLES)
 
     def fits(scale: float) -> bool:
@@ -208,6 +206,7 @@ def shortfall(
     """
     reference = checked_reference(reference_um, law.n_outputs)
     sent = asked_v if sent_v is None else sent_v
+    model = model.on_grid(sample_time_s)
     before, memory = model.hysteresis.respond(law.range.history())
     v, _ = model.static_response(sent, memory)
     position, _ = discretise(model.dynamics, sample_time_s).respond(v - before[:, -1:])
@@ -218,7 +217,8 @@ def shortfall(
     axis, sample = np.unravel_index(int(np.argmax(bends)), bends.shape)
     error = position - asked
     # An actuator may stand at an end of the range from the start: there it has missed nothing yet.
-    rounding = float(np.abs(model.hysteresis.bank.slope).max() * np.abs(sent - asked_v).max(initial=0.0))
+    asked_for, _ = model.static_response(asked_v, memory)
+    rounding = float(np.abs(v - asked_for).max(initial=0.0))
     missed = (np.abs(error) > MISSED_UM + rounding).any(axis=0)
     at_range = law.range.reached(asked_v) & ((asked_v != law.range.start_v[:, None]) | missed)
     return Shortfall(position, error, at_range, sample_time_s, (int(axis), int(sample)))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
-from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii, WeightCovariance
 from hammerstein.identification.operators import CURVE_SAMPLES, ENOUGH, HELD_OUT, SEGMENTS
 from hammerstein.identification.score import ranges
 from hammerstein.identification.static.history import shortened
@@ -24,7 +24,7 @@ from hammerstein.identification.static.normal_equations import (
     solve,
     squares_left,
 )
-from hammerstein.identification.static.regressors import SideBySide, Start, delayed, regressor_blocks
+from hammerstein.identification.static.regressors import Filter, Start, delayed, regressor_blocks
 from hammerstein.identification.static.static_block import (
     LEAST_SLOPE,
     Layout,
@@ -34,6 +34,7 @@ from hammerstein.identification.static.static_block import (
     half_swing,
     path_filters,
     refuse_unreached,
+    triangle,
 )
 from hammerstein.records.record import Record
 
@@ -74,10 +75,15 @@ def breakpoints_in(records: Sequence[Record], dead_zones: int) -> list[Array]:
     >>> breakpoints_in([Record([u], [u], 1e-3)], 3)[0].round(3)
     array([-2.,  0.,  2.])
     """
-    low = np.min([(r.u_v + r.rest_v[:, None]).min(axis=1) for r in records], axis=0)
-    high = np.max([(r.u_v + r.rest_v[:, None]).max(axis=1) for r in records], axis=0)
+    low, high = _driven(records)
     shares = np.arange(1, dead_zones + 1) / (dead_zones + 1)
     return [a + (b - a) * shares if b > a else np.empty(0) for a, b in zip(low, high, strict=True)]
+
+
+def _driven(records: Sequence[Record]) -> tuple[Array, Array]:
+    """Lowest and highest voltage of each input over all records (input,), as sent [V]."""
+    low = np.min([r.u_v.min(axis=1) + r.rest_v for r in records], axis=0)
+    return low, np.max([r.u_v.max(axis=1) + r.rest_v for r in records], axis=0)
 
 
 def fit_asymmetric(
@@ -114,7 +120,8 @@ def fit_asymmetric(
 
     Raises
     ------
-    IdentificationError : inputs that never move, or a smallest threshold above 0
+    IdentificationError : inputs that never move, a smallest threshold above 0, or a breakpoint that
+        no record passes
 
     Source: as ``Asymmetric``; the inequalities are this work's.
     """
@@ -122,6 +129,13 @@ def fit_asymmetric(
     refuse_unreached(records, layout.grids)
     if any(grid.size and grid[0] > 0.0 for grid in layout.grids):
         raise IdentificationError("dead-zones need a smallest threshold of 0: after a reversal no play moves")
+    for name, q, low, high in zip(records[0].inputs, breakpoints_v, *_driven(records), strict=True):
+        if q.size and not low < q[0] <= q[-1] < high:
+            beyond = q[-1] if q[-1] >= high else q[0]
+            raise IdentificationError(
+                f"the breakpoint {beyond:g} V of input {name} is never passed: it is driven from {low:g} to "
+                f"{high:g} V"
+            )
     begun = tuple(starts) or (Start("rest"),) * len(records)
     task = _Task(records, begun, layout, tuple(breakpoints_v), delay_samples, tuple(through))
     moments = task.moments()
@@ -194,16 +208,15 @@ class _Task(NamedTuple):
             return [pooled(parts).of_output(o) for o in range(p)]
         return [pooled([self._of_record(i, [o], o, held_out) for i in every]) for o in range(p)]
 
-    def _of_record(
-        self, i: int, outputs: Sequence[int], path: int | None, held_out: bool | None
-    ) -> Moments:
+    def _of_record(self, i: int, outputs: Sequence[int], path: int | None, held_out: bool | None) -> Moments:
         record, start = self.records[i], self.starts[i]
         u, y = delayed(record, start, self.delay_samples), record.y_um[list(outputs)]
         plays, zones = sum(map(len, self.layout.grids)), sum(map(len, self.breakpoints_v))
         filters = [] if path is None else path_filters(self.through, i, path, plays, len(record.y_um))
         ramps = _ramps(u, [q - r for q, r in zip(self.breakpoints_v, record.rest_v, strict=True)])
         if filters and zones:
-            ramps = _passed(ramps, start, path_filters(self.through, i, outputs[0], zones, len(record.y_um))[0])
+            [behind] = path_filters(self.through, i, outputs[0], zones, len(record.y_um))
+            ramps = _passed(ramps, start, behind)
 
         def blocks() -> Iterator[tuple[Array, Array]]:
             for k, x in regressor_blocks(u, start, self.layout.grids, filters):
@@ -224,13 +237,13 @@ def _ramps(u_v: Array, counted_v: Sequence[Array]) -> Array:
     rows = [np.empty((0, u_v.shape[1]))]
     for u, q in zip(u_v, counted_v, strict=True):
         depth = np.append(np.diff(q), np.inf)[: len(q)]
-        rows += [np.clip(u - a, 0.0, d)[None, :] - min(max(-a, 0.0), d) for a, d in zip(q, depth, strict=True)]
+        for a, d in zip(q, depth, strict=True):
+            rows.append(np.clip(u - a, 0.0, d)[None, :] - min(max(-a, 0.0), d))
     return np.vstack(rows)
 
 
-def _passed(ramps: Array, start: Start, path: object) -> Array:
+def _passed(ramps: Array, start: Start, path: Filter) -> Array:
     """Ramps behind their path."""
-    assert isinstance(path, SideBySide)
     passed, state = path.respond(ramps, path.rest())
     return path.respond(ramps, state)[0] if start.kind == "repeated" else passed
 
@@ -257,13 +270,13 @@ class _Columns(NamedTuple):
         """Slopes (engaged, zone) of the pair of input k."""
         zones = np.append(0.0, slopes[self.zones[k]])
         plays = slopes[self.plays[k]]
-        return np.add.outer(plays if plays.size else np.zeros(1), zones)
+        return np.asarray(np.add.outer(plays if plays.size else np.zeros(1), zones))
 
     def gains(self, slopes: Array, task: _Task) -> Array:
         """Mean slope of every input (input,) over the voltages driven [um/V]."""
         found = []
         reach = half_swing(task.records)
-        tops = np.max([(r.u_v + r.rest_v[:, None]).max(axis=1) for r in task.records], axis=0)
+        _, tops = _driven(task.records)
         for k, q in enumerate(task.breakpoints_v):
             grid = task.layout.grids[k]
             r = grid[-(self.plays[k].stop - self.plays[k].start) :] if grid.size else grid
@@ -300,25 +313,25 @@ def _fit(
     held: Sequence[tuple[int, int]],
 ) -> AsymmetricFit:
     """Weights from slopes, with what is said of them."""
-    pairs, zones, offsets = [], [], []
+    pairs, zones, known, offsets = [], [], [], []
     for row, own, moment, solution in zip(thresholds_v, columns, moments, found, strict=True):
-        slopes, spread = solution.coefficients, solution.spread
-        plays = zip(row, own.plays, strict=True)
-        pairs.append([Pair(r, *_weights(slopes, spread, part)) for r, part in plays])
-        bends = zip(task.breakpoints_v, own.zones, strict=True)
-        zones.append([DeadZones(q, *_weights(slopes, spread, part)) for q, part in bends])
-        offsets.append(moment.means[:, -1] - moment.means[:, :-1] @ (own.merge @ slopes))
-    rest = task.records[0].rest_v
+        parts = [part for both in zip(own.plays, own.zones, strict=True) for part in both]
+        weights = [np.diff(solution.coefficients[part], prepend=0.0) for part in parts]
+        spread = np.vstack([np.diff(solution.spread[part], axis=0, prepend=0.0) for part in parts])
+        ends = np.cumsum([len(w) for w in weights])[:-1]
+        errors = np.split(np.sqrt(np.sum(spread**2, axis=1)), ends)
+        each = list(zip(weights, errors, strict=True))
+        pairs.append(tuple(Pair(r, *both) for r, both in zip(row, each[::2], strict=True)))
+        bends = zip(task.breakpoints_v, each[1::2], strict=True)
+        zones.append(tuple(DeadZones(q, *both) for q, both in bends))
+        at_bound = int(solution.at_bound[: len(solution.coefficients)].sum())
+        known.append(WeightCovariance(triangle(spread), at_bound))
+        offsets.append(moment.means[:, -1] - moment.means[:, :-1] @ (own.merge @ solution.coefficients))
+    plays, rest = PrandtlIshlinskii(tuple(pairs)), task.records[0].rest_v
     return AsymmetricFit(
-        hysteresis=Asymmetric(PrandtlIshlinskii(tuple(map(tuple, pairs))), tuple(map(tuple, zones)), rest),
+        hysteresis=Asymmetric(plays, tuple(zones), rest, tuple(known)),
         offsets_um=np.column_stack(offsets),
         rms_um=np.array([solution.residual_rms for solution in found]),
         samples=moments[0].samples,
         held=tuple(held),
     )
-
-
-def _weights(slopes: Array, spread: Array, part: slice) -> tuple[Array, Array]:
-    """Weights of a pair from its slopes, and their standard errors."""
-    errors = np.diff(spread[part], axis=0, prepend=0.0)
-    return np.diff(slopes[part], prepend=0.0), np.sqrt(np.sum(errors**2, axis=1))

@@ -332,13 +332,13 @@ def pairs_of(
     """
     differences = _differences(layout.parts[o])
     weights = differences @ slopes
-    factor = _triangle(differences @ spread)
+    factor = triangle(differences @ spread)
     errors = np.sqrt(np.sum(factor**2, axis=1))
     pairs = (Pair(r, weights[part], errors[part]) for r, part in zip(row, layout.parts[o], strict=True))
     return tuple(pairs), WeightCovariance(factor, at_bound)
 
 
-def _triangle(spread: Array) -> Array:
+def triangle(spread: Array) -> Array:
     """Lower triangle L (n, n) with L L^T = S S^T for a matrix S (n, k), its diagonal not negative."""
     n = len(spread)
     factor = np.zeros((n, n))
