@@ -76,7 +76,7 @@ def test_standard_errors_are_those_of_repeated_records():
         y = np.asarray(
             theory.asymmetric([u], [[R]], [[[3.0, 0.5, 0.6, 0.7]]], [[Q]], [[[0.6, -0.9, 0.5]]], [0.0])
         )
-        y = y + 0.05 * np.random.default_rng(seed).standard_normal(v.shape)
+        y = y + 0.05 * np.random.default_rng(seed).standard_normal(y.shape)
         fit = fit_asymmetric([Record([u], y, 1e-3)], [[R]], [Q], method="least_squares")
         found.append(fit.hysteresis.weights[0])
         told = fit.hysteresis.weight_covariance[0].covariance
@@ -142,7 +142,7 @@ def test_the_number_of_dead_zones_is_what_the_records_call_for():
 def test_a_smallest_threshold_above_zero_and_breakpoints_never_passed_are_refused():
     with pytest.raises(IdentificationError, match="smallest threshold of 0"):
         fit_asymmetric(records_of(truth()), [[R[1:], R]] * 2, [Q, Q])
-    with pytest.raises(IdentificationError, match=r"7 V of input 2 is never passed"):
+    with pytest.raises(IdentificationError, match=r"7 V of input u2 is never passed"):
         fit_asymmetric(records_of(truth()), [[R, R]] * 2, [Q, np.array([1.0, 7.0])])
 
 
