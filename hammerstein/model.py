@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from hammerstein.axis_names import unique
@@ -27,8 +27,9 @@ from hammerstein.validation import mistakes_of, suggestion
 from hammerstein.voltages import Verdict, Voltages
 
 if TYPE_CHECKING:
+    from hammerstein.compensators.drive_file import Compensation
     from hammerstein.interop.block_system import BlockSystem
-    from hammerstein.simulation import Wire
+    from hammerstein.simulation import Plant, Response, Wire
 
 FORMAT = "hammerstein-model/2"
 OLD_FORMAT = "hammerstein-model/1"
@@ -113,6 +114,91 @@ class HammersteinModel(Pictured):
         """Give the same static block without its dynamics."""
         return replace(self, dynamics=StaticDynamics(n_outputs=self.hysteresis.n_outputs))
 
+    def simulate(
+        self,
+        u_v: ArrayLike,
+        sample_time_s: float,
+        *,
+        instruments: Instruments | None = None,
+        seed: int | Sequence[int] = 0,
+    ) -> Response:
+        """Play voltages on the model from rest, and keep every wire.
+
+        Parameters
+        ----------
+        u_v : (input, sample) voltages as they are sent [V]
+        sample_time_s : time between samples [s], for which a voltage is held
+        instruments : drive and sensor whose effects are wanted, such as the model's own; none if not given
+        seed : of the sensor's noise
+
+        Raises
+        ------
+        InputError : voltages for another number of inputs, or a sample time that does not fit the dynamics
+        SimulationError : a voltage that is not finite
+
+        Examples
+        --------
+        >>> model = HammersteinModel.load("duo_bimorph_static")
+        >>> model.simulate([[0.0, 5.0], [0.0, 0.0]], 50e-6)
+        Response(2 samples of 5e-05 s, 2 inputs, 2 outputs; position 0 to 24.32 um)
+        """
+        u = np.atleast_2d(np.asarray(u_v, dtype=np.float64))
+        if u.ndim != 2 or len(u) != self.hysteresis.n_inputs:
+            raise InputError("voltage", f"has shape {u.shape}; give ({self.hysteresis.n_inputs}, samples)")
+        return self._plant(sample_time_s, instruments).respond(u, np.atleast_1d(seed).tolist())
+
+    def compensate(
+        self,
+        reference_um: ArrayLike,
+        *,
+        law: str = "hammerstein_inverse",
+        range_v: Sequence[float] | None = None,
+        start_v: Sequence[float] | None = None,
+        conditioned: bool = False,
+        clip: bool = False,
+        beyond_records: bool = False,
+        accept_flagged: bool = False,
+        **options: Any,
+    ) -> Compensation:
+        """Voltages that put the actuator on a path, and what the model predicts of them.
+
+        Parameters
+        ----------
+        reference_um : (output, sample) positions, counted from where the actuator stands [um], on the sample
+            time of the model's drive
+        law, options : a law and its options, by their names in a scenario
+        range_v, start_v, conditioned, clip, beyond_records, accept_flagged : see ``Terms``
+
+        Raises
+        ------
+        InputError : options that do not fit
+        SimulationError : the law cannot work, the path is out of reach, or the drive leaves the records
+        IdentificationError : the model's own fit report flagged it
+
+        Examples
+        --------
+        >>> model = HammersteinModel.load("duo_bimorph_static")
+        >>> found = model.compensate([[0.0, 10.0, 8.0], [0.0, 0.0, 5.0]], law="exact_inverse")
+        >>> model.simulate(found.drive_v, 50e-6).position_um.round(2)  # on the steps of the converter
+        array([[ 0., 10.,  8.],
+               [ 0.,  0.,  5.]])
+        """
+        from hammerstein.compensators.drive_file import Terms, compensation_of
+
+        low_high, start = (None if given is None else tuple(given) for given in (range_v, start_v))
+        terms = Terms(low_high, start, conditioned, clip, beyond_records, accept_flagged)
+        return compensation_of(self, reference_um, law, options, terms)
+
+    def _plant(self, sample_time_s: float, instruments: Instruments | None) -> Plant:
+        """Give the model in a set-up on a sample grid."""
+        from hammerstein.interop.block_system import require_grid
+        from hammerstein.simulation import Plant
+
+        require_grid(None, sample_time_s, "model")
+        around = instruments or Instruments.ideal()
+        drive = around.drive.model_copy(update={"sample_time_s": sample_time_s})
+        return Plant(self, around.model_copy(update={"drive": drive}))
+
     def to_iosys(
         self,
         sample_time_s: float,
@@ -140,13 +226,7 @@ class HammersteinModel(Pictured):
         ------
         InputError : a sample time that does not fit the dynamics, or an unknown wire
         """
-        from hammerstein.interop.block_system import require_grid
-        from hammerstein.simulation import Plant
-
-        require_grid(None, sample_time_s, "model")
-        around = instruments or Instruments.ideal()
-        drive = around.drive.model_copy(update={"sample_time_s": sample_time_s})
-        plant = Plant(self, around.model_copy(update={"drive": drive}))
+        plant = self._plant(sample_time_s, instruments)
         return plant.to_iosys(seed, outputs, name)
 
     def on_grid(self, sample_time_s: float) -> HammersteinModel:

@@ -15,12 +15,14 @@ from hammerstein.commands import records as record_commands, terminal
 from hammerstein.commands.terminal import complain, show, tell
 from hammerstein.errors import HammersteinError
 from hammerstein.escaping import clean
+from hammerstein.runtime.cache import folder_of_runs
 from hammerstein.runtime.deadline import ended_in_time
 from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, leave
 
 if TYPE_CHECKING:
     from hammerstein.experiment.batch import Outcome
     from hammerstein.experiment.prepare import Progress
+    from hammerstein.reporting.folder import Writer
     from hammerstein.scenario import Scenario
 
 app = typer.Typer(
@@ -44,6 +46,7 @@ Jobs = Annotated[
 Yes = Annotated[bool, typer.Option("--yes", help="Start also what takes more than ten minutes.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 PROCESSORS = os.cpu_count() or 1
+KEPT = f"in {place}" if (place := folder_of_runs()) else "(nothing is kept here)"
 
 
 def _say_version(wanted: bool) -> None:
@@ -137,21 +140,21 @@ def run(
     page: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write all claims and figures on one page there.")
     ] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help=f"Pass by what earlier runs kept {KEPT}.")] = False,
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run scenarios and write a report for each: numbers, a page, figures."""
-    from hammerstein.runtime.processes import begin_loading
+    """Run scenarios and write a report for each: numbers, a page, figures.
 
-    if jobs > 1 and (len(paths) > 1 or paths[0].is_dir()):
-        begin_loading()  # before this process loads what it needs itself
+    What was worked out before is kept, and not done twice.
+    """
     from hammerstein.commands.tables import claims_table, kept_aside, result_table
-    from hammerstein.commands.warm_up import compile_once
     from hammerstein.errors import InputError
-    from hammerstein.experiment.batch import load_all, run_all
+    from hammerstein.experiment.batch import load_all
     from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.claims_page import CLAIMS, PAGE, write_claims, write_page
     from hammerstein.reporting.folder import Writer
+    from hammerstein.runtime import store as kept_results
     from hammerstein.storage.staging import prepare
 
     refuse_unwritable("--out", out)
@@ -161,17 +164,16 @@ def run(
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
-    jobs = _planned(scenarios, jobs, yes)
-    writer = Writer(out, figures, "mat" if traces == "mat" else "csv" if traces == "csv" else None)
+    store, useless = kept_results.opened(fresh)
+    if useless:
+        complain(useless)
+    writer = Writer(out, figures, "mat" if traces == "mat" else "csv" if traces == "csv" else None, store)
     writer.prepare(scenarios)
     if any(scenario.claims for scenario in scenarios.values()):
         prepare(out, CLAIMS, [CLAIMS.sign[0]])
-    compile_once(complain)
-    outcomes = []
-    with _Watch(len(scenarios)) as watch:
-        for outcome in run_all(scenarios, writer, jobs, watch.progress):
-            watch.finished(outcome.name)
-            outcomes.append(outcome)
+    outcomes = _run_what_changed(scenarios, writer, jobs, yes)
+    for trouble in dict.fromkeys(outcome.unkept for outcome in outcomes if outcome.unkept):
+        complain(trouble)
     outcomes.sort(key=lambda outcome: outcome.name)
     reports = [outcome.report for outcome in outcomes if outcome.report is not None]
     claimed = [report for report in reports if report.verdicts]
@@ -197,6 +199,36 @@ def run(
         if reports:
             tell(f"{len(reports)} of {len(outcomes)} reports written in {out}")
     _fail_with(outcomes)
+
+
+def _run_what_changed(scenarios: dict[str, Scenario], writer: Writer, jobs: int, yes: bool) -> list[Outcome]:
+    """Write the reports that an earlier run has left in the store, and run the other scenarios."""
+    from hammerstein.experiment.batch import Outcome
+
+    outcomes = []
+    for name, scenario in scenarios.items():
+        known = writer.again(name, scenario)
+        if known is not None:
+            report, kept = known
+            outcomes.append(Outcome(name, report, kept=kept))
+    known_names = {outcome.name for outcome in outcomes}
+    left = {name: scenario for name, scenario in scenarios.items() if name not in known_names}
+    if not left:
+        return outcomes
+    from hammerstein.runtime.processes import begin_loading
+
+    if jobs > 1 and len(left) > 1:
+        begin_loading()  # before this process loads what it needs itself
+    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.experiment.batch import run_all
+
+    jobs = _planned(left, jobs, yes)
+    compile_once(complain)
+    with _Watch(len(left)) as watch:
+        for outcome in run_all(left, writer, jobs, watch.progress, writer.store):
+            watch.finished(outcome.name)
+            outcomes.append(outcome)
+    return outcomes
 
 
 def _planned(scenarios: dict[str, Scenario], jobs: int, yes: bool) -> int:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
-from hammerstein.blocks import Controller, Law
+from hammerstein.blocks import Controller, Law, checked_reference
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.exact.reach import Reach, Shortfall, reach, require_reach, shortfall
@@ -182,14 +182,35 @@ def compensate(
     SimulationError : the law cannot work, the path is out of reach, or the drive leaves the records
     IdentificationError : the model's own fit report flagged it
     """
-    terms = terms or Terms()
-    model = HammersteinModel.load(model_path)
-    _refuse_flagged(model, model_path, terms)
+    model, source = HammersteinModel.load(model_path), PurePath(model_path).name
+    sample_time_s = model.instruments.drive.sample_time_s
+    time_s, reference, resampled = _on_grid(reference_path, model, sample_time_s)
+    try:
+        found = compensation_of(model, reference, law, options, terms, source)
+    except SimulationError as error:
+        raise SimulationError(f"{reference_path}: {error}") from None
+    return replace(found, time_s=time_s, resampled=resampled)
+
+
+def compensation_of(
+    model: HammersteinModel,
+    reference_um: ArrayLike,
+    law: str,
+    options: Mapping[str, Any],
+    terms: Terms | None = None,
+    source: str | None = None,
+) -> Compensation:
+    """Voltages for a reference (output, sample) [um] on the sample time of the model's drive.
+
+    source : what the model is called in messages; its name if not given. The rest is that of ``compensate``.
+    """
+    terms, called = terms or Terms(), source or model.name
+    _refuse_flagged(model, called, terms)
     limits = _range(model, terms)
     drive = model.instruments.drive.model_copy(
         update={"range_v": tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))}
     )
-    time_s, reference, resampled = _on_grid(reference_path, model, drive.sample_time_s)
+    reference = checked_reference(reference_um, len(model.outputs))
     built = _options(law, options).design(model, limits, drive.sample_time_s)
     if isinstance(built, Controller):
         raise InputError("--law", "feedback needs the sensor's readings: it has no drive to send ahead")
@@ -204,13 +225,12 @@ def compensate(
             volts = f"With {limits.words(model.inputs)} (--range), counted from the start (--start):"
             remedy = _slower(model, limits, law, options, reference, drive.sample_time_s)
             raise SimulationError(
-                f"{reference_path}: {error} {volts} {reachable.statement(model.outputs)} {remedy}"
-                "Or accept it with --clip."
+                f"{error} {volts} {reachable.statement(model.outputs)} {remedy}Or accept it with --clip."
             ) from None
     if not terms.beyond_records:
         _refuse_beyond(model, held)
-    source = PurePath(model_path).name
-    return Compensation(model, built, reachable, time_s, reference, held, predicted, resampled, source)
+    time_s = np.arange(reference.shape[1], dtype=np.float64) * drive.sample_time_s
+    return Compensation(model, built, reachable, time_s, reference, held, predicted, False, called)
 
 
 def _refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:

@@ -175,10 +175,12 @@ def prepare(
     source: str = "scenario",
     progress: Progress | None = None,
     model: HammersteinModel | None = None,
+    fresh: bool = False,
 ) -> SetUp:
     """Load the actuator, identify every model, build every law.
 
-    ``model`` takes the place of the scenario's actuator, if given.
+    ``model`` takes the place of the scenario's actuator, if given; ``fresh`` passes by identifications that
+    were kept.
 
     Raises
     ------
@@ -188,7 +190,7 @@ def prepare(
     """
     plant = plant_of(scenario, model)
     _check_signal(scenario, plant, source)
-    models = _models(scenario, plant, progress)
+    models = _models(scenario, plant, progress, fresh)
     laws: dict[str, AnyLaw] = {}
     for compensator in scenario.compensators:
         laws[compensator.label] = _law(compensator, models[compensator.label], plant)
@@ -228,7 +230,9 @@ def _labelled(name: str, error: HammersteinError) -> tuple[Any, ...]:
     return (f"{name}: {error}",)
 
 
-def _models(scenario: Scenario, plant: Plant, progress: Progress | None) -> dict[str, HammersteinModel]:
+def _models(
+    scenario: Scenario, plant: Plant, progress: Progress | None, fresh: bool
+) -> dict[str, HammersteinModel]:
     """Models by label; one that several compensators share is identified once."""
     from hammerstein.experiment.simulated_identification import identify_by_experiment
 
@@ -243,7 +247,7 @@ def _models(scenario: Scenario, plant: Plant, progress: Progress | None) -> dict
             found[key] = HammersteinModel.load(str(source.model))
         elif key not in found and source.identification is not None:
             try:
-                found[key] = identify_by_experiment(plant, source.identification, scenario.seed)
+                found[key] = identify_by_experiment(plant, source.identification, scenario.seed, fresh)
             except (InputError, SimulationError, IdentificationError) as error:
                 raise type(error)(*_labelled(f"identification of {source.label!r}", error)) from None
         models[source.label] = found[key]

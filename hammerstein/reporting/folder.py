@@ -15,6 +15,9 @@ from hammerstein.errors import InputError
 from hammerstein.escaping import cell
 from hammerstein.experiment.report import FORMAT, Report, Trace
 from hammerstein.reporting.figures.write import FIGURES
+from hammerstein.reporting.kept_reports import found, keep, key_of_report
+from hammerstein.runtime.store import Store
+from hammerstein.scenario import Scenario
 from hammerstein.storage.manifest import Owner
 from hammerstein.storage.staging import Stage, prepare, staged
 
@@ -35,7 +38,12 @@ class Written:
 
 
 def write_report(
-    report: Report, folder: Path, *, figures: bool = True, traces: TraceFormat | None = None
+    report: Report,
+    folder: Path,
+    *,
+    figures: bool = True,
+    traces: TraceFormat | None = None,
+    store: Store | None = None,
 ) -> Written:
     """Write ``report.json``, ``rms.csv``, ``report.md``, figures and, on request, traces.
 
@@ -48,6 +56,7 @@ def write_report(
     folder : where to; made if it does not exist
     figures : whether to draw
     traces : format of the traces, none if not given
+    store : where figures are kept and found; all are drawn if not given
 
     Raises
     ------
@@ -58,10 +67,9 @@ def write_report(
     with staged(folder, REPORT) as stage:
         drawn = []
         if figures:
-            from hammerstein.reporting.figures import figures_of
-            from hammerstein.reporting.figures.write import files_of
+            from hammerstein.reporting.figures.kept import drawn as files_drawn
 
-            for name, content in files_of(figures_of(report)):
+            for name, content in files_drawn(report, store):
                 stage.write(name, content)
                 drawn.append(name)
         if traces is not None:
@@ -81,6 +89,7 @@ class Writer:
     out: Path
     figures: bool = True
     traces: TraceFormat | None = None
+    store: Store | None = None
 
     def prepare(self, names: Iterable[str]) -> None:
         """Refuse folders that cannot take a report, before the work; InputError says why."""
@@ -90,7 +99,31 @@ class Writer:
     def __call__(self, report: Report) -> tuple[Path, ...]:
         """Write one report; give the places of files that were kept."""
         folder = self.out / report.name
-        return write_report(report, folder, figures=self.figures, traces=self.traces).kept
+        written = write_report(report, folder, figures=self.figures, traces=self.traces, store=self.store)
+        key = self._key(report.name, report.scenario)
+        if self.store is not None and key is not None:
+            names = [path.relative_to(folder).as_posix() for path in written.files]
+            keep(self.store, key, report, folder, names)
+        return written.kept
+
+    def again(self, name: str, scenario: Scenario) -> tuple[Report, tuple[Path, ...]] | None:
+        """Write the report of an earlier run, if nothing that it depends on has changed.
+
+        Gives the report, without its traces, and the places of files that were kept; None where it must be
+        run.
+        """
+        key = self._key(name, scenario)
+        known = None if self.store is None or key is None else found(self.store, key, name, scenario)
+        if known is None:
+            return None
+        report, files = known
+        with staged(self.out / name, REPORT) as stage:
+            for file, content in files.items():
+                stage.write(file, content)
+        return report, stage.kept
+
+    def _key(self, name: str, scenario: Scenario) -> str | None:
+        return key_of_report(name, scenario, f"figures {self.figures}, traces {self.traces}")
 
 
 def _write_traces(report: Report, stage: Stage, kind: TraceFormat) -> None:

@@ -175,10 +175,15 @@ class Scenario(BaseModel):
         return {key: _without_folders(value, key) for key, value in content.items()}
 
     def _files(self) -> list[Path]:
-        """Model files and signals that the scenario names, as far as they exist."""
+        """Model files and signals that the run needs, as far as they exist."""
         named = [self.actuator, *(s.model for s in (*self.compensators, *self.models) if s.model)]
         signals = [self.signal.path] if isinstance(self.signal, FromFile) else []
         return [Path(name) for name in (*named, *signals) if Path(name).is_file()]
+
+    def files(self) -> list[Path]:
+        """Every file that the scenario names, as far as it exists."""
+        others = (other if isinstance(other, str) else other.actuator for other in self.claims_also_on)
+        return self._files() + [Path(name) for name in others if Path(name).is_file()]
 
     def digest(self) -> str:
         """Short hash of everything in the scenario that changes its numbers, what its files hold included."""
