@@ -96,3 +96,23 @@ def asymmetric_branches(r, w, q, b, low, high, u):
     rising = bottom + rising_branch(r, w, half, u - middle) + line
     falling = -bottom - rising_branch(r, w, half, middle - u) + line
     return rising, falling
+
+
+def rate_dependent(u, sample_time, thresholds, growth, bandwidth, lam, weights):
+    """Plays whose thresholds grow with the filtered rate until the sample before; lists [j], weights [l][j].
+
+    R_i[k] = r_i + b_i g(rho[k]),  rho[k] = a rho[k-1] + (1 - a) (u[k-1] - u[k-2]) / T,  a = exp(-2 pi f T)
+    """
+    outputs = np.zeros((len(weights), len(u[0])))
+    for j, signal in enumerate(u):
+        a, rho, last, before = np.exp(-2 * np.pi * bandwidth[j] * sample_time), 0.0, 0.0, 0.0
+        plays = np.zeros(len(thresholds[j]))
+        for k, voltage in enumerate(signal):
+            rho = a * rho + (1 - a) * (last - before) / sample_time
+            g = np.log1p(lam[j] * abs(rho)) / lam[j] if lam[j] else abs(rho)
+            reach = np.asarray(thresholds[j]) + np.asarray(growth[j]) * g
+            plays = np.maximum(voltage - reach, np.minimum(voltage + reach, plays))
+            before, last = last, voltage
+            for o in range(len(weights)):
+                outputs[o, k] += np.dot(weights[o][j], plays)
+    return outputs

@@ -15,6 +15,7 @@ from hammerstein.hysteresis.kind import (
 )
 from hammerstein.hysteresis.pair import Pair, WeightCovariance, play
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii, PrandtlIshlinskiiFile
+from hammerstein.hysteresis.rate_dependent import RateDependent, RateDependentFile, RatePlays, RateState
 
 __all__ = [
     "HYSTERESIS",
@@ -28,6 +29,9 @@ __all__ = [
     "Pair",
     "PlayState",
     "PrandtlIshlinskii",
+    "RateDependent",
+    "RatePlays",
+    "RateState",
     "Sloped",
     "WeightCovariance",
     "play",
@@ -36,3 +40,4 @@ __all__ = [
 
 HYSTERESIS.register(PrandtlIshlinskiiFile)
 HYSTERESIS.register(AsymmetricFile)
+HYSTERESIS.register(RateDependentFile)

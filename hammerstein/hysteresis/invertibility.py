@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hammerstein.blocks import Array
+from hammerstein.blocks import Array, require_square
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis import Asymmetric, DeadZones, Hysteresis, Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Asymmetric, DeadZones, Hysteresis, Pair, PrandtlIshlinskii, RateDependent
 from hammerstein.hysteresis.slopes import every_matrix
 
 SINGULAR = 1e-9
@@ -134,6 +134,40 @@ def _(
         slopes = _mean_slopes(columns)[: hysteresis.n_outputs]
         return Invertibility(*counts, 0, (), (), slopes, 2.0 * smallest)
     return _enumerated(square, reached, smallest, hysteresis.n_outputs)
+
+
+@invertibility.register
+def _(
+    hysteresis: RateDependent, range_v: ArrayLike = math.inf, amplitude_v: float | None = None
+) -> Invertibility:
+    """Any set of plays may move together while thresholds change: every sum of their weights counts.
+
+    There is an inverse if, seen through the inverse of the mean slopes, each column keeps a positive share
+    of its own however its plays combine, larger than the sum of what it may do to the others.
+    """
+    m = hysteresis.n_inputs
+    require_square(m, hysteresis.n_outputs, "exact_inverse")
+    weights = hysteresis.bank.w.copy()  # (input, play, output)
+    first = np.array([[w[0] for w in row] for row in hysteresis.weights_um_per_v])
+    always = all(plays.thresholds_v[0] == 0.0 == plays.growth_s[0] for plays in hysteresis.inputs)
+    mean = 0.5 * (first + weights.sum(axis=1).T)
+    number, jump = 1, np.zeros(m)
+    for n in hysteresis.bank.n:
+        number *= 2 ** (int(n) - 1)
+    singular = abs(np.linalg.det(mean)) <= SINGULAR * np.prod(np.linalg.norm(mean, axis=0))
+    sure = not singular and always
+    if sure:
+        for k in range(m):
+            shares = np.linalg.solve(mean, weights[k].T)
+            own, others = shares[k], np.delete(shares, k, axis=0)
+            least = own[0] + np.minimum(own[1:], 0.0).sum()
+            sizes = [max(row[0] + np.maximum(row[1:], 0.0).sum(), -row[0] - np.minimum(row[1:], 0.0).sum())
+                     for row in others]  # fmt: skip
+            sure = sure and least > sum(sizes) + SINGULAR
+    counts = (number, 0, 0) if sure else (0, 0, number)
+    engaged = () if sure else tuple(int(n) for n in hysteresis.bank.n)
+    thresholds = () if sure else tuple(float(plays.thresholds_v[-1]) for plays in hysteresis.inputs)
+    return Invertibility(*counts, engaged, thresholds, mean, jump)
 
 
 class _Reachable(NamedTuple):

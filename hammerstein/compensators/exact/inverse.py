@@ -15,7 +15,7 @@ from hammerstein.blocks import Array, Law, S
 from hammerstein.compensators.base import Compensator
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import Asymmetric, Hysteresis, PrandtlIshlinskii, play
+from hammerstein.hysteresis import Asymmetric, Hysteresis, PrandtlIshlinskii, RateDependent, play
 from hammerstein.hysteresis.invertibility import Invertibility, completed, invertibility, require_inverse
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Volts
@@ -243,6 +243,13 @@ def exact_inverse_of(
 @exact_inverse_of.register(Asymmetric)
 def _(hysteresis: Hysteresis[Any], model: HammersteinModel, *options: Any) -> ExactInverseLaw:
     return ExactInverseLaw(model, *options)
+
+
+@exact_inverse_of.register
+def _(hysteresis: RateDependent, model: HammersteinModel, *options: Any) -> StaticInverse[Any]:
+    from hammerstein.compensators.exact.rate_dependent import RateDependentInverseLaw
+
+    return RateDependentInverseLaw(hysteresis, model, *options)
 
 
 def _difference(whole: float, part: float) -> float:
