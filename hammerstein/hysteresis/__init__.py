@@ -5,11 +5,13 @@ To add a kind to the package, write it in a file of its own and name it here.
 
 from hammerstein.hysteresis.asymmetric import Asymmetric, AsymmetricFile, AsymmetricState, DeadZones
 from hammerstein.hysteresis.bank import Bank, PlayState
+from hammerstein.hysteresis.covariance import ThresholdCovariance
 from hammerstein.hysteresis.kind import (
     HYSTERESIS,
     Hysteresis,
     HysteresisFile,
     Memory,
+    Normals,
     Sloped,
     slopes_of,
 )
@@ -26,6 +28,7 @@ __all__ = [
     "Hysteresis",
     "HysteresisFile",
     "Memory",
+    "Normals",
     "Pair",
     "PlayState",
     "PrandtlIshlinskii",
@@ -33,6 +36,7 @@ __all__ = [
     "RatePlays",
     "RateState",
     "Sloped",
+    "ThresholdCovariance",
     "WeightCovariance",
     "play",
     "slopes_of",

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii, WeightCovariance
+from hammerstein.hysteresis.covariance import triangle
 from hammerstein.identification.operators import CURVE_SAMPLES, ENOUGH, HELD_OUT, SEGMENTS
 from hammerstein.identification.score import ranges
 from hammerstein.identification.static.history import shortened
@@ -34,7 +35,6 @@ from hammerstein.identification.static.static_block import (
     half_swing,
     path_filters,
     refuse_unreached,
-    triangle,
 )
 from hammerstein.records.record import Record
 
