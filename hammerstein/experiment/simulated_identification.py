@@ -108,7 +108,7 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
     settings = Settings(
         operators=spec.operators,
         partition=spec.partition,
-        hysteresis=spec.hysteresis,
+        hysteresis=spec.hysteresis or "prandtl_ishlinskii",
         dynamics="second_order",
         sensor_bandwidth_hz=_finite(plant.instruments.sensor.bandwidth_hz),
         error_curve=False,
