@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 
 from hammerstein.errors import InputError
+from hammerstein.experiment.draws import Figures, drawn_metrics
 from hammerstein.experiment.run import run
-from hammerstein.experiment.uncertainty_bands import Drawn, _bands
+from hammerstein.experiment.uncertainty_bands import _bands
 from hammerstein.instruments import Instruments
-from hammerstein.metrics import METRICS, Row
+from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.uncertainty import Uncertainty
@@ -73,10 +74,10 @@ def test_nothing_uncertain_leaves_the_position_as_it_is():
 
 
 def test_a_band_holds_nine_tenths_of_the_draws():
-    values = np.full((101, 1, len(METRICS)), np.nan)
-    values[:, 0, list(METRICS).index("rms_um")] = np.arange(101.0)
+    values = np.full((101, 1, len(drawn_metrics())), np.nan)
+    values[:, 0, drawn_metrics().index("rms_um")] = np.arange(101.0)
     row = (Row("a", "x", "x", 50.0),)
-    (band,) = _bands([Drawn(row, values[:40]), Drawn(row, values[40:])])
+    (band,) = _bands(Figures(row, values))
     assert (band.p5_um, band.median_um, band.p95_um) == (5.0, 50.0, 95.0)
 
 

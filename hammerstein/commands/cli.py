@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from hammerstein.commands import export as export_command, records as record_commands, terminal
+from hammerstein.commands import (
+    export as export_command,
+    records as record_commands,
+    study as study_commands,
+    terminal,
+)
 from hammerstein.commands.terminal import complain, show, tell
 from hammerstein.errors import HammersteinError
 from hammerstein.escaping import clean
@@ -42,6 +47,7 @@ app.command()(record_commands.loops)
 app.command()(record_commands.identify)
 app.command()(record_commands.compensate)
 app.command()(export_command.export)
+app.command()(study_commands.sweep)
 
 Paths = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Scenario files, or folders of them.")]
 Jobs = Annotated[
@@ -149,6 +155,9 @@ def run(
     ] = False,
     open_: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help=f"Pass by what earlier runs kept {KEPT}.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print what would be run, with memory and time; run nothing.")
+    ] = False,
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
@@ -174,6 +183,12 @@ def run(
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
+    if dry_run:
+        from hammerstein.commands.tables import plan_table
+        from hammerstein.experiment.plan import plan_of
+
+        show(plan_table({name: plan_of(scenario, jobs) for name, scenario in scenarios.items()}, jobs))
+        return
     if interactive:
         refuse_without_library()
     store, useless = kept_results.opened(fresh)
@@ -272,7 +287,8 @@ def _planned(scenarios: dict[str, Scenario], jobs: int, yes: bool) -> int:
 
     plans = plans_of(scenarios)
     if text := together(plans).announcement(jobs):
-        if sys.stdin.isatty() and sys.stderr.isatty() and not yes:
+        watched = sys.stdin.isatty() and sys.stderr.isatty()
+        if watched and not yes and together(plans).is_long(jobs):
             raise InputError("plan", f"{text}. Or start it with --yes")
         complain(text)
     fitting = jobs_that_fit(plans, jobs)

@@ -10,6 +10,7 @@ from hammerstein.hysteresis.kind import (
     Hysteresis,
     HysteresisFile,
     Memory,
+    Normals,
     Sloped,
     slopes_of,
 )
@@ -22,6 +23,7 @@ __all__ = [
     "Hysteresis",
     "HysteresisFile",
     "Memory",
+    "Normals",
     "Pair",
     "PlayState",
     "PrandtlIshlinskii",

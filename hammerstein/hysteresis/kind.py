@@ -32,6 +32,13 @@ class Memory(Protocol):
         ...
 
 
+class Normals(Protocol):
+    """Whatever gives standard normal numbers, one after the other."""
+
+    def standard_normal(self, size: Any = None) -> Any:
+        """One number, or an array."""
+
+
 S = TypeVar("S", bound=Memory)
 
 
@@ -177,7 +184,12 @@ class Hysteresis(ABC, Generic[S]):
             return None
         return tuple(np.linalg.norm(known.factor_um_per_v, axis=1) for known in self.weight_covariance)
 
-    def drawn(self, generator: np.random.Generator) -> Self:
+    @property
+    def n_shared_errors(self) -> int:
+        """How many normal numbers ``drawn`` takes before those of the weights: for what outputs share."""
+        return 0
+
+    def drawn(self, generator: Normals) -> Self:
         """Give another block, as far from this one as the covariance of its weights tells.
 
         Raises InputError where it is not known.

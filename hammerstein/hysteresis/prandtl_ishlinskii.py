@@ -14,7 +14,7 @@ from pydantic import Field
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.covariance import ThresholdCovariance, refuse_other_sizes
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, Normals, refuse_not_finite
 from hammerstein.hysteresis.pair import Array, Pair, WeightCovariance, frozen
 from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, ThresholdCovarianceFile
 
@@ -202,7 +202,12 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
         moved = [np.linalg.norm(m @ places.factor_v, axis=1) for m in places.following_um_per_v2]
         return tuple(np.hypot(own, follow) for own, follow in zip(alone, moved, strict=True))
 
-    def drawn(self, generator: np.random.Generator) -> PrandtlIshlinskii:
+    @property
+    def n_shared_errors(self) -> int:
+        """Number of fitted thresholds, which are drawn first."""
+        return 0 if self.threshold_covariance is None else len(self.threshold_covariance.factor_v)
+
+    def drawn(self, generator: Normals) -> PrandtlIshlinskii:
         """Give another block, as far from this one as the errors of thresholds and weights tell."""
         places = self.threshold_covariance
         if places is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from functools import singledispatch
+from functools import cached_property, singledispatch
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -138,6 +138,20 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         self.square, self.smallest_v = completed(hysteresis, model.amplitude_v)
         self._table = self._new_table()
         self._start, self.origin_um = self._at_start()
+        self._frame = self._new_frame()
+
+    @cached_property
+    def _compiled_step(self) -> Any:
+        from hammerstein.compensators.exact.kernel import step_exact  # looked up once: a step is short
+
+        return step_exact
+
+    def _new_frame(self) -> Array:
+        """Where a step counts from (4, m): origin [um], working point, lowest and highest voltage [V]."""
+        limits = self.range
+        origin = np.zeros(self.n_inputs)
+        origin[: self.n_outputs] = self.origin_um
+        return np.stack([origin, limits.working_point_v, limits.low_v, limits.high_v])
 
     def _new_table(self) -> Array:
         """Table of ``exact_pieces`` with the model in it."""
@@ -199,6 +213,12 @@ class ExactInverseLaw(StaticInverse[ExactState]):
     def _respond(self, reference_um: Array, start: ExactState) -> tuple[Array, ExactState]:
         drive, state, _ = self.solve(self._from_rest(reference_um), start, np.zeros(0))
         return drive, state
+
+    def _step(self, sample_um: Array, state: ExactState) -> tuple[Array, ExactState] | None:
+        drive, stack, hand, sound = self._compiled_step(
+            sample_um, self._frame, self._table, state.stack, state.hand
+        )
+        return (drive, ExactState(stack, hand)) if sound else None
 
     def solve(
         self, v_um: Array, start: ExactState, away: Array, recovery: Recovery | None = None
