@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from hammerstein.commands import records as record_commands, start, terminal
+from hammerstein.commands import (
+    export as export_command,
+    records as record_commands,
+    start,
+    study as study_commands,
+    terminal,
+)
 from hammerstein.commands.terminal import complain, hushed, show, tell, tell_json
 from hammerstein.errors import HammersteinError
 from hammerstein.escaping import clean
@@ -85,6 +91,8 @@ def _register_others() -> None:
     app.command(epilog=_example(f"loops {records}"))(record_commands.loops)
     app.command(epilog=_example(f"identify {records} --out own.json"))(record_commands.identify)
     app.command(epilog=_example("compensate stage.json path.csv --out drive.csv"))(record_commands.compensate)
+    app.command(epilog=_example("export stage.json --law exact_inverse --out c_code"))(export_command.export)
+    app.command(epilog=_example("sweep circle.toml --out rows.csv"))(study_commands.sweep)
     app.command(epilog=_example("play stage.json drive.csv --out played.csv"))(start.play)
     app.command(epilog=_example("init my_stage"))(start.init)
     app.command(epilog=_example("show stage.json"))(start.show)
@@ -170,6 +178,9 @@ def run(
     ] = False,
     open_: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help=f"Pass by what earlier runs kept {KEPT}.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print what would be run, with memory and time; run nothing.")
+    ] = False,
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
@@ -195,6 +206,12 @@ def run(
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
+    if dry_run:
+        from hammerstein.commands.tables import plan_table
+        from hammerstein.experiment.plan import plan_of
+
+        show(plan_table({name: plan_of(scenario, jobs) for name, scenario in scenarios.items()}, jobs))
+        return
     if interactive:
         refuse_without_library()
     store, useless = kept_results.opened(fresh)
@@ -293,7 +310,8 @@ def _planned(scenarios: dict[str, Scenario], jobs: int, yes: bool) -> int:
 
     plans = plans_of(scenarios)
     if text := together(plans).announcement(jobs):
-        if sys.stdin.isatty() and sys.stderr.isatty() and not yes:
+        watched = sys.stdin.isatty() and sys.stderr.isatty()
+        if watched and not yes and together(plans).is_long(jobs):
             raise InputError("plan", f"{text}. Or start it with --yes")
         complain(text)
     fitting = jobs_that_fit(plans, jobs)

@@ -205,13 +205,13 @@ def compensation_of(
     source : what the model is called in messages; its name if not given. The rest is that of ``compensate``.
     """
     terms, called = terms or Terms(), source or model.name
-    _refuse_flagged(model, called, terms)
-    limits = _range(model, terms)
+    refuse_flagged(model, called, terms)
+    limits = allowed_range(model, terms)
     drive = model.instruments.drive.model_copy(
         update={"range_v": tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))}
     )
     reference = checked_reference(reference_um, len(model.outputs))
-    built = _options(law, options).design(model, limits, drive.sample_time_s)
+    built = compensator_of(law, options).design(model, limits, drive.sample_time_s)
     if isinstance(built, Controller):
         raise InputError("--law", "feedback needs the sensor's readings: it has no drive to send ahead")
     asked = built.drive_for(reference)
@@ -233,7 +233,11 @@ def compensation_of(
     return Compensation(model, built, reachable, time_s, reference, held, predicted, False, called)
 
 
-def _refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
+def refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
+    """Refuse a model that its own fit report flags, unless that is accepted.
+
+    Raises IdentificationError with what the report says.
+    """
     verdict = model.verdict
     if verdict is not None and verdict.flagged and not terms.accept_flagged:
         what = "; ".join(verdict.statements) or "see its fit report"
@@ -243,8 +247,11 @@ def _refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
         )
 
 
-def _range(model: HammersteinModel, terms: Terms) -> DriveRange:
-    """What the drive may do: the recorded range, or what is asked for."""
+def allowed_range(model: HammersteinModel, terms: Terms) -> DriveRange:
+    """What the drive may do: the recorded range, or what is asked for.
+
+    Raises InputError for a range or a start that does not fit the model.
+    """
     m = len(model.inputs)
     recorded = np.array([model.recorded.lowest_v, model.recorded.highest_v])
     low, high = recorded
@@ -318,7 +325,7 @@ def _slower(
     for frequency in np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS):
         rounded = float(f"{frequency:.2g}")
         try:
-            options_then = _options(law, {**options, "filter_hz": rounded})
+            options_then = compensator_of(law, {**options, "filter_hz": rounded})
             built = options_then.design(model, limits, sample_time_s)
             assert isinstance(built, Law)  # feedback has no filter
             found = shortfall(model, built, reference, built.drive_for(reference), sample_time_s)
@@ -353,8 +360,11 @@ def _on_grid(path: Path, model: HammersteinModel, sample_time_s: float) -> tuple
     return grid, np.ascontiguousarray(reference), not same
 
 
-def _options(law: str, options: Mapping[str, Any]) -> Compensator:
-    """The compensator that is named, with its options."""
+def compensator_of(law: str, options: Mapping[str, Any]) -> Compensator:
+    """Give the compensator that is named, with its options.
+
+    Raises InputError for an unknown law or option.
+    """
     given = {name: value for name, value in options.items() if value is not None}
     try:
         return COMPENSATORS.value({"law": law, **given})

@@ -80,6 +80,8 @@ def write_report(
             _write_traces(report, stage, traces)
         if report.bands:
             stage.write("bands.csv", report.bands_to_csv())
+        if report.sensitivities:
+            stage.write("sensitivities.csv", report.sensitivities_to_csv())
         stage.write("rms.csv", report.to_csv())
         stage.write("report.md", render(report, sorted(name for name in drawn if name.endswith(".png"))))
         stage.write("report.html", run_page(report, drawn, interactive_of(report) if interactive else None))

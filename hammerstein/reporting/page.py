@@ -39,9 +39,13 @@ TITLES = {
     "loops": "Loops",
     "errors": "Errors over time",
     "drift": "Drift",
+    "sensitivity": "What the spread is due to",
     "path": "Path, time and errors",
 }
 CAPTIONS = {
+    "sensitivity": "Parts of the variance over the drawn actuators, for each compensator where its 95 % band "
+    "ends highest. Dark: of the parameter alone; pale: with all it does together with others; thin: 95 % "
+    "limits. Errors of the weights of one axis hang together and count as one parameter.",
     "sweep_true": "As above, for the true position, which a sensor without lag and noise would read.",
     "sweep": "One panel for each transfer, one curve for each compensator or model. Both axes are "
     "logarithmic where the values span more than about a decade.",
@@ -134,7 +138,7 @@ def _kind(name: str) -> str:
 
 def place_of(name: str) -> tuple[int, str]:
     """Order on the page: what is compared first, then its errors, the true position last."""
-    order = ("drift", "loops", "path", "operators", "sweep", "errors", "sweep_true", "")
+    order = ("drift", "loops", "path", "operators", "sweep", "errors", "sweep_true", "sensitivity", "")
     return order.index(_kind(name)), name
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from hammerstein.experiment.report import Band, Report
+from hammerstein.experiment.report import Band, Report, Sensitivity
 from hammerstein.experiment.selection import (
     Condition,
+    banded_metric,
     identified_at,
     is_path,
     number,
@@ -51,6 +52,8 @@ def number_tables(report: Report, frequencies: int = MOST_FREQUENCIES) -> Iterat
         yield _loops(report, loops, remark)
     if report.bands:
         yield _bands(report, [row for row in kept if row.compensator], remark)
+    if report.sensitivities:
+        yield _sensitivities(report, [row for row in kept if row.compensator], remark)
 
 
 def _kept_rows(report: Report, most: int) -> tuple[list[Row], str]:
@@ -145,7 +148,7 @@ def _loops(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
 def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
     """Median and 5-95 % over the drawn actuators, of the true position."""
     path = is_path(report) and len(report.axes) > 1
-    metric, words = ("euclidean_max_true_um", "worst distance") if path else ("rms_true_um", "rms error")
+    metric, words = banded_metric(report)
     bands = {tuple(getattr(b, name) for name in KEY): b for b in report.bands if b.metric == metric}
     transfers = list(dict.fromkeys((row.excited_axis, row.measured_axis) for row in rows))
     transfers = transfers[:1] if path else transfers
@@ -163,6 +166,33 @@ def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
         f"which hold at least {100.0 * share_held(draws):.0f} % of such actuators with 95 % confidence) [um]"
     )
     return NumberTable(title, (*_key_header(report, rows), *names), tuple(lines), remark)
+
+
+def _sensitivities(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
+    """Total index of every parameter, of the same figure as the bands."""
+    metric, words = banded_metric(report)
+    own = [found for found in report.sensitivities if found.metric == metric]
+    parameters = list(dict.fromkeys(found.parameter for found in own))
+    known = {(*(getattr(found, name) for name in KEY), found.parameter): found for found in own}
+    lines = []
+    for row in rows:
+        found = [known.get((*row.key().values(), parameter)) for parameter in parameters]
+        if any(found):
+            transfer = _transfer(report, row.excited_axis, row.measured_axis)
+            key = _key_cells(rows, row.compensator, Condition.of(row))
+            lines.append((*key, transfer, *(_index(one) for one in found)))
+    title = (
+        f"What the spread is due to: part of the variance of the {words} of the true position, each "
+        "parameter with all that it does together with others (95 % limits)"
+    )
+    header = (*_key_header(report, rows), "transfer", *parameters)
+    return NumberTable(title, header, tuple(lines), remark)
+
+
+def _index(found: Sensitivity | None) -> str:
+    if found is None:
+        return ""
+    return f"{found.total:.2f} ({found.total_low:.2f} to {found.total_high:.2f})"
 
 
 def _band(band: Band | None) -> str:

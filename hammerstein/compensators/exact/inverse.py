@@ -159,6 +159,10 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         about[:, at.GAIN : at.GAIN + m] = np.abs([bank.slope[k, n] for k, n in enumerate(bank.n)])
         return table
 
+    def design_table(self) -> Array:
+        """Table of ``exact_pieces`` as it is before a run."""
+        return self._table.copy()
+
     def statement(self) -> str:
         """Say whether there is an inverse, and how far the drive jumps at a reversal."""
         return self.invertibility.statement()

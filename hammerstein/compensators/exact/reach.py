@@ -96,16 +96,6 @@ def _centre(model: HammersteinModel, limits: DriveRange) -> Array:
     return np.asarray(0.5 * (v[:, -2] + v[:, -1]) - v[:, before.shape[1] - 1])
 
 
-def largest_scale(law: Law[Any], path_um: ArrayLike) -> float:
-    """Largest factor, up to 1, for a path (p, N) with which the drive stays within its range."""
-    path = checked_reference(path_um, law.n_outputs)
-
-    def fits(scale: float) -> bool:
-        return _inside(law, scale * path)
-
-    return 1.0 if fits(1.0) else _largest(fits)
-
-
 def _inside(law: Law[Any], path_um: Array) -> bool:
     """Whether the drive of a path (p, N) never stands at its range."""
     drive, limits = law.drive_for(path_um), law.range

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hammerstein.experiment.report import Band, Report, Trace
-from hammerstein.experiment.selection import identified_at
+from hammerstein.experiment.report import Band, Report, Sensitivity, Trace
+from hammerstein.experiment.selection import banded_metric, identified_at
 from hammerstein.metrics import KEY, Row
 from hammerstein.reporting.figures.loop_data import (
     MOST_CURVES,
@@ -51,6 +51,10 @@ def figures_of(report: Report) -> dict[str, Figure]:
     >>> list(figures_of(run(scenario)))
     ['loops']
     """
+    return _answers(report) | _sensitivity(report)
+
+
+def _answers(report: Report) -> dict[str, Figure]:
     if len({row.frequency_hz for row in report.rows}) > MOST_LOOPS:
         return _sweeps(report)
     if not report.traces:
@@ -59,6 +63,30 @@ def figures_of(report: Report) -> dict[str, Figure]:
     if report.scenario.answered_by == DRIFT:
         return _drift(report)
     return _loops(report) if isinstance(signal, OnAxes) and signal.axis != "all" else _paths(report)
+
+
+def _sensitivity(report: Report) -> dict[str, Figure]:
+    """What the spread of each compensator is due to, in the row where it is worst."""
+    from hammerstein.reporting.figures.sensitivity import SensitivityBars, sensitivity_figure
+
+    metric, words = banded_metric(report)
+    own = [found for found in report.sensitivities if found.metric == metric]
+    worst: dict[str, Band] = {}
+    for band in report.bands:
+        before = worst.get(band.compensator)
+        if band.metric == metric and (before is None or band.p95_um > before.p95_um):
+            worst[band.compensator] = band
+    bars = []
+    for label, band in worst.items():
+        found = [one for one in own if _key(one) == _key(band)]
+        if found:
+            first = [(one.first, one.first_low, one.first_high) for one in found]
+            total = [(one.total, one.total_low, one.total_high) for one in found]
+            names = tuple(plain(one.parameter) for one in found)
+            where = f"{plain(label)}, {band.frequency_hz:g} Hz, {plain(band.measured_axis)}"
+            bars.append(SensitivityBars(where, names, np.array(first), np.array(total)))
+    title = f"What the spread of the {words} of the true position is due to"
+    return {"sensitivity": sensitivity_figure(bars, title)} if bars else {}
 
 
 def _drift(report: Report) -> dict[str, Figure]:
@@ -177,7 +205,7 @@ def sweep_curves(report: Report, merit: str) -> list[SweepCurve]:
     return curves
 
 
-def _key(row: Row | Band) -> tuple[object, ...]:
+def _key(row: Row | Band | Sensitivity) -> tuple[object, ...]:
     """What a row and its bands have in common."""
     return tuple(getattr(row, name) for name in KEY)
 
