@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hammerstein.commands.terminal import complain, show, tell
+from hammerstein.commands.terminal import complain, hushed, show, tell, tell_json
 from hammerstein.commands.volts import volts
 from hammerstein.escaping import clean
 
@@ -47,7 +47,7 @@ AcceptGain = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 
-def _refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
+def refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
     """Refuse an output that cannot be written, holds something else, or is one of the files that are read."""
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_overwriting, refuse_unwritable
@@ -157,7 +157,7 @@ def loops(
             for source, loops_found in found.items()
             for loop in loops_found
         ]
-        tell(json.dumps({"loops": plain}))
+        tell_json({"loops": plain})
     else:
         show(gains_table(gains))
         show(loops_table(found))
@@ -242,7 +242,7 @@ def identify(
         sensor_bandwidth_hz=sensor_bandwidth,
     )
     held = validate or []
-    _refuse_output(out, [*files, *held], CONTENT)
+    refuse_output(out, [*files, *held], CONTENT)
     twice = sorted({str(f) for f in held if f.resolve() in {g.resolve() for g in files}})
     if twice:
         raise InputError(
@@ -262,7 +262,7 @@ def identify(
     for place in write_fit(model, fit, out, folder, figures):
         complain(kept_aside(place))
     if as_json:
-        tell(fit_json(model, fit).rstrip())
+        tell_json(json.loads(fit_json(model, fit)), indent=1, sort_keys=True)
         return
     show(gains_table(gains))
     show(fit_table(fit))
@@ -277,7 +277,7 @@ class _Spinner:
 
     def __enter__(self) -> _Spinner:
         self.status = None
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and not hushed():
             from rich.console import Console
 
             self.status = Console(stderr=True).status("reading")
@@ -335,14 +335,14 @@ def compensate(
     if gain not in (None, "auto", "identity"):
         raise InputError("--gain", f"must be auto or identity, not {gain!r}; a matrix goes into a scenario")
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
-    _refuse_output(out, [Path(model), reference], CONTENT)
+    refuse_output(out, [Path(model), reference], CONTENT)
     compile_once(complain)
     ends, begins = volts("--range", range_v), volts("--start", start)
     terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
     found = compensated(model, reference, law, options, terms)
     write_atomic(out, found.to_csv())
     if as_json:
-        tell(json.dumps({"drive": str(out), **found.summary()}))
+        tell_json({"drive": str(out), **found.summary()})
         return
     show(compensation_table(found))
     for text in found.statements():
