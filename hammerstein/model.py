@@ -263,6 +263,14 @@ class PrandtlIshlinskiiFile(BaseModel):
     pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
     weight_covariance: tuple[CovarianceFile, ...] | None = None
 
+    @model_validator(mode="after")
+    def _is_a_hysteresis(self) -> Self:
+        try:
+            self.hysteresis()
+        except InputError as error:
+            raise ValueError("; ".join(f"{m.where} {m.what}".strip() for m in error.mistakes)) from None
+        return self
+
     def hysteresis(self) -> PrandtlIshlinskii:
         """Give the hysteresis this describes."""
         pairs = tuple(tuple(pair.pair() for pair in row) for row in self.pairs)

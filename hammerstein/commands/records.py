@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from hammerstein.records.gains import Gain
     from hammerstein.records.record import Record
 
+_OPTIONS = {"sensor_bandwidth_hz": "sensor-bandwidth", "thresholds_v": "thresholds"}
 MOST_NAMED = 3
 """Records whose names make up that of a folder."""
 
@@ -71,6 +73,23 @@ def _volts(option: str, words: str | None) -> tuple[float, ...] | None:
         return tuple(float(word) for word in words.split(","))
     except ValueError:
         raise InputError(option, f"{words!r} are no voltages with commas between them") from None
+
+
+@contextmanager
+def _told_by_options(source: str) -> Iterator[None]:
+    """Let the mistakes in what a function was told name the options that told it."""
+    from hammerstein.errors import InputError
+
+    try:
+        yield
+    except InputError as error:
+        if error.source != source:
+            raise
+        mistakes = [
+            m._replace(where=_OPTIONS.get(m.where, m.where.replace("_", "-"))) for m in error.mistakes
+        ]
+        named = [m._replace(where=f"--{m.where}" * bool(m.where)) for m in mistakes]
+        raise InputError("options", named) from None
 
 
 def _reader(
@@ -232,18 +251,19 @@ def identify(
     from hammerstein.reporting.fit_page import fit_json
     from hammerstein.storage.staging import prepare
 
-    settings = settings_of(
-        operators=operators,
-        thresholds=thresholds,
-        partition=partition,
-        method=method,
-        ridge=ridge,
-        dynamics=dynamics,
-        order=order,
-        creep_modes=creep_modes,
-        delay_samples=delay_samples,
-        sensor_bandwidth_hz=sensor_bandwidth,
-    )
+    with _told_by_options("identification"):
+        settings = settings_of(
+            operators=operators,
+            thresholds=thresholds,
+            partition=partition,
+            method=method,
+            ridge=ridge,
+            dynamics=dynamics,
+            order=order,
+            creep_modes=creep_modes,
+            delay_samples=delay_samples,
+            sensor_bandwidth_hz=sensor_bandwidth,
+        )
     held = validate or []
     _refuse_output(out, [*files, *held], CONTENT)
     twice = sorted({str(f) for f in held if f.resolve() in {g.resolve() for g in files}})
@@ -342,7 +362,8 @@ def compensate(
     compile_once(complain)
     ends, begins = _volts("--range", range_v), _volts("--start", start)
     terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
-    found = compensated(model, reference, law, options, terms)
+    with _told_by_options("compensate"):
+        found = compensated(model, reference, law, options, terms)
     write_atomic(out, found.to_csv())
     if as_json:
         tell(json.dumps({"drive": str(out), **found.summary()}))

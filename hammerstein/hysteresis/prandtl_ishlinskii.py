@@ -281,7 +281,8 @@ class PrandtlIshlinskii:
         object.__setattr__(self, "pairs", tuple(tuple(row) for row in self.pairs))
         widths = {len(row) for row in self.pairs}
         if len(widths) != 1 or not self.pairs[0]:
-            raise InputError("Prandtl-Ishlinskii model", "every output needs one pair for every input")
+            what = "must hold one pair for every input of every output"
+            raise InputError("Prandtl-Ishlinskii model", [Mistake("pairs", what)])
         if not any(len(pair.thresholds_v) for row in self.pairs for pair in row):
             raise InputError("Prandtl-Ishlinskii model", "all pairs are absent; give at least one operator")
         if self.weight_covariance is not None:
