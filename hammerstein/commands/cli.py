@@ -15,8 +15,7 @@ from hammerstein.commands import records as record_commands, terminal
 from hammerstein.commands.terminal import complain, show, tell
 from hammerstein.errors import HammersteinError
 from hammerstein.escaping import clean
-from hammerstein.runtime.deadline import ended_in_time
-from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, leave
+from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, ended_in_time, leave
 
 if TYPE_CHECKING:
     from hammerstein.experiment.batch import Outcome
@@ -92,7 +91,7 @@ def main(arguments: list[str] | None = None) -> None:
         _answer_interrupts()
         terminal.make_ready()
         _one_thread_a_job()
-        with ended_in_time(lambda: complain(LEFT), INTERRUPTED):
+        with ended_in_time(lambda: complain(LEFT)):
             code = _answered(arguments)
     except _Interrupted:
         complain(LEFT)

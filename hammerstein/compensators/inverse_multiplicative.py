@@ -161,27 +161,16 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
 
     def _respond(self, reference_um: Array, start: FeedbackState) -> tuple[Array, FeedbackState]:
         from hammerstein.compensators.kernels import respond_inverse_multiplicative
+        from hammerstein.compiled import spans
 
         plays, memory = start.plays.copy(), start.memory_v.copy()
         drive = np.empty_like(reference_um)
         b = self.hysteresis.bank
-        respond_inverse_multiplicative(
-            self._from_rest(reference_um),
-            self.gain_v_per_um,
-            self.pole,
-            self.iterations,
-            *self.range.counted,
-            b.r,
-            b.slope,
-            b.moment,
-            plays.count,
-            plays.end,
-            plays.x,
-            plays.d,
-            plays.below,
-            memory,
-            drive,
-        )
+        reference = self._from_rest(reference_um)
+        law = (self.gain_v_per_um, self.pole, self.iterations, *self.range.counted)
+        bank = (b.r, b.slope, b.moment, plays.count, plays.end, plays.x, plays.d, plays.below)
+        for first, stop in spans(reference.shape[1], 64 * self.iterations):
+            respond_inverse_multiplicative(reference, *law, *bank, memory, first, stop, drive)
         return drive, FeedbackState(plays, memory)
 
 

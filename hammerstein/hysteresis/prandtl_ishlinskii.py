@@ -46,12 +46,15 @@ def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
     >>> play([0.0, 2.0, 1.0, -2.0], [0.5])
     array([[ 0. ,  1.5,  1.5, -1.5]])
     """
+    from hammerstein.compiled import spans
     from hammerstein.hysteresis.play_kernels import play_bank
 
     thresholds = np.atleast_1d(np.asarray(r, dtype=np.float64))
     plays = np.zeros(len(thresholds)) if start is None else np.array(start, dtype=np.float64)
     outputs = np.empty((len(thresholds), np.size(u)))
-    play_bank(np.ascontiguousarray(u, dtype=np.float64), thresholds, plays, outputs)
+    voltages = np.ascontiguousarray(u, dtype=np.float64)
+    for first, stop in spans(len(voltages), 4 * len(thresholds)):
+        play_bank(voltages, thresholds, plays, first, stop, outputs)
     return outputs
 
 
@@ -404,6 +407,7 @@ class PrandtlIshlinskii:
         >>> v
         array([[ 3., -3.]])
         """
+        from hammerstein.compiled import spans
         from hammerstein.hysteresis.play_kernels import respond_turning_points
 
         u = np.ascontiguousarray(np.atleast_2d(np.asarray(u_v, dtype=np.float64)))
@@ -415,10 +419,11 @@ class PrandtlIshlinskii:
         b, s = self.bank, state
         bank = (b.r, b.guide, b.scale, b.n, b.lines)
         stack = (s.count, s.end, s.x, s.d, s.below)
-        done = respond_turning_points(u, *bank, *stack, y, (0,) * self.n_outputs)
-        if done < u.shape[1]:
-            axis, sample = (int(i[0]) for i in np.nonzero(~np.isfinite(u)))
-            raise SimulationError(f"voltage of input {axis + 1} is not finite at sample {sample}")
+        for first, stop in spans(u.shape[1]):
+            done = respond_turning_points(u, *bank, *stack, first, stop, y, (0,) * self.n_outputs)
+            if done < stop:
+                axis, sample = (int(i[0]) for i in np.nonzero(~np.isfinite(u)))
+                raise SimulationError(f"voltage of input {axis + 1} is not finite at sample {sample}")
         return y, state
 
     def step(self, u_v: ArrayLike, state: PlayState) -> tuple[Array, PlayState]:

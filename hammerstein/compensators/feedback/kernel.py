@@ -62,6 +62,8 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
     plays,
     rows,
     x,
+    first,
+    stop,
     out,
 ):
     """Controller, drive, hysteresis, linear block and sensor, sample by sample.
@@ -70,7 +72,7 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
     instruments : step [V], range [um], step [um], noise [um]
     steps : (2, m) lowest and highest step of the converter; rest : (m,) working point of the hysteresis [V]
     bank : r, slope, moment; plays : count, end, x, d, below; rows, x : of the linear block, positions first
-    out : requested and drive (m, N); hysteresis, position, reading (p, N), overwritten
+    out : requested and drive (m, N); hysteresis, position, reading (p, N), overwritten from first up to stop
     """
     requested, drive, hysteresis, position, reading = out
     m, p = drive.shape[0], reading.shape[0]
@@ -80,7 +82,7 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
     now, heard = np.empty(p), np.empty(p)
     z = np.empty(x.shape[0] + p)
     new = np.empty(x.shape[0])
-    for t in range(reference.shape[1]):
+    for t in range(first, stop):
         request(feedforward[:, t], inverse_gain, gain, limits, memory, asked)
         for k in range(m):
             requested[k, t] = asked[k]

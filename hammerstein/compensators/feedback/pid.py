@@ -241,6 +241,7 @@ def closed_loop(
     SimulationError : the loop diverges
     """
     from hammerstein.compensators.feedback.kernel import run_closed_loop
+    from hammerstein.compiled import spans
 
     reference = checked_reference(reference_um, law.n_outputs)
     m, (p, samples) = law.n_inputs, reference.shape
@@ -254,24 +255,13 @@ def closed_loop(
     effects = (drive.resolution_v, sensor.range_um, sensor.resolution_um, sensor.noise_um)
     requested, driven = np.empty((m, samples)), np.empty((m, samples))
     static, position, reading = np.empty((p, samples)), np.empty((p, samples)), np.empty((p, samples))
-    run_closed_loop(
-        reference,
-        np.ascontiguousarray(forward),
-        np.ascontiguousarray(noise, dtype=np.float64),
-        law._settings,
-        law.inverse_gain_v_per_um,
-        law.gain_um_per_v,
-        law._limits,
-        law.rest().memory,
-        np.array(effects),
-        drive.steps(m),
-        np.array(np.broadcast_to(working_point_v, m), dtype=np.float64),
-        (bank.r, bank.slope, bank.moment),
-        plays,
-        block.rows,
-        block.rest(),
-        (requested, driven, static, position, reading),
-    )
+    controller = (law._settings, law.inverse_gain_v_per_um, law.gain_um_per_v, law._limits, law.rest().memory)
+    heard = (reference, np.ascontiguousarray(forward), np.ascontiguousarray(noise, dtype=np.float64))
+    rest_v = np.array(np.broadcast_to(working_point_v, m), dtype=np.float64)
+    actuator = (np.array(effects), drive.steps(m), rest_v, (bank.r, bank.slope, bank.moment), plays)
+    linear, out = (block.rows, block.rest()), (requested, driven, static, position, reading)
+    for first, stop in spans(samples, 64 + len(block.rows[2])):
+        run_closed_loop(*heard, *controller, *actuator, *linear, first, stop, out)
     if not np.isfinite(position).all():
         raise SimulationError("The closed loop diverges: its gains are too high for this actuator.")
     low, high = drive.limits(m)[:, :, None]
