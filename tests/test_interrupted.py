@@ -130,7 +130,7 @@ def _wait_until_busy(process, seconds):
 
 
 def _crowd():
-    """How many want each processor, at this moment where the system tells it, in the last minute elsewhere."""
+    """How many want each processor: now where the system tells it, in the last minute elsewhere."""
     try:
         running = int(Path("/proc/loadavg").read_text().split()[3].partition("/")[0])
     except (OSError, ValueError, IndexError):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hammerstein.commands.terminal import complain, show, tell
+from hammerstein.commands.volts import volts
 from hammerstein.escaping import clean
 
 if TYPE_CHECKING:
@@ -61,18 +62,6 @@ def _refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
 
 def _columns(words: str) -> list[str]:
     return [word.strip() for word in words.split(",") if word.strip()]
-
-
-def _volts(option: str, words: str | None) -> tuple[float, ...] | None:
-    """Voltages from an option, with commas between them."""
-    from hammerstein.errors import InputError
-
-    if words is None:
-        return None
-    try:
-        return tuple(float(word) for word in words.split(","))
-    except ValueError:
-        raise InputError(option, f"{words!r} are no voltages with commas between them") from None
 
 
 @contextmanager
@@ -360,7 +349,7 @@ def compensate(
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
     _refuse_output(out, [Path(model), reference], CONTENT)
     compile_once(complain)
-    ends, begins = _volts("--range", range_v), _volts("--start", start)
+    ends, begins = volts("--range", range_v), volts("--start", start)
     terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
     with _told_by_options("compensate"):
         found = compensated(model, reference, law, options, terms)

@@ -253,7 +253,7 @@ def _task(
         delay = 0
         if settings.dynamics == "none" and not all(closed(record) for record in records):
             tell("searching the delay")  # single loops cannot tell it from hysteresis
-            delay, _ = static_delay(few, settings.thresholds(few, DELAY_OPERATORS), begun)
+            delay, _ = static_delay(few, _fine(settings).thresholds(few, DELAY_OPERATORS), begun)
     task = Task(records, starts, (), delay, settings, tell)
     curve: tuple[CurvePoint, ...] = ()
     wanted = settings.error_curve or settings.operators == "auto"
@@ -263,6 +263,12 @@ def _task(
         curve = error_curve(records, starts, partition=settings.partition, delay_samples=delay, through=paths)
     chosen = enough_operators(curve) if curve else 15
     return Task(records, starts, settings.thresholds(records, chosen), delay, settings, tell), curve
+
+
+def _fine(settings: Settings) -> Settings:
+    """Settings with so many operators that a delay does not stand in for thresholds that are missing."""
+    few = isinstance(settings.operators, int) and settings.operators < DELAY_OPERATORS
+    return replace(settings, operators=DELAY_OPERATORS) if few else settings
 
 
 def _with_checked_delay(task: Task, guess: FirstGuess | None) -> tuple[Task, FirstGuess | None]:
@@ -368,7 +374,24 @@ def _unknown(task: Task, built: Built, answer: Array) -> list[str]:
         for o, k in built.blocks.chosen.open
     ]
     axes = axis_statements(record.outputs, built.axes) if built.axes else []
-    return [*axes, *sums, *excitation_statements(task.records, answer)]
+    return [*axes, *sums, *_open_places(task, built), *excitation_statements(task.records, answer)]
+
+
+def _open_places(task: Task, built: Built) -> list[str]:
+    """Fitted thresholds whose place the records leave open."""
+    block = built.blocks.chosen.hysteresis
+    if block.threshold_covariance is None:
+        return []
+    grids = [pair.thresholds_v for pair in block.pairs[0]]
+    places = [(name, r) for name, grid in zip(task.records[0].inputs, grids, strict=True) for r in grid]
+    found: dict[str, list[str]] = {}
+    for i in block.threshold_covariance.open:
+        found.setdefault(places[i][0], []).append(f"{places[i][1]:.3g}")
+    return [
+        f"the place of {len(own)} of the thresholds of input {name} ({', '.join(own)} V): its standard error "
+        "is more than half of the way to a neighbour. The errors of the others hold with these where they are"
+        for name, own in found.items()
+    ]
 
 
 def _offsets(best: Candidate, task: Task) -> Array:

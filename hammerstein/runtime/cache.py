@@ -16,7 +16,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-
 COMPUTE = ("numpy", "scipy", "numba", "control")
 """Libraries whose version may change the last digits of a result, or more."""
 
@@ -34,8 +33,19 @@ def folder() -> Path | None:
         return None
 
 
-def kept(function: Callable[..., str]) -> Callable[..., str]:
-    """Give a function from texts and numbers to a text whose results are kept."""
+def folder_of_runs() -> Path | None:
+    """Where the results of runs are kept; None if they are not."""
+    place = folder()
+    return None if place is None else place / "kept"
+
+
+def kept(function: Callable[..., str], fresh: bool = False) -> Callable[..., str]:
+    """Give a function from texts and numbers to a text whose results are kept.
+
+    Parameters
+    ----------
+    fresh : whether what was kept before is passed by
+    """
     place = folder()
     if place is None:
         return function
@@ -43,7 +53,7 @@ def kept(function: Callable[..., str]) -> Callable[..., str]:
     def remembered(*arguments: str | int) -> str:
         key = repr((function.__qualname__, _code(), arguments))
         path = place / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.json"
-        found = _read(path)
+        found = None if fresh else _read(path)
         if found is None:
             found = function(*arguments)
             _store(path, found)
