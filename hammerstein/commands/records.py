@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from hammerstein.records.gains import Gain
     from hammerstein.records.record import Record
 
+_OPTIONS = {"sensor_bandwidth_hz": "sensor-bandwidth", "thresholds_v": "thresholds"}
 MOST_NAMED = 3
 """Records whose names make up that of a folder."""
 
@@ -60,6 +62,23 @@ def refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
 
 def _columns(words: str) -> list[str]:
     return [word.strip() for word in words.split(",") if word.strip()]
+
+
+@contextmanager
+def _told_by_options(source: str) -> Iterator[None]:
+    """Let the mistakes in what a function was told name the options that told it."""
+    from hammerstein.errors import InputError
+
+    try:
+        yield
+    except InputError as error:
+        if error.source != source:
+            raise
+        mistakes = [
+            m._replace(where=_OPTIONS.get(m.where, m.where.replace("_", "-"))) for m in error.mistakes
+        ]
+        named = [m._replace(where=f"--{m.where}" * bool(m.where)) for m in mistakes]
+        raise InputError("options", named) from None
 
 
 def _reader(
@@ -227,20 +246,21 @@ def identify(
     from hammerstein.reporting.fit_page import fit_json
     from hammerstein.storage.staging import prepare
 
-    settings = settings_of(
-        operators=operators,
-        thresholds=thresholds,
-        partition=partition,
-        method=method,
-        ridge=ridge,
-        hysteresis=hysteresis,
-        dead_zones=dead_zones,
-        dynamics=dynamics,
-        order=order,
-        creep_modes=creep_modes,
-        delay_samples=delay_samples,
-        sensor_bandwidth_hz=sensor_bandwidth,
-    )
+    with _told_by_options("identification"):
+        settings = settings_of(
+            operators=operators,
+            thresholds=thresholds,
+            partition=partition,
+            method=method,
+            ridge=ridge,
+            hysteresis=hysteresis,
+            dead_zones=dead_zones,
+            dynamics=dynamics,
+            order=order,
+            creep_modes=creep_modes,
+            delay_samples=delay_samples,
+            sensor_bandwidth_hz=sensor_bandwidth,
+        )
     held = validate or []
     refuse_output(out, [*files, *held], CONTENT)
     twice = sorted({str(f) for f in held if f.resolve() in {g.resolve() for g in files}})
@@ -339,7 +359,8 @@ def compensate(
     compile_once(complain)
     ends, begins = volts("--range", range_v), volts("--start", start)
     terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
-    found = compensated(model, reference, law, options, terms)
+    with _told_by_options("compensate"):
+        found = compensated(model, reference, law, options, terms)
     write_atomic(out, found.to_csv())
     if as_json:
         tell_json({"drive": str(out), **found.summary()})
