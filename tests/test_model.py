@@ -120,9 +120,9 @@ def test_packaged_actuators_are_what_their_command_makes(tmp_path):
     for path in made:
         fresh, packaged = HammersteinModel.load(path), HammersteinModel.load(path.stem)
         assert fresh.dynamics == packaged.dynamics
-        for row, same in zip(fresh.hysteresis.pairs, packaged.hysteresis.pairs, strict=True):
-            for pair, copy in zip(row, same, strict=True):
-                np.testing.assert_allclose(pair.weights_um_per_v, copy.weights_um_per_v, atol=1e-6)
+        assert fresh.hysteresis.describe() == packaged.hysteresis.describe()
+        for weights, same in zip(fresh.hysteresis.weights, packaged.hysteresis.weights, strict=True):
+            np.testing.assert_allclose(weights, same, atol=1e-6)
 
 
 @pytest.mark.parametrize(

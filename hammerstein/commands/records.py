@@ -211,7 +211,7 @@ def identify(
         str, typer.Option(help="invertible, least_squares, nonnegative or closed_form.")
     ] = "invertible",
     hysteresis: Annotated[
-        str, typer.Option(help="Kind of the static block: prandtl_ishlinskii or asymmetric.")
+        str, typer.Option(help="Static block: prandtl_ishlinskii, asymmetric or rate_dependent.")
     ] = "prandtl_ishlinskii",
     dead_zones: Annotated[
         int | None, typer.Option(help="Of each input, with asymmetric; found if not given.")
