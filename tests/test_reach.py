@@ -3,7 +3,7 @@ import pytest
 import theory
 
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
-from hammerstein.compensators.exact.reach import largest_scale, reach, require_reach, shortfall
+from hammerstein.compensators.exact.reach import reach, require_reach, shortfall
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import SimulationError
@@ -60,20 +60,23 @@ def test_reach_is_what_the_inverse_just_reaches():
         assert np.abs(law.drive_for(1.001 * np.outer(tip, wave))).max() == 10.0
 
 
-def test_without_limit_the_reach_has_none():
-    assert np.isinf(reach(_table(), np.inf).alone_um).all()
-
-
-def test_largest_scale_of_a_path():
+def test_all_corners_of_what_is_reached_together_are_reached():
+    """Both couplings are positive: it is the corner where the axes go opposite ways that asks for most."""
     model = _table()
     law = ExactInverseLaw(model, 10.0)
-    angle = 2.0 * np.pi * np.arange(800) / 400
-    circle = 70.0 * np.stack([np.cos(angle), np.sin(angle)])
-    scale = largest_scale(law, circle)
-    assert 0.5 < scale < 0.9
-    assert np.abs(law.drive_for(0.999 * scale * circle)).max() < 10.0
-    assert np.abs(law.drive_for(1.001 * scale * circle)).max() == 10.0
-    assert largest_scale(law, 0.5 * circle) == 1.0
+    wave = np.sin(2.0 * np.pi * np.arange(1000) / 200)
+    size = reach(model, 10.0).together_um[:, 1]
+    drives = {
+        (scale, sign): np.abs(law.drive_for(scale * np.outer(size * [1.0, sign], wave))).max()
+        for scale in (0.999, 1.001)
+        for sign in (1.0, -1.0)
+    }
+    assert max(drives[0.999, sign] for sign in (1.0, -1.0)) < 10.0
+    assert max(drives[1.001, sign] for sign in (1.0, -1.0)) == 10.0
+
+
+def test_without_limit_the_reach_has_none():
+    assert np.isinf(reach(_table(), np.inf).alone_um).all()
 
 
 def test_shortfall_names_samples_and_axes():

@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from hammerstein.compensators.drive_file import Compensation
+    from hammerstein.experiment.plan import Plan
     from hammerstein.identification.fit import Fit
     from hammerstein.records.gains import Gain
     from hammerstein.records.loops import Loop
 
+PLANNED = ("scenario", "part", "", "memory", "time on one processor")
 _LEFT = 3  # the first columns hold words
 
 
@@ -42,6 +44,22 @@ def result_table(reports: Iterable[Report]) -> Table:
             own = [row for row in report.rows if row.compensator == label]
             rows = [row for row in own if is_direct(report, row)] or own
             table.add_row(report.name, label or "(drive in V)", *_figures(rows))
+    return table
+
+
+def plan_table(plans: Mapping[str, Plan], jobs: int) -> Table:
+    """One line for each part of each scenario: what it is, memory, time; at the end all of them."""
+    from hammerstein.experiment.plan import duration, size
+
+    table = _table("What would be run, nothing of it found among kept results", PLANNED)
+    for name, plan in plans.items():
+        for part in plan.parts:
+            table.add_row(name, part.what, "", size(part.bytes), duration(part.seconds))
+    seconds = sum(plan.seconds for plan in plans.values())
+    largest = max(plan.bytes for plan in plans.values())
+    table.add_row("all", "the largest at a time", "", size(largest), duration(seconds))
+    if jobs > 1:
+        table.add_row("", f"with {jobs} jobs, at best", "", "", duration(seconds / jobs))
     return table
 
 

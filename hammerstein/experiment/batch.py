@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -112,7 +111,7 @@ def run_all(
 def _size(scenario: Scenario) -> float:
     """Samples to work through, about; a case with its share of the figures costs at least some."""
     step = scenario.instruments.drive.sample_time_s
-    others = math.prod(len(values) for name, values in scenario.sweep.values() if name != "frequency_hz")
+    others = scenario.sweep.others("frequency_hz")
     try:
         signals = scenario.signals(only="frequency_hz")
         lengths = [Window.of(scenario, signal, step).total for signal in signals]

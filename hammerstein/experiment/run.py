@@ -14,6 +14,7 @@ from hammerstein.experiment.measure import statements_of
 from hammerstein.experiment.plan import Plan, identification_parts, plan_of
 from hammerstein.experiment.prepare import Case, Progress, SetUp, plant_of, prepare, scenario_axes
 from hammerstein.experiment.report import Report
+from hammerstein.experiment.sensitivity import sensitivities_of
 from hammerstein.experiment.uncertainty_bands import bands_of
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
@@ -98,6 +99,13 @@ def _chosen(
 ) -> tuple[SetUp, Case]:
     _, scenario = scenario_of(source)
     swept = {key: (value,) for key, value in values.items()}
+    if scenario.sweep.is_zip:  # a value brings those of the other keys with it
+        for found in scenario.sweep.combinations():
+            if all(found.get(key) == value for key, value in values.items()):
+                swept = {key: (value,) for key, value in found.items()}
+                break
+        else:
+            raise InputError("simulate", f"the scenario has no case with {dict(values)}")
     chosen = scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update=swept)})
     Plan(tuple(identification_parts(chosen, plant_of(chosen)))).refuse_too_large()
     setup = prepare(chosen)
@@ -169,6 +177,7 @@ def run(
             lambda claim: tuple(changes_of(scenario, setup.plant.model, claim, store)),
         ),
         bands=bands_of(kept, cases, jobs, progress),
+        sensitivities=sensitivities_of(kept, cases, jobs, progress),
         traces=traces,
     )
 

@@ -32,6 +32,13 @@ class Memory(Protocol):
         ...
 
 
+class Normals(Protocol):
+    """Whatever gives standard normal numbers, one after the other."""
+
+    def standard_normal(self, size: Any = None) -> Any:
+        """One number, or an array."""
+
+
 S = TypeVar("S", bound=Memory)
 
 
@@ -72,6 +79,13 @@ class Hysteresis(ABC, Generic[S]):
 
     def on_grid(self, sample_time_s: float) -> Hysteresis[S]:
         """Give the block on a sample grid; one that does not depend on the rate is the same on all."""
+        return self
+
+    def counted_from(self, working_point_v: ArrayLike) -> Hysteresis[S]:
+        """Give the block for voltages counted from a working point (m,) [V].
+
+        One that is the same about every voltage, as plays are, does not change.
+        """
         return self
 
     @abstractmethod
@@ -169,6 +183,30 @@ class Hysteresis(ABC, Generic[S]):
     @abstractmethod
     def weight_covariance(self) -> tuple[WeightCovariance, ...] | None:
         """Covariance of the weights of each output, where it is known."""
+
+    @property
+    def weight_errors(self) -> tuple[Array, ...] | None:
+        """Standard errors of the weights of each output [um/V], where they are known."""
+        if self.weight_covariance is None:
+            return None
+        return tuple(np.linalg.norm(known.factor_um_per_v, axis=1) for known in self.weight_covariance)
+
+    @property
+    def n_shared_errors(self) -> int:
+        """How many normal numbers ``drawn`` takes before those of the weights: for what outputs share."""
+        return 0
+
+    def drawn(self, generator: Normals) -> Self:
+        """Give another block, as far from this one as the covariance of its weights tells.
+
+        Raises InputError where it is not known.
+        """
+        if self.weight_covariance is None:
+            raise InputError("hysteresis", "does not say how the errors of its weights hang together")
+        known = zip(self.weights, self.weight_covariance, strict=True)
+        return self.with_weights(
+            [own + c.factor_um_per_v @ generator.standard_normal(len(own)) for own, c in known]
+        )
 
     @abstractmethod
     def file(self) -> HysteresisFile:

@@ -30,6 +30,7 @@ from hammerstein.identification.static.static_block import (
     solve_static,
     static_moments,
 )
+from hammerstein.identification.static.threshold_errors import with_threshold_errors
 from hammerstein.identification.static.threshold_search import ThresholdTask
 from hammerstein.identification.verdict import FELT, axis_identified, invertibility_of
 from hammerstein.records.record import Record
@@ -140,6 +141,7 @@ def _finished(task: Task, built: Built) -> Built:
     blocks = static_blocks(task, thresholds_v, dynamics, task.settings.method)
     if not gained(built.blocks.chosen, blocks.chosen) or _lost_inverse(task, built.blocks, blocks):
         return replace(built, notes=(KEPT,))
+    blocks = _with_errors(task, blocks, dynamics)
     candidate = task.candidate(blocks.chosen.hysteresis, dynamics)
     return replace(built, candidates={**built.candidates, built.kind: candidate}, blocks=blocks)
 
@@ -223,6 +225,7 @@ def build_second_order(task: Task, guess: FirstGuess) -> Built:
         start = blocks
         axes, blocks = _thresholds_and_axes(task, guess, axes, start)
         notes = (KEPT,) if blocks is start else ()
+        blocks = blocks if blocks is start else _with_errors(task, blocks, dynamics_of(axes))
     dynamics = dynamics_of(axes)
     alone = dynamics_of(fits[False].axes)
     gains = static_blocks(task, task.linear_thresholds(), alone, "least_squares")
@@ -283,9 +286,20 @@ def _fitted(
     rounds: int = MOST_ROUNDS,
 ) -> list[list[Array]]:
     """Thresholds fitted in front of given dynamics, the same for all outputs."""
-    fitting = ThresholdTask(task.records, task.starts, task.delay_samples, task.paths(dynamics))
-    row = list(fit_thresholds(fitting, thresholds_v[0], rounds))
+    row = list(fit_thresholds(_fitting(task, dynamics), thresholds_v[0], rounds))
     return [row] * task.outputs
+
+
+def _with_errors(
+    task: Task, blocks: Blocks, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics
+) -> Blocks:
+    """Blocks whose chosen one knows the errors of its fitted thresholds."""
+    return replace(blocks, chosen=with_threshold_errors(_fitting(task, dynamics), blocks.chosen))
+
+
+def _fitting(task: Task, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics) -> ThresholdTask:
+    """What stays fixed while thresholds are fitted in front of given dynamics."""
+    return ThresholdTask(task.records, task.starts, task.delay_samples, task.paths(dynamics))
 
 
 def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:

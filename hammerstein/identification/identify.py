@@ -22,6 +22,7 @@ from hammerstein.identification.candidates import (
 )
 from hammerstein.identification.excitation import answers, excitation_statements, refuse_noise, refuse_one_way
 from hammerstein.identification.fit import Fit, Kind
+from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.linear.delay import static_delay
 from hammerstein.identification.linear.second_order import FirstGuess, checked_delay, search_axes
 from hammerstein.identification.operators import (
@@ -153,7 +154,7 @@ def identify(
     guess, first = _first_model(ready, settings, tell)
     task, curve = _task(ready, settings, guess, first, tell)
     task, guess = _with_checked_delay(task, guess)
-    built = _build(task, guess)
+    built = with_hysteresis(task, _build(task, guess))
     best = built.candidates[built.kind]
     answer = answers(best, ready, task.starts)
     refuse_noise(ready, answer)
@@ -253,7 +254,7 @@ def _task(
         delay = 0
         if settings.dynamics == "none" and not all(closed(record) for record in records):
             tell("searching the delay")  # single loops cannot tell it from hysteresis
-            delay, _ = static_delay(few, settings.thresholds(few, DELAY_OPERATORS), begun)
+            delay, _ = static_delay(few, _fine(settings).thresholds(few, DELAY_OPERATORS), begun)
     task = Task(records, starts, (), delay, settings, tell)
     curve: tuple[CurvePoint, ...] = ()
     wanted = settings.error_curve or settings.operators == "auto"
@@ -263,6 +264,12 @@ def _task(
         curve = error_curve(records, starts, partition=settings.partition, delay_samples=delay, through=paths)
     chosen = enough_operators(curve) if curve else 15
     return Task(records, starts, settings.thresholds(records, chosen), delay, settings, tell), curve
+
+
+def _fine(settings: Settings) -> Settings:
+    """Settings with so many operators that a delay does not stand in for thresholds that are missing."""
+    few = isinstance(settings.operators, int) and settings.operators < DELAY_OPERATORS
+    return replace(settings, operators=DELAY_OPERATORS) if few else settings
 
 
 def _with_checked_delay(task: Task, guess: FirstGuess | None) -> tuple[Task, FirstGuess | None]:
@@ -299,15 +306,19 @@ def _account(
     record, settings, best = task.records[0], task.settings, built.candidates[built.kind]
     named = [fault for one in task.records for fault in faults(one)]
     flags, bounds = _flags(task, built, named), []
-    if settings.method == "invertible":
+    if settings.method == "invertible" and settings.hysteresis == "prandtl_ishlinskii":
         spoiled = {name for fault in named for name in fault.outputs}
         bounds = bound_notes(
             task.records, built.blocks.chosen, built.blocks.free, built.kind == "hammerstein", spoiled
         )
     swing = half_swing(task.records)
     amplitude = float(swing.max())
+    block, reached = best.hysteresis, amplitude
+    if settings.hysteresis != "prandtl_ishlinskii":
+        rest = np.array(voltages.working_point_v)
+        block, reached = block.counted_from(rest), np.array([voltages.lowest_v, voltages.highest_v]) - rest
     invertible, sentence = invertibility_of(
-        best.hysteresis, best.dynamics, amplitude, record.sample_time_s, record.inputs
+        block, best.dynamics, reached, record.sample_time_s, record.inputs
     )
     return Fit(
         inputs=record.inputs,
@@ -316,7 +327,7 @@ def _account(
         fit=fitted,
         validation=judged,
         method=settings.method,
-        operators=tuple(tuple(len(p.thresholds_v) for p in row) for row in best.hysteresis.pairs),
+        operators=best.hysteresis.operators,
         amplitude_v=amplitude,
         amplitudes_v=tuple(swing.tolist()),
         voltages=voltages,
@@ -354,7 +365,7 @@ def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
     flags += record_flags(built.candidates[built.kind], task.records, task.starts, spoiled)
     if task.settings.dynamics == "none":
         flags += butterfly_flags(task.records, direct)
-    if blocks.one_sign is not None:
+    if blocks.one_sign is not None and task.settings.hysteresis == "prandtl_ishlinskii":
         spans = ranges(task.records, task.starts)
         flags += shape_flags(task.records, blocks.free, blocks.one_sign, spans, direct)
     return flags
@@ -368,7 +379,24 @@ def _unknown(task: Task, built: Built, answer: Array) -> list[str]:
         for o, k in built.blocks.chosen.open
     ]
     axes = axis_statements(record.outputs, built.axes) if built.axes else []
-    return [*axes, *sums, *excitation_statements(task.records, answer)]
+    return [*axes, *sums, *_open_places(task, built), *excitation_statements(task.records, answer)]
+
+
+def _open_places(task: Task, built: Built) -> list[str]:
+    """Fitted thresholds whose place the records leave open."""
+    block = built.blocks.chosen.hysteresis
+    if block.threshold_covariance is None:
+        return []
+    grids = [pair.thresholds_v for pair in block.pairs[0]]
+    places = [(name, r) for name, grid in zip(task.records[0].inputs, grids, strict=True) for r in grid]
+    found: dict[str, list[str]] = {}
+    for i in block.threshold_covariance.open:
+        found.setdefault(places[i][0], []).append(f"{places[i][1]:.3g}")
+    return [
+        f"the place of {len(own)} of the thresholds of input {name} ({', '.join(own)} V): its standard error "
+        "is more than half of the way to a neighbour. The errors of the others hold with these where they are"
+        for name, own in found.items()
+    ]
 
 
 def _offsets(best: Candidate, task: Task) -> Array:

@@ -26,7 +26,7 @@ LONGEST_NAME = 60  # a character takes up to four of the 255 bytes that most sys
 
 
 REPORT = Owner("report", sign=("report.json", f'"format": "{FORMAT}"'), replaces=(FIGURES.name,))
-ALWAYS = ("report.json", "report.md", "rms.csv")
+ALWAYS = ("report.html", "report.json", "report.md", "rms.csv")
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,10 @@ def write_report(
     *,
     figures: bool = True,
     traces: TraceFormat | None = None,
+    interactive: bool = False,
     store: Store | None = None,
 ) -> Written:
-    """Write ``report.json``, ``rms.csv``, ``report.md``, figures and, on request, traces.
+    """Write ``report.json``, ``rms.csv``, ``report.md``, ``report.html``, figures and, on request, traces.
 
     They take the place of those of an earlier run together; where one cannot be written, that report stays.
     Files that this program did not write stay as well.
@@ -56,28 +57,34 @@ def write_report(
     folder : where to; made if it does not exist
     figures : whether to draw
     traces : format of the traces, none if not given
+    interactive : whether the page holds plots to zoom into
     store : where figures are kept and found; all are drawn if not given
 
     Raises
     ------
     InputError : the folder cannot be written, is a link, or holds other people's files under these names
     """
+    from hammerstein.reporting.html.interactive import interactive_of
+    from hammerstein.reporting.html.run_page import run_page
     from hammerstein.reporting.page import render
 
     with staged(folder, REPORT) as stage:
-        drawn = []
+        drawn: dict[str, bytes] = {}
         if figures:
             from hammerstein.reporting.figures.kept import drawn as files_drawn
 
             for name, content in files_drawn(report, store):
                 stage.write(name, content)
-                drawn.append(name)
+                drawn[name] = content
         if traces is not None:
             _write_traces(report, stage, traces)
         if report.bands:
             stage.write("bands.csv", report.bands_to_csv())
+        if report.sensitivities:
+            stage.write("sensitivities.csv", report.sensitivities_to_csv())
         stage.write("rms.csv", report.to_csv())
         stage.write("report.md", render(report, sorted(name for name in drawn if name.endswith(".png"))))
+        stage.write("report.html", run_page(report, drawn, interactive_of(report) if interactive else None))
         stage.write("report.json", report.to_json())
     return Written(tuple(stage.written), stage.kept)
 
@@ -89,6 +96,7 @@ class Writer:
     out: Path
     figures: bool = True
     traces: TraceFormat | None = None
+    interactive: bool = False
     store: Store | None = None
 
     def prepare(self, names: Iterable[str]) -> None:
@@ -99,7 +107,14 @@ class Writer:
     def __call__(self, report: Report) -> tuple[Path, ...]:
         """Write one report; give the places of files that were kept."""
         folder = self.out / report.name
-        written = write_report(report, folder, figures=self.figures, traces=self.traces, store=self.store)
+        written = write_report(
+            report,
+            folder,
+            figures=self.figures,
+            traces=self.traces,
+            interactive=self.interactive,
+            store=self.store,
+        )
         key = self._key(report.name, report.scenario)
         if self.store is not None and key is not None:
             names = [path.relative_to(folder).as_posix() for path in written.files]
@@ -123,7 +138,8 @@ class Writer:
         return report, stage.kept
 
     def _key(self, name: str, scenario: Scenario) -> str | None:
-        return key_of_report(name, scenario, f"figures {self.figures}, traces {self.traces}")
+        written = f"figures {self.figures}, traces {self.traces}, interactive {self.interactive}"
+        return key_of_report(name, scenario, written)
 
 
 def _write_traces(report: Report, stage: Stage, kind: TraceFormat) -> None:

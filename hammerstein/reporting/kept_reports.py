@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hammerstein.experiment.report import Band, Report
+from hammerstein.experiment.report import Band, Report, Sensitivity
 from hammerstein.instruments import Instruments
 from hammerstein.metrics import Row
 from hammerstein.runtime.store import Kept, Store, key_of
@@ -64,6 +64,7 @@ def _document(report: Report) -> dict[str, Any]:
         "statements": report.statements,
         "verdicts": [asdict(verdict) for verdict in report.verdicts],
         "bands": [asdict(band) for band in report.bands],
+        "sensitivities": [asdict(found) for found in report.sensitivities],
     }
 
 
@@ -81,6 +82,7 @@ def _report(document: Mapping[str, Any], name: str, scenario: Scenario) -> Repor
         statements=tuple(document["statements"]),
         verdicts=tuple(_verdict(verdict) for verdict in document["verdicts"]),
         bands=tuple(Band(**band) for band in document["bands"]),
+        sensitivities=tuple(Sensitivity(**found) for found in document["sensitivities"]),
     )
 
 

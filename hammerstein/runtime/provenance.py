@@ -16,7 +16,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1]
-LIBRARIES = ("control", "jinja2", "matplotlib", "numba", "numpy", "pandas", "pillow", "pydantic", "scipy")
+LIBRARIES = (
+    *("bokeh", "control", "jinja2", "markdown-it-py", "markupsafe", "matplotlib", "numba", "numpy", "pandas"),
+    *("pillow", "pydantic", "scipy"),
+)
+SOURCES = ("*.py", "*.json", "*.jinja", "*.css", "*.js")
 
 
 @cache
@@ -29,7 +33,7 @@ def computed_by() -> str:
     words = [sys.version, sys.platform, platform.machine(), _processor()]
     words += [f"{name} {_version(name)}" for name in LIBRARIES]
     digest.update("\n".join([*words, *_plugged_in()]).encode())
-    files = [path for kind in ("*.py", "*.json", "*.jinja") for path in PACKAGE.rglob(kind)]
+    files = [path for kind in SOURCES for path in PACKAGE.rglob(kind)]
     for path in sorted(files):
         digest.update(f"\n{path.relative_to(PACKAGE)}\n".encode())
         digest.update(path.read_bytes())
