@@ -3,11 +3,14 @@
 HAMMERSTEIN_DRAWS sets how many actuators are drawn; the issue asks for 200.
 """
 
+import json
 import os
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from hammerstein.commands.cli import main
 from hammerstein.compensators.cycle import centred, rms
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.errors import InputError
@@ -125,3 +128,45 @@ def test_half_a_period_is_refused(model, law):
     for samples in (250 * 2, 250 * 3 + 7):
         with pytest.raises(InputError, match="whole periods of 250"):
             lesson(model, law, path, drive, np.zeros((2, samples)))
+
+
+def _call(*arguments):
+    with pytest.raises(SystemExit) as caught:
+        main([str(a) for a in arguments])
+    return caught.value.code or 0
+
+
+def _measure(drive_file, place, drawn, instruments, seed):
+    """What a person records: 20 settled periods."""
+    table = pd.read_csv(drive_file, comment="#")
+    drive = table[["drive_x_v", "drive_y_v"]].to_numpy().T
+    read = (
+        Plant(drawn, instruments).respond(np.tile(drive, (1, 25)), [seed]).reading_um[:, -20 * len(table) :]
+    )
+    columns = {"time_s": T * np.arange(read.shape[1]), "x": read[0], "y": read[1]}
+    pd.DataFrame(columns).to_csv(place, index=False)
+
+
+def test_the_command_learns_from_files(tmp_path, model, capsys):
+    drawn, instruments = UNCERTAIN.draw(model, model.instruments, 2)
+    path, drive, measured = (tmp_path / name for name in ("path.csv", "drive.csv", "measured.csv"))
+    x, y = circle()
+    pd.DataFrame({"time_s": T * np.arange(250), "x": x, "y": y}).to_csv(path, index=False)
+    assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", drive) == 0
+    errors, finished = [], False
+    for trial in range(5):
+        _measure(drive, measured, drawn, instruments, trial)
+        capsys.readouterr()
+        following = tmp_path / f"next_{trial}.csv"
+        learnt = ("--learn", drive, measured, "--out", following, "--json")
+        assert _call("compensate", "duo_bimorph", path, *learnt) == 0
+        said = json.loads(capsys.readouterr().out)
+        errors.append(said["error_rms_um"])
+        drive, finished = following, said["finished"]
+        if finished:
+            break
+    assert errors[0] > 0.2
+    assert errors[-1] < 0.03
+    wrong = ("--learn", path, measured, "--out", tmp_path / "no.csv")
+    assert _call("compensate", "duo_bimorph", path, *wrong) == 2
+    assert "drive_x_v" in capsys.readouterr().err

@@ -342,6 +342,38 @@ def _write_cycle(
     tell(f"one period in {out}")
 
 
+def _write_lesson(
+    model: str,
+    path: Path,
+    law: str,
+    options: dict[str, Any],
+    terms: Terms,
+    out: Path,
+    trial: tuple[Path, Path],
+    unsure: str,
+    as_json: bool,
+) -> None:
+    """Write the next drive of a periodic path, from a trial."""
+    from hammerstein.errors import InputError
+    from hammerstein.files import write_atomic
+    from hammerstein.learning.files import learn_from_files
+    from hammerstein.learning.unsure import Unsure
+
+    deviations = volts("--unsure", unsure) or ()
+    if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):
+        raise InputError("--unsure", f"{unsure!r} are not two relative deviations, such as 0.05,0.01")
+    found, taught = learn_from_files(model, path, law, options, trial, Unsure(*deviations), terms)
+    write_atomic(out, found.to_csv())
+    said = [taught.statement(), *found.statements()]
+    if as_json:
+        figures = {"error_rms_um": taught.error_rms_um, "noise_um": taught.noise_um}
+        tell(json.dumps({"drive": str(out), "finished": taught.finished, **figures, "statements": said}))
+        return
+    for words in said:
+        tell(words)
+    tell(f"next period in {out}")
+
+
 def compensate(
     model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
     reference: Annotated[Path, typer.Argument(help="CSV: time_s, then one column an axis, in um.")],
@@ -373,6 +405,13 @@ def compensate(
         str | None, typer.Option(metavar="FACTOR[,OFFSET]", help="From V to the numbers of the table.")
     ] = None,
     table_points: Annotated[int | None, typer.Option(min=2, help="Most points of the table.")] = None,
+    learn: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(metavar="DRIVE MEASURED", help="A trial: write the next drive of the periodic path."),
+    ] = None,
+    unsure: Annotated[
+        str, typer.Option(metavar="W,R", help="Deviations of weights and resonances that --learn counts on.")
+    ] = "0.05,0.01",
     clip: Annotated[bool, typer.Option("--clip", help="Accept a path partly out of reach.")] = False,
     beyond_records: Annotated[
         bool, typer.Option("--beyond-records", help="Accept voltages that were never recorded.")
@@ -396,6 +435,9 @@ def compensate(
     compile_once(complain)
     ends, begins = volts("--range", range_v), volts("--start", start)
     terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
+    if learn is not None:
+        _write_lesson(model, reference, law, options, terms, out, learn, unsure, as_json)
+        return
     if cycle or table is not None:
         _write_cycle(
             model, reference, law, options, terms, out, _Table(table, table_scale, table_points), as_json

@@ -100,6 +100,53 @@ def rms(row: Array) -> float:
     return float(np.sqrt(np.mean(row**2)))
 
 
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A law for a periodic path: model, range, law, one period (p, N) [um], and what the files are called."""
+
+    model: HammersteinModel
+    limits: DriveRange
+    law: Law[Any]
+    reference_um: Array
+    source: str
+    path: str
+
+    def cycle(self, asked_v: Array, terms: Terms) -> Cycle:
+        """One period of these voltages on the steps of the converter, if they are allowed.
+
+        Raises SimulationError for voltages at the range, or beyond the records.
+        """
+        model, limits = self.model, self.limits
+        at_range = int(limits.reached(asked_v).any(axis=0).sum())
+        if at_range and not terms.clip:
+            raise SimulationError(
+                f"{self.path}: the path is out of reach: its drive stands at the range in {at_range} of "
+                f"{asked_v.shape[1]} samples of a settled period, {limits.words(model.inputs)} (--range). "
+                "Make it smaller or slower, or accept it with --clip."
+            )
+        ends = tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))
+        sent, _ = model.instruments.drive.model_copy(update={"range_v": ends}).apply(asked_v)
+        if not terms.beyond_records:
+            refuse_beyond(model, sent)
+        time_s = model.instruments.drive.sample_time_s
+        position, closure = played(model, limits, sent, time_s)
+        words = self.law.statement()
+        return Cycle(model, limits, time_s, self.reference_um, sent, position, closure, self.source, words)
+
+
+def design_of(model_path: str, path: Path, law: str, options: Mapping[str, Any], terms: Terms) -> Design:
+    """Design a law for a file that holds one period of a path; what is wrong is raised as by ``cycle_of``."""
+    model, source = HammersteinModel.load(model_path), PurePath(model_path).name
+    refuse_flagged(model, source, terms)
+    limits = allowed_range(model, terms)
+    time_s = model.instruments.drive.sample_time_s
+    _, reference, _ = read_path(path, model, time_s)
+    built = compensator_of(law, options).design(model, limits, time_s)
+    if isinstance(built, Controller):
+        raise InputError("--law", "feedback needs the sensor's readings: it has no drive to send ahead")
+    return Design(model, limits, built, reference, source, str(path))
+
+
 def cycle_of(
     model_path: str, path: Path, law: str, options: Mapping[str, Any], terms: Terms | None = None
 ) -> Cycle:
@@ -114,29 +161,8 @@ def cycle_of(
     IdentificationError : the model's own fit report flagged it
     """
     terms = terms or Terms()
-    model, source = HammersteinModel.load(model_path), PurePath(model_path).name
-    refuse_flagged(model, source, terms)
-    limits = allowed_range(model, terms)
-    time_s = model.instruments.drive.sample_time_s
-    _, reference, _ = read_path(path, model, time_s)
-    built = compensator_of(law, options).design(model, limits, time_s)
-    if isinstance(built, Controller):
-        raise InputError("--law", "feedback needs the sensor's readings: it has no drive to send ahead")
-    asked = centred(built, model, reference)
-    ends = tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))
-    drive = model.instruments.drive.model_copy(update={"range_v": ends})
-    sent, _ = drive.apply(asked)
-    at_range = int(limits.reached(asked).any(axis=0).sum())
-    if at_range and not terms.clip:
-        raise SimulationError(
-            f"{path}: the path is out of reach: its drive stands at the range in "
-            f"{at_range} of {asked.shape[1]} samples of a settled period, "
-            f"{limits.words(model.inputs)} (--range). Make it smaller or slower, or accept it with --clip."
-        )
-    if not terms.beyond_records:
-        refuse_beyond(model, sent)
-    position, closure = played(model, limits, sent, time_s)
-    return Cycle(model, limits, time_s, reference, sent, position, closure, source, built.statement())
+    design = design_of(model_path, path, law, options, terms)
+    return design.cycle(centred(design.law, design.model, design.reference_um), terms)
 
 
 def settled(law: Law[Any], reference_um: Array) -> Array:
