@@ -80,7 +80,6 @@ def test_the_example_runs_and_prints_its_histogram(capsys):
     example.main(seconds=0.2)
     said = capsys.readouterr().out
     assert "time a step: median" in said
-    assert said.count(" us ") >= 20
-    counts = [int(line.split()[4]) for line in said.splitlines() if " to " in line]
-    assert sum(counts) >= 0.9 * 2 * 400
+    counts = [int(line.split()[3]) for line in said.splitlines() if line.startswith("from ")]
+    assert sum(counts) == 2 * 400  # two histograms of every step
     assert float(said.rpartition(": ")[2].split()[0]) < 1e-6

@@ -66,10 +66,10 @@ def follow(loop: hammerstein.Stream, reference_um: Array, device: SimulatedDevic
 def histogram(name: str, times_s: Array) -> list[str]:
     """Lines of a histogram of times."""
     times_us = 1e6 * times_s
-    counts, _ = np.histogram(times_us, EDGES_US)
+    counts, _ = np.histogram(times_us, (*EDGES_US, np.inf))
     lines = [f"{name}: median {np.median(times_us):.1f} us, worst {times_us.max():.0f} us"]
-    for low, high, count in zip(EDGES_US, EDGES_US[1:], counts, strict=False):
-        lines.append(f"{low:6d} to {high:5d} us {count:7d} {'#' * round(60 * count / len(times_us))}")
+    for low, count in zip(EDGES_US, counts, strict=True):
+        lines.append(f"from {low:6d} us {count:7d} {'#' * round(60 * count / len(times_us))}")
     return lines
 
 
