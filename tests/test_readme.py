@@ -34,6 +34,7 @@ def _commands():
         "hammerstein check",
         "hammerstein run",
         "hammerstein identify",
+        "hammerstein sweep",
     }  # spoken of, not to be typed
     return [c for c in dict.fromkeys(commands) if c.startswith("hammerstein ") and c not in named_only]
 
@@ -64,7 +65,8 @@ def folder(tmp_path_factory):
     (folder / "scenarios").mkdir()
     for name in ("circles", "static_inverse"):
         shutil.copy(TOP / "scenarios" / f"{name}.toml", folder / "scenarios")
-    (folder / "round.toml").write_text(_blocks("toml")[0])
+    study = next(block for block in _blocks("toml") if "[study]" in block)
+    (folder / "round.toml").write_text(_blocks("toml")[0] + study)
     return folder
 
 

@@ -191,6 +191,12 @@ def identify(
     method: Annotated[
         str, typer.Option(help="invertible, least_squares, nonnegative or closed_form.")
     ] = "invertible",
+    hysteresis: Annotated[
+        str, typer.Option(help="Kind of the static block: prandtl_ishlinskii or asymmetric.")
+    ] = "prandtl_ishlinskii",
+    dead_zones: Annotated[
+        int | None, typer.Option(help="Of each input, with asymmetric; found if not given.")
+    ] = None,
     ridge: Annotated[float, typer.Option(help="Penalty of the weights; 0: none.")] = 0.0,
     dynamics: Annotated[str, typer.Option(help="none, second_order or state_space.")] = "none",
     order: Annotated[int | None, typer.Option(help="Order of a state-space model.")] = None,
@@ -227,6 +233,8 @@ def identify(
         partition=partition,
         method=method,
         ridge=ridge,
+        hysteresis=hysteresis,
+        dead_zones=dead_zones,
         dynamics=dynamics,
         order=order,
         creep_modes=creep_modes,

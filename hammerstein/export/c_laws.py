@@ -125,7 +125,9 @@ def c_inverse_of(law: StaticInverse[Any], start: Any) -> CPart:
 @c_inverse_of.register
 def _(law: ExactInverseLaw, start: Any) -> CPart:
     """The walk over the pieces: the table of ``exact.pieces`` by its names."""
-    m, bank, table = law.n_inputs, law.square.bank, law.design_table()
+    if law.square.lines.n.any():
+        raise InputError("export", "the exact inverse of a model with dead-zones has no C code")
+    m, bank, table = law.n_inputs, law.square.plays.bank, law.design_table()
     about = table[pieces.HERE, :, pieces.ABOUT]
     segments = bank.r.shape[1] + 2
     held = table[pieces.HERE, law.n_outputs :, pieces.NOW, pieces.Y]

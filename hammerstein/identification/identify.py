@@ -22,6 +22,7 @@ from hammerstein.identification.candidates import (
 )
 from hammerstein.identification.excitation import answers, excitation_statements, refuse_noise, refuse_one_way
 from hammerstein.identification.fit import Fit, Kind
+from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.linear.delay import static_delay
 from hammerstein.identification.linear.second_order import FirstGuess, checked_delay, search_axes
 from hammerstein.identification.operators import (
@@ -153,7 +154,7 @@ def identify(
     guess, first = _first_model(ready, settings, tell)
     task, curve = _task(ready, settings, guess, first, tell)
     task, guess = _with_checked_delay(task, guess)
-    built = _build(task, guess)
+    built = with_hysteresis(task, _build(task, guess))
     best = built.candidates[built.kind]
     answer = answers(best, ready, task.starts)
     refuse_noise(ready, answer)
@@ -305,15 +306,19 @@ def _account(
     record, settings, best = task.records[0], task.settings, built.candidates[built.kind]
     named = [fault for one in task.records for fault in faults(one)]
     flags, bounds = _flags(task, built, named), []
-    if settings.method == "invertible":
+    if settings.method == "invertible" and settings.hysteresis == "prandtl_ishlinskii":
         spoiled = {name for fault in named for name in fault.outputs}
         bounds = bound_notes(
             task.records, built.blocks.chosen, built.blocks.free, built.kind == "hammerstein", spoiled
         )
     swing = half_swing(task.records)
     amplitude = float(swing.max())
+    block, reached = best.hysteresis, amplitude
+    if settings.hysteresis != "prandtl_ishlinskii":
+        rest = np.array(voltages.working_point_v)
+        block, reached = block.counted_from(rest), np.array([voltages.lowest_v, voltages.highest_v]) - rest
     invertible, sentence = invertibility_of(
-        best.hysteresis, best.dynamics, amplitude, record.sample_time_s, record.inputs
+        block, best.dynamics, reached, record.sample_time_s, record.inputs
     )
     return Fit(
         inputs=record.inputs,
@@ -322,7 +327,7 @@ def _account(
         fit=fitted,
         validation=judged,
         method=settings.method,
-        operators=tuple(tuple(len(p.thresholds_v) for p in row) for row in best.hysteresis.pairs),
+        operators=best.hysteresis.operators,
         amplitude_v=amplitude,
         amplitudes_v=tuple(swing.tolist()),
         voltages=voltages,
@@ -360,7 +365,7 @@ def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
     flags += record_flags(built.candidates[built.kind], task.records, task.starts, spoiled)
     if task.settings.dynamics == "none":
         flags += butterfly_flags(task.records, direct)
-    if blocks.one_sign is not None:
+    if blocks.one_sign is not None and task.settings.hysteresis == "prandtl_ishlinskii":
         spans = ranges(task.records, task.starts)
         flags += shape_flags(task.records, blocks.free, blocks.one_sign, spans, direct)
     return flags

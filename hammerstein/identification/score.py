@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
-from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 
@@ -20,16 +21,17 @@ Array = NDArray[np.float64]
 class Candidate:
     """A model under judgement: static block, linear block, and the sensor that stands behind them."""
 
-    hysteresis: PrandtlIshlinskii
+    hysteresis: Hysteresis[Any]
     dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics
     sensor_bandwidth_hz: float | None = None
 
     def predict(self, record: Record, start: Start) -> Array:
         """Readings (output, sample) to the voltages of a record, without offset [um]."""
         block = discretise(self.dynamics, record.sample_time_s, self.sensor_bandwidth_hz)
-        v, memory = self.hysteresis.respond(record.u_v)
+        hysteresis = self.hysteresis.counted_from(record.rest_v).on_grid(record.sample_time_s)
+        v, memory = hysteresis.respond(record.u_v)
         if start.kind == "repeated":
-            v, _ = self.hysteresis.respond(record.u_v, memory)
+            v, _ = hysteresis.respond(record.u_v, memory)
         y, state = block.respond(v)
         if start.kind == "repeated":
             y, _ = block.respond(v, state)

@@ -15,7 +15,7 @@ from hammerstein.blocks import Array, Law, S
 from hammerstein.compensators.base import Compensator
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii, play
+from hammerstein.hysteresis import Asymmetric, Hysteresis, PrandtlIshlinskii, RateDependent, play
 from hammerstein.hysteresis.invertibility import Invertibility, completed, invertibility, require_inverse
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Volts
@@ -126,13 +126,13 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         softening_v: float = 0.0,
         run_anyway: bool = False,
     ):
-        hysteresis = model.hysteresis
-        assert isinstance(hysteresis, PrandtlIshlinskii)
-        self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
         self.range, self.softening_v = DriveRange.of(range_v, model), softening_v
+        hysteresis = model.hysteresis.counted_from(self.range.working_point_v)
+        assert isinstance(hysteresis, PrandtlIshlinskii | Asymmetric)
+        self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
         if not (np.isfinite(softening_v) and softening_v >= 0.0):
             raise InputError("softening_v", f"must be 0 or more volts, not {softening_v:g}")
-        found = invertibility(hysteresis, self.range.largest_v, model.amplitude_v)
+        found = invertibility(hysteresis, np.array(self.range.counted), model.amplitude_v)
         self.invertibility = replace(found, inputs=model.inputs)
         require_inverse(self.invertibility, "exact_inverse", run_anyway)
         self.square, self.smallest_v = completed(hysteresis, model.amplitude_v)
@@ -157,9 +157,13 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         """Table of ``exact_pieces`` with the model in it."""
         from hammerstein.compensators.exact import pieces as at
 
-        m, bank = self.n_inputs, self.square.bank
-        operators = bank.r.shape[1]
-        table = np.zeros((4, m, max(operators + 2, at.SCRATCH + 1), at.CONSTANT + 1 + 2 * m))
+        m, bank, zones = self.n_inputs, self.square.plays.bank, self.square.lines
+        operators, ends = bank.r.shape[1], zones.ends.shape[1]
+        rows = max(operators + ends + 1, at.SCRATCH + 1)
+        table = np.zeros((5, m, rows, at.CONSTANT + 1 + 2 * m))
+        table[at.ZONES, :, :ends, at.TOP] = zones.ends
+        table[at.ZONES, :, :ends, at.SLOPE : at.SLOPE + m] = zones.slope
+        table[at.ZONES, :, :ends, at.SLOPE + m : at.SLOPE + 2 * m] = zones.intercept
         table[at.GRID, :, :operators, at.R] = bank.r
         table[at.GRID, :, : operators + 1, at.SLOPE : at.SLOPE + m] = bank.slope
         table[at.GRID, :, : operators + 1, at.SLOPE + m : at.SLOPE + 2 * m] = bank.moment
@@ -191,8 +195,9 @@ class ExactInverseLaw(StaticInverse[ExactState]):
 
         m, history = self.n_inputs, self.range.history()
         q = np.stack([play(u, [r])[0] for u, r in zip(history, self.smallest_v, strict=True)])
-        rows, plays = self.square.respond(q) if q.any() else (np.zeros((m, 1)), self.square.rest())
-        stack, hand = np.zeros((m, self.square.bank.r.shape[1] + 2, 3 + m)), np.zeros((m, 3))
+        rows, memory = self.square.respond(q) if q.any() else (np.zeros((m, 1)), self.square.rest())
+        plays = memory.plays
+        stack, hand = np.zeros((m, self.square.plays.bank.r.shape[1] + 2, 3 + m)), np.zeros((m, 3))
         for column, values in ((at.END, plays.end), (at.X, plays.x), (at.D, plays.d)):
             stack[:, :-1, column] = values
         stack[:, :-1, at.BELOW :] = plays.below
@@ -258,9 +263,17 @@ def exact_inverse_of(
     )
 
 
-@exact_inverse_of.register
-def _(hysteresis: PrandtlIshlinskii, model: HammersteinModel, *options: Any) -> ExactInverseLaw:
+@exact_inverse_of.register(PrandtlIshlinskii)
+@exact_inverse_of.register(Asymmetric)
+def _(hysteresis: Hysteresis[Any], model: HammersteinModel, *options: Any) -> ExactInverseLaw:
     return ExactInverseLaw(model, *options)
+
+
+@exact_inverse_of.register
+def _(hysteresis: RateDependent, model: HammersteinModel, *options: Any) -> StaticInverse[Any]:
+    from hammerstein.compensators.exact.rate_dependent import RateDependentInverseLaw
+
+    return RateDependentInverseLaw(hysteresis, model, *options)
 
 
 def _difference(whole: float, part: float) -> float:

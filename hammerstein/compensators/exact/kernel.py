@@ -96,7 +96,7 @@ def respond_exact(reference, virtual, a, b, gain, x, w, drive):  # type: ignore[
         for k in range(drive.shape[0]):
             drive[k, t] = w[HERE, k, NOW, U]
         if away:
-            away = _drift(reference, t, a, b, x, new, w)
+            away = drift(reference, t, a, b, x, new, w)
 
 
 @compiled(error_model="numpy")
@@ -141,7 +141,7 @@ def step_exact(sample, frame, table, stack, hand):  # type: ignore[no-untyped-de
 
 
 @compiled(error_model="numpy")
-def _drift(reference, t, a, b, x, new, w):  # type: ignore[no-untyped-def]
+def drift(reference, t, a, b, x, new, w):  # type: ignore[no-untyped-def]
     """Move the distance x of the linear block by one sample; False once it is gone."""
     for s in range(x.shape[0]):
         new[s] = 0.0
