@@ -71,5 +71,6 @@ from .signals import (
     Triangle as Triangle,
 )
 from .simulation import Plant as Plant, Response as Response
+from .streaming import Stream as Stream, stream as stream
 
 __version__: str
