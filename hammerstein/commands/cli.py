@@ -22,8 +22,7 @@ from hammerstein.commands.terminal import complain, hushed, show, tell, tell_jso
 from hammerstein.errors import HammersteinError
 from hammerstein.escaping import clean
 from hammerstein.runtime.cache import folder_of_runs
-from hammerstein.runtime.deadline import ended_in_time
-from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, leave
+from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, ended_in_time, leave
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -128,7 +127,7 @@ def main(arguments: list[str] | None = None) -> None:
         _answer_interrupts()
         terminal.make_ready()
         _one_thread_a_job()
-        with ended_in_time(lambda: complain(LEFT), INTERRUPTED):
+        with ended_in_time(lambda: complain(LEFT)):
             code = _answered(arguments)
     except _Interrupted:
         complain(LEFT)

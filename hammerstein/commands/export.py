@@ -10,7 +10,7 @@ import typer
 from hammerstein.commands.terminal import complain, tell, tell_json
 from hammerstein.commands.volts import volts
 
-FORMATS = ("c",)
+FORMATS = ("c", "fmu")
 
 
 def export(
@@ -18,7 +18,7 @@ def export(
     law: Annotated[
         str, typer.Option(help="As in a scenario, or model: the actuator itself.")
     ] = "exact_inverse",
-    form: Annotated[str, typer.Option("--format", help="c: C99.")] = "c",
+    form: Annotated[str, typer.Option("--format", help="c: C99; fmu: FMI 3.0 around it.")] = "c",
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where the code goes.")] = None,
     check: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Make an export again, and compare.")
@@ -68,6 +68,7 @@ def export(
         "conditioned": conditioned,
         "accept_flagged": accept_flagged,
         "float32": float32,
+        "form": form,
     }
     assert model is not None  # the condition above
     _write(model, law, out, sample_time, request, as_json)

@@ -1,1 +1,1 @@
-"""Examples to run and to change: ``python -m hammerstein.examples.first_loop``. Each draws one figure."""
+"""Programs to read and to run: ``python -m hammerstein.examples.NAME``."""
