@@ -65,8 +65,7 @@ def folder(tmp_path_factory):
     (folder / "scenarios").mkdir()
     for name in ("circles", "static_inverse"):
         shutil.copy(TOP / "scenarios" / f"{name}.toml", folder / "scenarios")
-    study = next(block for block in _blocks("toml") if "[study]" in block)
-    (folder / "round.toml").write_text(_blocks("toml")[0] + study)
+    (folder / "round.toml").write_text(_blocks("toml")[0])
     return folder
 
 

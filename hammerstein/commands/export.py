@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from hammerstein.commands.terminal import complain, tell
+from hammerstein.commands.terminal import complain, tell, tell_json
 from hammerstein.commands.volts import volts
 
 FORMATS = ("c", "fmu")
@@ -82,7 +81,7 @@ def _check(folder: Path, as_json: bool) -> None:
     compile_once(complain)
     files = check_export(folder)
     if as_json:
-        tell(json.dumps({"check": str(folder), "files": files}))
+        tell_json({"check": str(folder), "files": files})
     else:
         tell(f"{folder}: all {len(files)} files are what its model gives")
 
@@ -108,7 +107,7 @@ def _write(
     for place in written.kept:
         complain(kept_aside(place))
     if as_json:
-        tell(json.dumps({"export": str(out), "statements": written.statements, "files": written.files}))
+        tell_json({"export": str(out), "statements": written.statements, "files": written.files})
         return
     for text in written.statements:
         tell(text)

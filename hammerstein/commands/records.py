@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from hammerstein.commands.terminal import complain, show, tell
+from hammerstein.commands.terminal import complain, hushed, show, tell, tell_json
 from hammerstein.commands.volts import volts
 from hammerstein.escaping import clean
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from hammerstein.records.gains import Gain
     from hammerstein.records.record import Record
 
+_OPTIONS = {"sensor_bandwidth_hz": "sensor-bandwidth", "thresholds_v": "thresholds"}
 MOST_NAMED = 3
 """Records whose names make up that of a folder."""
 
@@ -48,7 +50,7 @@ AcceptGain = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 
-def _refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
+def refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
     """Refuse an output that cannot be written, holds something else, or is one of the files that are read."""
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_overwriting, refuse_unwritable
@@ -61,6 +63,23 @@ def _refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
 
 def _columns(words: str) -> list[str]:
     return [word.strip() for word in words.split(",") if word.strip()]
+
+
+@contextmanager
+def _told_by_options(source: str) -> Iterator[None]:
+    """Let the mistakes in what a function was told name the options that told it."""
+    from hammerstein.errors import InputError
+
+    try:
+        yield
+    except InputError as error:
+        if error.source != source:
+            raise
+        mistakes = [
+            m._replace(where=_OPTIONS.get(m.where, m.where.replace("_", "-"))) for m in error.mistakes
+        ]
+        named = [m._replace(where=f"--{m.where}" * bool(m.where)) for m in mistakes]
+        raise InputError("options", named) from None
 
 
 def _reader(
@@ -158,7 +177,7 @@ def loops(
             for source, loops_found in found.items()
             for loop in loops_found
         ]
-        tell(json.dumps({"loops": plain}))
+        tell_json({"loops": plain})
     else:
         show(gains_table(gains))
         show(loops_table(found))
@@ -193,7 +212,7 @@ def identify(
         str, typer.Option(help="invertible, least_squares, nonnegative or closed_form.")
     ] = "invertible",
     hysteresis: Annotated[
-        str, typer.Option(help="Kind of the static block: prandtl_ishlinskii or asymmetric.")
+        str, typer.Option(help="Static block: prandtl_ishlinskii, asymmetric or rate_dependent.")
     ] = "prandtl_ishlinskii",
     dead_zones: Annotated[
         int | None, typer.Option(help="Of each input, with asymmetric; found if not given.")
@@ -228,22 +247,23 @@ def identify(
     from hammerstein.reporting.fit_page import fit_json
     from hammerstein.storage.staging import prepare
 
-    settings = settings_of(
-        operators=operators,
-        thresholds=thresholds,
-        partition=partition,
-        method=method,
-        ridge=ridge,
-        hysteresis=hysteresis,
-        dead_zones=dead_zones,
-        dynamics=dynamics,
-        order=order,
-        creep_modes=creep_modes,
-        delay_samples=delay_samples,
-        sensor_bandwidth_hz=sensor_bandwidth,
-    )
+    with _told_by_options("identification"):
+        settings = settings_of(
+            operators=operators,
+            thresholds=thresholds,
+            partition=partition,
+            method=method,
+            ridge=ridge,
+            hysteresis=hysteresis,
+            dead_zones=dead_zones,
+            dynamics=dynamics,
+            order=order,
+            creep_modes=creep_modes,
+            delay_samples=delay_samples,
+            sensor_bandwidth_hz=sensor_bandwidth,
+        )
     held = validate or []
-    _refuse_output(out, [*files, *held], CONTENT)
+    refuse_output(out, [*files, *held], CONTENT)
     twice = sorted({str(f) for f in held if f.resolve() in {g.resolve() for g in files}})
     if twice:
         raise InputError(
@@ -263,7 +283,7 @@ def identify(
     for place in write_fit(model, fit, out, folder, figures):
         complain(kept_aside(place))
     if as_json:
-        tell(fit_json(model, fit).rstrip())
+        tell_json(json.loads(fit_json(model, fit)), indent=1, sort_keys=True)
         return
     show(gains_table(gains))
     show(fit_table(fit))
@@ -278,7 +298,7 @@ class _Spinner:
 
     def __enter__(self) -> _Spinner:
         self.status = None
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and not hushed():
             from rich.console import Console
 
             self.status = Console(stderr=True).status("reading")
@@ -431,24 +451,24 @@ def compensate(
     if gain not in (None, "auto", "identity"):
         raise InputError("--gain", f"must be auto or identity, not {gain!r}; a matrix goes into a scenario")
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
-    _refuse_output(out, [Path(model), reference], CONTENT)
+    refuse_output(out, [Path(model), reference], CONTENT)
     compile_once(complain)
     ends, begins = volts("--range", range_v), volts("--start", start)
     terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
-    if learn is not None:
-        _write_lesson(model, reference, law, options, terms, out, learn, unsure, as_json)
-        return
-    if cycle or table is not None:
-        _write_cycle(
-            model, reference, law, options, terms, out, _Table(table, table_scale, table_points), as_json
-        )
-        return
-    if table_scale is not None or table_points is not None:
-        raise InputError("--table-scale, --table-points", "belong to --table")
-    found = compensated(model, reference, law, options, terms)
+    with _told_by_options("compensate"):
+        if learn is not None:
+            _write_lesson(model, reference, law, options, terms, out, learn, unsure, as_json)
+            return
+        if cycle or table is not None:
+            wanted = _Table(table, table_scale, table_points)
+            _write_cycle(model, reference, law, options, terms, out, wanted, as_json)
+            return
+        if table_scale is not None or table_points is not None:
+            raise InputError("--table-scale, --table-points", "belong to --table")
+        found = compensated(model, reference, law, options, terms)
     write_atomic(out, found.to_csv())
     if as_json:
-        tell(json.dumps({"drive": str(out), **found.summary()}))
+        tell_json({"drive": str(out), **found.summary()})
         return
     show(compensation_table(found))
     for text in found.statements():

@@ -1,1 +1,1 @@
-"""Programs to read and to run: ``python -m hammerstein.examples.NAME``."""
+"""Programs to read, to run and to change: ``python -m hammerstein.examples.first_loop``."""

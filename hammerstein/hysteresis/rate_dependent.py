@@ -222,6 +222,7 @@ class RateDependent(Hysteresis[RateState]):
         return RateState.from_dict(data)
 
     def _respond(self, u_v: Array, start: RateState) -> tuple[Array, RateState]:
+        from hammerstein.compiled import spans
         from hammerstein.hysteresis.rate_dependent_kernels import respond_rate_dependent
 
         if not np.isfinite(u_v).all():
@@ -230,7 +231,8 @@ class RateDependent(Hysteresis[RateState]):
         state = RateState(start.plays_v.copy(), start.last_v.copy(), start.rate_v_per_s.copy())
         plays = (bank.n, bank.r, bank.b, bank.lam, bank.w)
         memory = (state.plays_v, state.last_v, state.rate_v_per_s)
-        respond_rate_dependent(u_v, self.grid_s, self.poles, *plays, *memory, y)
+        for first, stop in spans(u_v.shape[1], 8 * bank.w.size):
+            respond_rate_dependent(u_v, self.grid_s, self.poles, *plays, *memory, first, stop, y)
         return y, state
 
     def amplitude(self, amplitude_v: ArrayLike) -> Array:

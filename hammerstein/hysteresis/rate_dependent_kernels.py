@@ -25,16 +25,17 @@ def threshold(k, i, r, b, lam, rate):  # type: ignore[no-untyped-def]
 
 @compiled()
 def respond_rate_dependent(  # type: ignore[no-untyped-def]
-    u, sample_time, pole, n, r, b, lam, w, plays, last, rate, y
+    u, sample_time, pole, n, r, b, lam, w, plays, last, rate, first, stop, y
 ):
     """Sum of all plays, each with the threshold of its sample.
 
     u : (m, N); pole, lam : (m,); n : (m,) plays; r, b : (m, n_max); w : (m, n_max, p)
-    plays : (m, n_max), last : (m, 2), rate : (m,), updated in place; y : (p, N), overwritten
+    plays : (m, n_max), last : (m, 2), rate : (m,), updated in place
+    y : (p, N), overwritten from sample first up to stop
     """
-    y[:] = 0.0
+    y[:, first:stop] = 0.0
     for k in range(u.shape[0]):
-        for t in range(u.shape[1]):
+        for t in range(first, stop):
             next_rate(k, sample_time, pole, last, rate)
             for i in range(n[k]):
                 reach = threshold(k, i, r, b, lam, rate)

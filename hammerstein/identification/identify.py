@@ -144,6 +144,8 @@ def identify(
     (array([3., 1., 1.]), True)
     """
     settings = settings or Settings()
+    if settings.hysteresis == "rate_dependent" and settings.delay_samples is None:
+        settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
     tell = progress or (lambda _: None)
     ready, notes = _ready(records)
     held, held_notes = _ready(validation) if validation else ((), [])

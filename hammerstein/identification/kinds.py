@@ -14,6 +14,7 @@ from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.candidates import Built, Task
 from hammerstein.identification.settings import HysteresisKind
 from hammerstein.identification.static.asymmetric import breakpoints_in, enough_dead_zones, fit_asymmetric
+from hammerstein.identification.static.rate_dependent import fit_rate_dependent
 from hammerstein.identification.static.static_block import Thresholds, Weighting
 
 Array = NDArray[np.float64]
@@ -74,6 +75,28 @@ def _asymmetric(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Repla
     return Replacement(fit.hysteresis, tuple(notes))
 
 
+def _rate_dependent(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replacement:
+    """Plays whose thresholds grow with the rate; the outputs share those of an input."""
+    grids = [np.unique(np.concatenate([[0.0], *(row[k][1:] for row in thresholds_v)]))
+             for k in range(len(thresholds_v[0]))]  # fmt: skip
+    fit = fit_rate_dependent(
+        task.records,
+        grids,
+        invertible=task.settings.method == "invertible",
+        starts=task.starts,
+        delay_samples=task.delay_samples,
+        through=task.paths(dynamics),
+    )
+    told = [
+        f"thresholds of {name} grow by {float(plays.growth_s[-1]):.3g} V for each V/s, seen through "
+        f"{plays.bandwidth_hz:.3g} Hz"
+        for name, plays in zip(task.records[0].inputs, fit.hysteresis.inputs, strict=True)
+    ]
+    late = f"a delay of {task.delay_samples} samples was taken as known: it looks like growing thresholds"
+    return Replacement(fit.hysteresis, (*told, late))
+
+
 REPLACEMENTS: Mapping[HysteresisKind, Callable[[Task, Thresholds, Linear], Replacement]] = {
     "asymmetric": _asymmetric,
+    "rate_dependent": _rate_dependent,
 }

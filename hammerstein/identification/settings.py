@@ -19,7 +19,7 @@ from hammerstein.records.record import Record
 Array = NDArray[np.float64]
 Method = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
 DynamicsKind = Literal["none", "second_order", "state_space"]
-HysteresisKind = Literal["prandtl_ishlinskii", "asymmetric"]
+HysteresisKind = Literal["prandtl_ishlinskii", "asymmetric", "rate_dependent"]
 
 MOST_OPERATORS = 200
 MOST_CREEP_MODES = 5
@@ -54,7 +54,7 @@ class Settings:
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; None: unlimited
     start : what went before each record: ``rest``, ``repeated`` (the like of it), or ``auto``: found out
     hysteresis : kind of the static block: ``prandtl_ishlinskii``, or ``asymmetric`` with one-sided dead-zones
-        beside the plays
+        beside the plays, or ``rate_dependent`` with thresholds that grow with the rate
     dead_zones : of each input of an asymmetric block; None: as many as the records call for
     error_curve : whether the held-out error is found for many numbers of operators
     """
@@ -108,14 +108,15 @@ class Settings:
 
     def _misfits_of_kind(self) -> list[Mistake]:
         """What does not go together with a kind of hysteresis."""
+        stray = self.dead_zones is not None and self.hysteresis != "asymmetric"
+        mistakes = [Mistake("dead_zones", "belong to hysteresis asymmetric")] if stray else []
         if self.hysteresis == "prandtl_ishlinskii":
-            given = self.dead_zones is not None
-            return [Mistake("dead_zones", "belong to hysteresis asymmetric")] if given else []
+            return mistakes
         asked = {
             "dynamics": self.dynamics == "state_space",
             "method": self.method in ("closed_form", "nonnegative"),
         }
-        return [
+        return mistakes + [
             Mistake(name, f"{getattr(self, name)} cannot be had with hysteresis {self.hysteresis}")
             for name, is_wrong in asked.items()
             if is_wrong

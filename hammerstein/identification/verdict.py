@@ -80,7 +80,7 @@ its place: it lowers the error from 7.4 to 0.8 %.
         sentences.append(_earns("Hysteresis", errors["linear"], errors["static_hysteresis"]))
     if "classical" in errors:
         best = errors.get("hammerstein", errors["static_hysteresis"])
-        sentences.append(_earns("What stands beside the plays", errors["classical"], best))
+        sentences.append(_earns("More than plays", errors["classical"], best))
     if dynamics != "none" and "hammerstein" not in errors:
         sentences.insert(0, UNTOLD)
     if flags:

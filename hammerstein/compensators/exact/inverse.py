@@ -231,6 +231,7 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         """See ``StaticInverse.solve``."""
         from hammerstein.compensators.exact import pieces as at
         from hammerstein.compensators.exact.kernel import respond_exact
+        from hammerstein.compiled import spans
 
         p, drive = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1]))
         back = recovery or Recovery(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((p, 0)))
@@ -238,7 +239,8 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         _, rows, columns = start.stack.shape
         stack, hand = table[at.STACK, :, :rows, :columns], table[at.HERE, :, at.HAND, : at.RAMP + 1]
         stack[:], hand[:] = start.stack, start.hand
-        respond_exact(v_um, self.n_inputs - p, *back, left, table, drive)
+        for first, end in spans(v_um.shape[1]):
+            respond_exact(v_um, self.n_inputs - p, *back, left, table, first, end, drive)
         return drive, ExactState(stack.copy(), hand.copy()), left
 
 

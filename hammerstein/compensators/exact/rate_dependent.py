@@ -118,6 +118,7 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         """Drive (m, N) for outputs (p, N) of the static block; see ``StaticInverse.solve``."""
         from hammerstein.compensators.exact import pieces as at
         from hammerstein.compensators.exact.rate_kernel import respond_exact_rate
+        from hammerstein.compiled import spans
 
         p, drive, bank = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1])), self.hysteresis.bank
         back = recovery or Recovery(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((p, 0)))
@@ -128,5 +129,7 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         grid = (self.hysteresis.grid_s, self.hysteresis.poles)
         plays = (bank.n, bank.r, bank.b, bank.lam, bank.w)
         memory = (state.plays_v, state.last_v, state.rate_v_per_s)
-        respond_exact_rate(np.ascontiguousarray(v_um), *back, left, table, *grid, *plays, *memory, drive)
+        wanted, work = np.ascontiguousarray(v_um), 64 * bank.w.size
+        for first, stop in spans(wanted.shape[1], work):
+            respond_exact_rate(wanted, *back, left, table, *grid, *plays, *memory, first, stop, drive)
         return drive, RateInverseState(state, table[at.STACK, :, 0, at.X].copy()), left

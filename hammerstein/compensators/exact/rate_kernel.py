@@ -30,9 +30,29 @@ from hammerstein.hysteresis.rate_dependent_kernels import next_rate, threshold
 
 @compiled(error_model="numpy")
 def respond_exact_rate(  # type: ignore[no-untyped-def]
-    reference, a, b, gain, x, w, sample_time, pole, n, r, grow, lam, weights, plays, last, rate, drive
+    reference,
+    a,
+    b,
+    gain,
+    x,
+    w,
+    sample_time,
+    pole,
+    n,
+    r,
+    grow,
+    lam,
+    weights,
+    plays,
+    last,
+    rate,
+    first,
+    stop,
+    drive,
 ):
-    """Drive (m, N), overwritten, whose model output is the reference (p, N); plays and rates are updated.
+    """Drive (m, N) whose model output is the reference (p, N), from sample first up to stop.
+
+    The drive is overwritten there, plays and rates are updated.
 
     a, b, gain, x : linear block behind it, as for ``respond_exact``; the others as for the forward loop
     """
@@ -42,7 +62,7 @@ def respond_exact_rate(  # type: ignore[no-untyped-def]
     owner = np.empty(2 * r.shape[1], np.int64)
     for s in range(x.shape[0]):
         away = away or x[s] != 0.0
-    for t in range(reference.shape[1]):
+    for t in range(first, stop):
         for k in range(m):
             next_rate(k, sample_time, pole, last, rate)
             for i in range(n[k]):
