@@ -10,9 +10,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Make a warning an error where a module of the tests raises it, not where a library does."""
     modules = sorted(path.stem for path in Path(__file__).parent.rglob("*.py"))
     config.addinivalue_line("filterwarnings", f"error:::({'|'.join(modules)})$")
-    if (
-        signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-    ):  # as behind a shell's "&": programs begun here inherit it
+    # Behind a shell's "&" Ctrl-C is ignored, and programs that are begun here would inherit that.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
