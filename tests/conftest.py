@@ -1,3 +1,4 @@
+import os
 import signal
 from pathlib import Path
 
@@ -9,10 +10,22 @@ from record_cases import TIME, U, X, table_text
 def pytest_configure(config: pytest.Config) -> None:
     """Make a warning an error where a module of the tests raises it, not where a library does."""
     modules = sorted(path.stem for path in Path(__file__).parent.rglob("*.py"))
+    config.addinivalue_line("markers", "long: runs only where HAMMERSTEIN_LONG is set")
     config.addinivalue_line("filterwarnings", f"error:::({'|'.join(modules)})$")
     # Behind a shell's "&" Ctrl-C is ignored, and programs that are begun here would inherit that.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+LONG = "takes long; HAMMERSTEIN_LONG=1 runs it, as the weekly workflow does"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave out what takes long and repeats a shorter test in more ways, unless it is asked for."""
+    if not os.environ.get("HAMMERSTEIN_LONG"):
+        for item in items:
+            if item.get_closest_marker("long"):
+                item.add_marker(pytest.mark.skip(reason=LONG))
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -125,8 +125,10 @@ def loop(tmp_path):
     return run
 
 
-@pytest.mark.parametrize("kind", ["nbi", "nbc"])
-@pytest.mark.parametrize("how", FAULTS)
+@pytest.mark.parametrize("kind", ["nbc", pytest.param("nbi", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "how", ["flipped", *(pytest.param(h, marks=pytest.mark.long) for h in FAULTS if h != "flipped")]
+)
 def test_a_spoilt_compiled_loop_is_told_and_compiled_again(loop, tmp_path, kind, how):
     assert loop() == (["42.0", "0"], "")
     assert loop() == (["42.0", "1"], "")

@@ -165,7 +165,7 @@ def test_check_fails_without_baseline_then_passes_then_sees_a_change(folder, cap
     assert "scenario" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("wait_s", [1.0, 2.0, 3.0])
+@pytest.mark.parametrize("wait_s", [2.0, *(pytest.param(s, marks=pytest.mark.long) for s in (1.0, 3.0))])
 def test_ctrl_c_while_the_processes_begin_is_quiet(folder, wait_s):
     for k in range(4):
         (folder / "scenarios" / f"s{k}.toml").write_text(SMALL)

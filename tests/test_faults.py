@@ -94,7 +94,10 @@ def assert_gone(family, seconds=5.0):
     assert not names
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGKILL, *(pytest.param(n, marks=pytest.mark.long) for n in (signal.SIGTERM, signal.SIGHUP))],
+)
 def test_nothing_stays_behind_when_the_parent_is_ended(folder, started, number):
     run = started("run", "scenarios", "--jobs", "3", "--no-figures", "--out", "r")
     run.wait_for(folder / "r/a/report.json")

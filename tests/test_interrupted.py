@@ -99,7 +99,10 @@ def test_python_answers_ctrl_c_within_a_compiled_loop():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize(("jobs", "files", "busy_s"), [("1", 1, 4.0), ("2", 1, 4.0), ("2", 2, 14.0)])
+@pytest.mark.parametrize(
+    ("jobs", "files", "busy_s"),
+    [("1", 1, 4.0), ("2", 1, 4.0), pytest.param("2", 2, 14.0, marks=pytest.mark.long)],
+)
 def test_a_compiled_loop_ends_in_time(tmp_path, jobs, files, busy_s):
     for k in range(files):
         (tmp_path / f"slow{k}.toml").write_text(SLOW)

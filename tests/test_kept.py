@@ -295,7 +295,14 @@ def test_it_belongs_to_the_user_alone(place, tmp_path, capsys):
     assert content(place) == before
 
 
-@pytest.mark.parametrize("how", ["no folder", "disk full", "no home"])
+@pytest.mark.parametrize(
+    "how",
+    [
+        "disk full",
+        pytest.param("no folder", marks=pytest.mark.long),
+        pytest.param("no home", marks=pytest.mark.long),
+    ],
+)
 def test_where_nothing_can_be_kept_the_run_goes_on_and_says_so_once(tmp_path, how):
     for name in "ab":
         (tmp_path / f"{name}.toml").write_text(FILE)
@@ -429,6 +436,7 @@ def test_killed_at_half_at_most_half_is_left(place, tmp_path, worked_out):
     assert content(tmp_path / "1") == content(tmp_path / "2")
 
 
+@pytest.mark.long
 def test_two_runs_at_once_share_the_place(place, tmp_path):
     (tmp_path / "s.toml").write_text(SLOW.replace("3000", "30"))
     command = [sys.executable, "-m", "hammerstein", "run", str(tmp_path / "s.toml"), "--jobs", "1"]

@@ -118,7 +118,7 @@ def test_what_has_no_picture_shows_its_text():
     assert ramp._repr_html_().startswith("<p><code>Record(")
 
 
-def test_the_example_of_the_readme_runs(capsys):
+def test_the_example_of_the_readme_runs():
     """Through ``control.interconnect``, with the error that the report of such a path shows."""
     import matplotlib.pyplot as plt
 
@@ -133,5 +133,3 @@ def test_the_example_of_the_readme_runs(capsys):
     error = names["response"].outputs - names["reference"]
     assert np.sqrt(np.mean(error[:, 200:] ** 2)) < 2.0
     assert isinstance(names["chain"], control.InterconnectedSystem)
-    assert [cycle.stable for cycle in names["cycles"]] == [False, True]
-    assert "LimitCycle(amplitude_v=" in capsys.readouterr().out

@@ -44,7 +44,9 @@ def shell(redirection, *arguments, **environment):
     )
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-8"])
+@pytest.mark.parametrize(
+    "encoding", ["cp1252", *(pytest.param(e, marks=pytest.mark.long) for e in ("ascii", "utf-8"))]
+)
 def test_characters_that_a_terminal_lacks(folder, encoding):
     done = shell("", *RUN, PYTHONIOENCODING=encoding)
     assert (done.returncode, done.stderr) == (0, b"")
@@ -62,14 +64,24 @@ def test_an_error_message_gives_the_terminal_no_orders(folder):
     assert rb"\x1b[31mred" in done.stderr
 
 
-@pytest.mark.parametrize("arguments", [RUN, ("actuators",), ("schema",), ("--help",), (*RUN, "--json")])
+@pytest.mark.parametrize(
+    "arguments",
+    [RUN, ("actuators",), ("schema",), ("--help",), pytest.param((*RUN, "--json"), marks=pytest.mark.long)],
+)
 def test_output_that_cannot_be_written_is_one_message(folder, arguments):
     done = shell("> /dev/full", *arguments)
     assert done.returncode == 2
     assert done.stderr == b"the output cannot be written (no space left on device)\n"
 
 
-@pytest.mark.parametrize("redirection", ["2>&-", "2>/dev/full", ">&-", ">&- 2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize(
+    "redirection",
+    [
+        "2>/dev/full",
+        "<&- >&- 2>&-",
+        *(pytest.param(r, marks=pytest.mark.long) for r in ("2>&-", ">&-", ">&- 2>&-")),
+    ],
+)
 def test_streams_that_nobody_reads_change_nothing(folder, redirection):
     assert shell(redirection, *RUN).returncode == 0
     assert json.loads((folder / "reports/odd/report.json").read_text())["name"] == "odd"

@@ -148,7 +148,7 @@ class AsymmetricState:
         return cls(PlayState.from_dict(data["plays"]), np.array(data["smallest_v"], dtype=np.float64))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Asymmetric(Hysteresis[AsymmetricState]):
     """Plays and one-sided dead-zones side by side, of m inputs and p outputs.
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hammerstein.interop.limit_cycles import HysteresisNonlinearity
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PrandtlIshlinskii(Hysteresis[PlayState]):
     """Rate-independent hysteresis of m inputs and p outputs: every output hears every input.
 

@@ -93,7 +93,7 @@ class RateBank:
     w: Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RateDependent(Hysteresis[RateState]):
     """Hysteresis of m inputs and p outputs that widens with the rate of its voltages.
 

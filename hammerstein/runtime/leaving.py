@@ -9,7 +9,7 @@ when the main thread does not do it.
 import os
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
@@ -58,7 +58,8 @@ def ended_in_time(say: Callable[[], None]) -> Iterator[None]:
             yield
         finally:
             signal.set_wakeup_fd(before)
-            writer.send(LEAVE)
+            with suppress(OSError):  # the other end is closed once a signal has come
+                writer.send(LEAVE)
 
 
 def _wait(reader: Any, say: Callable[[], None]) -> None:
