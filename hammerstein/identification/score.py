@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
-from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.hysteresis import PlayState, PrandtlIshlinskii
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
+
+
+_block = lru_cache(maxsize=16)(discretise)
+"""Many starts are tried with one and the same model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +31,15 @@ class Candidate:
 
     def predict(self, record: Record, start: Start) -> Array:
         """Readings (output, sample) to the voltages of a record, without offset [um]."""
-        block = discretise(self.dynamics, record.sample_time_s, self.sensor_bandwidth_hz)
-        v, memory = self.hysteresis.respond(record.u_v)
+        block = _block(self.dynamics, record.sample_time_s, self.sensor_bandwidth_hz)
+        before = begun(self.hysteresis, record, start)
+        v, memory = self.hysteresis.respond(record.u_v, before)
         if start.kind == "repeated":
             v, _ = self.hysteresis.respond(record.u_v, memory)
-        y, state = block.respond(v)
+            y, state = block.respond(v)
+        else:
+            held = self.hysteresis.weighted(self.hysteresis.plays_of(before))
+            y, state = block.respond(v, block.settled(held))
         if start.kind == "repeated":
             y, _ = block.respond(v, state)
         return np.asarray(y[-len(record.y_um) :])
@@ -39,6 +48,16 @@ class Candidate:
         """Reading less prediction (output, sample) over the samples that count, each about its mean [um]."""
         error = (record.y_um - self.predict(record, start))[:, start.first :]
         return np.asarray(error - error.mean(axis=1, keepdims=True))
+
+
+def begun(hysteresis: PrandtlIshlinskii, record: Record, start: Start) -> PlayState:
+    """Memory of a static block before a record."""
+    bank = hysteresis.bank
+    plays = [
+        start.plays_v(float(u[0]), r[:n], k)
+        for k, (u, r, n) in enumerate(zip(record.u_v, bank.r, bank.n, strict=True))
+    ]
+    return hysteresis.rest() if start.kind in ("rest", "repeated") else hysteresis.state_of(plays)
 
 
 @dataclass(frozen=True)
