@@ -27,6 +27,8 @@ from .errors import (
 from .experiment.report import Report as Report
 from .experiment.run import run as run, simulate as simulate, simulate_in_stretches as simulate_in_stretches
 from .hysteresis import (
+    Hysteresis as Hysteresis,
+    HysteresisFile as HysteresisFile,
     Pair as Pair,
     PlayState as PlayState,
     PrandtlIshlinskii as PrandtlIshlinskii,

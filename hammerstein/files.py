@@ -68,8 +68,13 @@ def is_there(path: Path) -> bool:
         return False
 
 
-def write_atomic(path: Path, content: str | bytes) -> None:
+def write_atomic(path: Path, content: str | bytes, private: bool = False) -> None:
     """Write under a temporary name and move into place.
+
+    Parameters
+    ----------
+    path, content : where to, and what
+    private : for the user's eyes alone, and worth no wait for the disk
 
     Raises
     ------
@@ -84,10 +89,11 @@ def write_atomic(path: Path, content: str | bytes) -> None:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=UNFINISHED)
         temporary = Path(name)
         begun(temporary, temporary.unlink)
-        _write(handle, data)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
+        _write(handle, data, through=not private)
+        if not private:
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, path)
     except OSError as error:
         raise InputError(str(path), f"cannot be written ({reason_of(error)}); choose another place") from None
@@ -102,11 +108,12 @@ def write_through(path: Path, data: bytes) -> None:
     _write(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666), data)
 
 
-def _write(handle: int, data: bytes) -> None:
+def _write(handle: int, data: bytes, through: bool = True) -> None:
     with os.fdopen(handle, "wb") as file:
         file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
+        if through:
+            file.flush()
+            os.fsync(file.fileno())
 
 
 @dataclass(frozen=True)

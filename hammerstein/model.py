@@ -9,26 +9,27 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from hammerstein.axis_names import unique
 from hammerstein.dynamics import AxesDynamics, Dynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import Content, is_there, read_limited, write_atomic
-from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii, WeightCovariance
+from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
 from hammerstein.instruments import Instruments
 from hammerstein.pictured import Pictured
-from hammerstein.quantities import Name, NoCycles, Plain, Size, Threshold, Weight, WeightError
+from hammerstein.quantities import Name, Plain, Size
 from hammerstein.validation import mistakes_of, suggestion
 from hammerstein.voltages import Verdict, Voltages
 
 if TYPE_CHECKING:
+    from hammerstein.compensators.drive_file import Compensation
     from hammerstein.interop.block_system import BlockSystem
-    from hammerstein.simulation import Wire
+    from hammerstein.simulation import Plant, Response, Wire
 
 FORMAT = "hammerstein-model/2"
 OLD_FORMAT = "hammerstein-model/1"
@@ -38,7 +39,7 @@ CONTENT = Content("model file", sign="hammerstein-model/")
 
 @dataclass(frozen=True, eq=False)
 class HammersteinModel(Pictured):
-    """An actuator or a model of one: Prandtl-Ishlinskii hysteresis followed by linear dynamics.
+    """An actuator or a model of one: hysteresis of some kind followed by linear dynamics.
 
         v = Gamma(u - u_0),    y = G v            (Hammerstein structure: paper, section 6)
 
@@ -58,7 +59,7 @@ class HammersteinModel(Pictured):
     """
 
     name: str
-    hysteresis: PrandtlIshlinskii
+    hysteresis: Hysteresis[Any]
     dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics
     amplitude_v: float
     inputs: tuple[str, ...]
@@ -111,6 +112,91 @@ class HammersteinModel(Pictured):
         """Give the same static block without its dynamics."""
         return replace(self, dynamics=StaticDynamics(n_outputs=self.hysteresis.n_outputs))
 
+    def simulate(
+        self,
+        u_v: ArrayLike,
+        sample_time_s: float,
+        *,
+        instruments: Instruments | None = None,
+        seed: int | Sequence[int] = 0,
+    ) -> Response:
+        """Play voltages on the model from rest, and keep every wire.
+
+        Parameters
+        ----------
+        u_v : (input, sample) voltages as they are sent [V]
+        sample_time_s : time between samples [s], for which a voltage is held
+        instruments : drive and sensor whose effects are wanted, such as the model's own; none if not given
+        seed : of the sensor's noise
+
+        Raises
+        ------
+        InputError : voltages for another number of inputs, or a sample time that does not fit the dynamics
+        SimulationError : a voltage that is not finite
+
+        Examples
+        --------
+        >>> model = HammersteinModel.load("duo_bimorph_static")
+        >>> model.simulate([[0.0, 5.0], [0.0, 0.0]], 50e-6)
+        Response(2 samples of 5e-05 s, 2 inputs, 2 outputs; position 0 to 24.32 um)
+        """
+        u = np.atleast_2d(np.asarray(u_v, dtype=np.float64))
+        if u.ndim != 2 or len(u) != self.hysteresis.n_inputs:
+            raise InputError("voltage", f"has shape {u.shape}; give ({self.hysteresis.n_inputs}, samples)")
+        return self._plant(sample_time_s, instruments).respond(u, np.atleast_1d(seed).tolist())
+
+    def compensate(
+        self,
+        reference_um: ArrayLike,
+        *,
+        law: str = "hammerstein_inverse",
+        range_v: Sequence[float] | None = None,
+        start_v: Sequence[float] | None = None,
+        conditioned: bool = False,
+        clip: bool = False,
+        beyond_records: bool = False,
+        accept_flagged: bool = False,
+        **options: Any,
+    ) -> Compensation:
+        """Voltages that put the actuator on a path, and what the model predicts of them.
+
+        Parameters
+        ----------
+        reference_um : (output, sample) positions, counted from where the actuator stands [um], on the sample
+            time of the model's drive
+        law, options : a law and its options, by their names in a scenario
+        range_v, start_v, conditioned, clip, beyond_records, accept_flagged : see ``Terms``
+
+        Raises
+        ------
+        InputError : options that do not fit
+        SimulationError : the law cannot work, the path is out of reach, or the drive leaves the records
+        IdentificationError : the model's own fit report flagged it
+
+        Examples
+        --------
+        >>> model = HammersteinModel.load("duo_bimorph_static")
+        >>> found = model.compensate([[0.0, 10.0, 8.0], [0.0, 0.0, 5.0]], law="exact_inverse")
+        >>> model.simulate(found.drive_v, 50e-6).position_um.round(2)  # on the steps of the converter
+        array([[ 0., 10.,  8.],
+               [ 0.,  0.,  5.]])
+        """
+        from hammerstein.compensators.drive_file import Terms, compensation_of
+
+        low_high, start = (None if given is None else tuple(given) for given in (range_v, start_v))
+        terms = Terms(low_high, start, conditioned, clip, beyond_records, accept_flagged)
+        return compensation_of(self, reference_um, law, options, terms)
+
+    def _plant(self, sample_time_s: float, instruments: Instruments | None) -> Plant:
+        """Give the model in a set-up on a sample grid."""
+        from hammerstein.interop.block_system import require_grid
+        from hammerstein.simulation import Plant
+
+        require_grid(None, sample_time_s, "model")
+        around = instruments or Instruments.ideal()
+        drive = around.drive.model_copy(update={"sample_time_s": sample_time_s})
+        return Plant(self, around.model_copy(update={"drive": drive}))
+
     def to_iosys(
         self,
         sample_time_s: float,
@@ -138,18 +224,17 @@ class HammersteinModel(Pictured):
         ------
         InputError : a sample time that does not fit the dynamics, or an unknown wire
         """
-        from hammerstein.interop.block_system import require_grid
-        from hammerstein.simulation import Plant
-
-        require_grid(None, sample_time_s, "model")
-        around = instruments or Instruments.ideal()
-        drive = around.drive.model_copy(update={"sample_time_s": sample_time_s})
-        plant = Plant(self, around.model_copy(update={"drive": drive}))
+        plant = self._plant(sample_time_s, instruments)
         return plant.to_iosys(seed, outputs, name)
 
+    def on_grid(self, sample_time_s: float) -> HammersteinModel:
+        """Give the model whose hysteresis stands on a sample grid, as one that knows the rate must."""
+        here = self.hysteresis.on_grid(sample_time_s)
+        return self if here is self.hysteresis else replace(self, hysteresis=here)
+
     def static_response(
-        self, drive_v: NDArray[np.float64], start: PlayState | None = None
-    ) -> tuple[NDArray[np.float64], PlayState]:
+        self, drive_v: NDArray[np.float64], start: Any = None
+    ) -> tuple[NDArray[np.float64], Any]:
         """Outputs (output, sample) of the hysteresis [um] for voltages as they are sent, and its state.
 
         drive_v : (input, sample) [V]; start : state before; at rest at the working point if not given
@@ -196,93 +281,6 @@ class HammersteinModel(Pictured):
         return NUMBERS.sub(lambda found: f"[{' '.join(found[1].split())}]", text) + "\n"
 
 
-class PairFile(BaseModel):
-    """One pair in a model file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    thresholds_v: tuple[Threshold, ...]
-    weights_um_per_v: tuple[Weight, ...]
-    weight_errors_um_per_v: tuple[WeightError, ...] | None = None
-
-    @model_validator(mode="after")
-    def _is_a_pair(self) -> Self:
-        try:
-            self.pair()
-        except InputError as error:
-            raise ValueError("; ".join(f"{m.where} {m.what}" for m in error.mistakes)) from None
-        return self
-
-    def pair(self) -> Pair:
-        """Give the pair this describes."""
-        errors = self.weight_errors_um_per_v
-        return Pair(
-            np.asarray(self.thresholds_v, dtype=float),
-            np.asarray(self.weights_um_per_v, dtype=float),
-            None if errors is None else np.asarray(errors, dtype=float),
-        )
-
-    @classmethod
-    def of(cls, pair: Pair) -> PairFile:
-        """Describe a pair."""
-        return cls.model_validate({name: getattr(pair, name) for name in cls.model_fields})
-
-
-class CovarianceFile(BaseModel):
-    """Covariance L L^T of all weights of one output, pair after pair in the order of the inputs."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    factor_um_per_v: tuple[tuple[Weight, ...], ...] = Field(description="rows of L, each up to its diagonal")
-    slopes_at_bound: NoCycles = Field(
-        default=0, description="slopes held at a bound of the fit: the covariance is that of the others"
-    )
-
-    def covariance(self) -> WeightCovariance:
-        """Give the covariance this describes."""
-        n = len(self.factor_um_per_v)
-        if [len(row) for row in self.factor_um_per_v] != list(range(1, n + 1)):
-            raise InputError("weight_covariance", "row i of a factor must hold i numbers, up to its diagonal")
-        factor = np.zeros((n, n))
-        factor[np.tril_indices(n)] = [value for row in self.factor_um_per_v for value in row]
-        return WeightCovariance(factor, self.slopes_at_bound)
-
-    @classmethod
-    def of(cls, found: WeightCovariance) -> CovarianceFile:
-        """Describe a covariance."""
-        rows = tuple(tuple(row[: i + 1].tolist()) for i, row in enumerate(found.factor_um_per_v))
-        return cls(factor_um_per_v=rows, slopes_at_bound=found.slopes_at_bound)
-
-
-class PrandtlIshlinskiiFile(BaseModel):
-    """Classical Prandtl-Ishlinskii hysteresis: pairs (output, input), and what is known of their errors."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    kind: Literal["prandtl_ishlinskii"] = "prandtl_ishlinskii"
-    pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
-    weight_covariance: tuple[CovarianceFile, ...] | None = None
-
-    def hysteresis(self) -> PrandtlIshlinskii:
-        """Give the hysteresis this describes."""
-        pairs = tuple(tuple(pair.pair() for pair in row) for row in self.pairs)
-        known = self.weight_covariance
-        return PrandtlIshlinskii(pairs, None if known is None else tuple(one.covariance() for one in known))
-
-    @classmethod
-    def of(cls, hysteresis: PrandtlIshlinskii) -> PrandtlIshlinskiiFile:
-        """Describe a hysteresis."""
-        known = hysteresis.weight_covariance
-        return cls(
-            pairs=tuple(tuple(PairFile.of(pair) for pair in row) for row in hysteresis.pairs),
-            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
-        )
-
-
-Hysteresis = Annotated[PrandtlIshlinskiiFile, Field(description="tagged by its kind")]
-"""Every kind of hysteresis in a model file; a second one makes this a union told apart by ``kind``."""
-
-
 class ModelFile(BaseModel):
     """What a model file holds: hysteresis, dynamics, voltages, names, verdict and provenance."""
 
@@ -290,7 +288,7 @@ class ModelFile(BaseModel):
 
     format: Literal["hammerstein-model/2"] = "hammerstein-model/2"
     name: str
-    hysteresis: Hysteresis
+    hysteresis: Annotated[HysteresisFile, HYSTERESIS.field(), Field(description="told by its kind")]
     dynamics: Dynamics
     amplitude_v: Size
     inputs: tuple[Name, ...]
@@ -320,7 +318,10 @@ class ModelFile(BaseModel):
     def of(cls, model: HammersteinModel) -> ModelFile:
         """Describe a model."""
         fields = {n: getattr(model, n) for n in cls.model_fields if n != "format"}
-        return cls(**fields | {"hysteresis": PrandtlIshlinskiiFile.of(model.hysteresis)})
+        return cls(**fields | {"hysteresis": model.hysteresis.file()})
+
+
+HYSTERESIS.used_by(ModelFile)
 
 
 def packaged_actuators() -> list[str]:

@@ -14,7 +14,7 @@ from hammerstein.blocks import Controller
 from hammerstein.driving import DriveRange
 from hammerstein.dynamics import LinearBlock, discretise
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis import PlayState
+from hammerstein.hysteresis import Memory
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.pictured import Pictured
@@ -63,7 +63,7 @@ class Response(Pictured):
     reference_um : what was asked for (output, sample) [um]; None for a run in volts
     requested_v : voltage that the compensator asks for (input, sample) [V]
     drive_v : voltage that leaves the converter [V]
-    hysteresis_um : output of the Prandtl-Ishlinskii block (output, sample) [um]
+    hysteresis_um : output of the hysteresis (output, sample) [um]
     position_um : true position [um]
     reading_um : what the sensor says [um]
     saturated : where the drive's range cut the voltage (input, sample)
@@ -190,9 +190,9 @@ class Response(Pictured):
 
 
 class PlantState(NamedTuple):
-    """Memory of the plays, state (n,) of the linear block and the sensor, and the generator of the noise."""
+    """Memory of the hysteresis, state (n,) of linear block and sensor, and the generator of the noise."""
 
-    memory: PlayState
+    memory: Memory
     linear: Array
     noise: np.random.Generator
 
@@ -201,21 +201,16 @@ class PlantState(NamedTuple):
         noise = self.noise.bit_generator.state
         return {"memory": self.memory.as_dict(), "linear": self.linear.tolist(), "noise": noise}
 
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> PlantState:
-        """Restore what ``as_dict`` saved."""
-        noise = np.random.PCG64(0)
-        noise.state = data["noise"]
-        linear = np.array(data["linear"], dtype=np.float64)
-        return cls(PlayState.from_dict(data["memory"]), linear, np.random.Generator(noise))
-
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """The actuator on its bench: drive, hysteresis, dynamics and sensor on one sample grid."""
+    """The actuator in its set-up: drive, hysteresis, dynamics and sensor on one sample grid."""
 
     model: HammersteinModel
     instruments: Instruments
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "model", self.model.on_grid(self.sample_time_s))
 
     @property
     def sample_time_s(self) -> float:
@@ -241,6 +236,13 @@ class Plant:
         """Actuator that was never driven, and a sensor at the beginning of its noise."""
         noise = np.random.default_rng(seed)
         return PlantState(self.model.hysteresis.rest(), self.block.rest(), noise)
+
+    def restore(self, data: dict[str, Any]) -> PlantState:
+        """State from what its ``as_dict`` gave."""
+        noise = np.random.PCG64(0)
+        noise.state = data["noise"]
+        memory = self.model.hysteresis.restore(data["memory"])
+        return PlantState(memory, np.array(data["linear"], dtype=np.float64), np.random.Generator(noise))
 
     def respond(self, requested_v: Array, seed: list[int], reference_um: Array | None = None) -> Response:
         """Response to a voltage (input, sample) from rest, every wire kept."""
@@ -330,7 +332,7 @@ class Plant:
             return np.concatenate([getattr(response, wire)[:, 0] for wire in outputs]), after
 
         start = self.rest(np.atleast_1d(seed).tolist())
-        block = Stepwise(start, step, PlantState.as_dict, PlantState.from_dict)
+        block = Stepwise(start, step, PlantState.as_dict, self.restore)
         wires = [label for wire in outputs for label in signals(wire, counts[wire])]
         voltages = signals("requested_v", self.model.hysteresis.n_inputs)
         return BlockSystem(block, voltages, wires, self.sample_time_s, name)

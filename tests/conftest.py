@@ -13,9 +13,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(autouse=True, scope="session")
 def own_cache(tmp_path_factory):
-    """Keep results of identifications for this run of the tests only."""
+    """Keep results of identifications for this run of the tests only, and no results of runs."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("HAMMERSTEIN_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("HAMMERSTEIN_CACHE_MB", "0")
         yield
 
 

@@ -45,7 +45,9 @@ def test_run_writes_a_report(folder, capsys):
     assert "paper" in output.out
     assert output.err == ""
     report = folder / "reports" / "small"
-    assert {".hammerstein.json", "report.json", "report.md", "rms.csv"} == {p.name for p in report.iterdir()}
+    assert {".hammerstein.json", "report.html", "report.json", "report.md", "rms.csv"} == {
+        p.name for p in report.iterdir()
+    }
     table = pd.read_csv(report / "rms.csv")
     wanted = {"compensator", "excited_axis", "measured_axis", "frequency_hz", "rms_um", "max_um"}
     assert wanted <= set(table.columns)

@@ -141,7 +141,8 @@ def test_figures_of_an_earlier_run_go_and_edited_ones_stay(folder):
     report = folder / "reports/small"
     (report / "loops.svg").write_bytes(b"edited in a drawing program")
     assert call("run", "small.toml", "--no-figures") == 0
-    assert set(contents(report)) == {"report.md", "report.json", "rms.csv", ".hammerstein.json", "loops.svg"}
+    pages = {"report.html", "report.md", "report.json", "rms.csv"}
+    assert set(contents(report)) == {*pages, ".hammerstein.json", "loops.svg"}
     assert not (report / "traces").exists()
 
 

@@ -15,7 +15,12 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "hammerstein"
 # what is imported under another name than it is installed, or belongs to another package
-NAMES = {"PIL": "pillow", "lazy_loader": "lazy-loader", "pydantic_core": "pydantic"}
+NAMES = {
+    "PIL": "pillow",
+    "lazy_loader": "lazy-loader",
+    "markdown_it": "markdown-it-py",
+    "pydantic_core": "pydantic",
+}
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +50,8 @@ def test_every_data_file_is_shipped(settings: dict[str, Any]) -> None:
 
 def test_every_import_is_a_dependency(settings: dict[str, Any]) -> None:
     project = settings["project"]
-    lines = project["dependencies"] + project["optional-dependencies"]["parquet"]
+    extras = [project["optional-dependencies"][name] for name in ("interactive", "parquet")]
+    lines = [line for group in (project["dependencies"], *extras) for line in group]
     declared = {re.split(r"[^\w-]", line)[0].lower() for line in lines}
     used = {name for path in modules() for name in imported(ast.parse(path.read_text(encoding="utf-8")))}
     foreign = used - sys.stdlib_module_names - {"hammerstein", "__future__"}

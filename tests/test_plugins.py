@@ -1,7 +1,9 @@
 """What another package can add without a change in this one."""
 
+from dataclasses import dataclass, replace
 from typing import Literal
 
+import control
 import numpy as np
 import pytest
 from pydantic import Field
@@ -13,6 +15,8 @@ from hammerstein.compensators import COMPENSATORS
 from hammerstein.compensators.drive_file import Terms, compensate
 from hammerstein.compensators.no_compensation import NoMemory
 from hammerstein.driving import DriveRange
+from hammerstein.hysteresis import HYSTERESIS, slopes_of
+from hammerstein.hysteresis.kind import SWEEP_SAMPLES
 from hammerstein.signals import SIGNALS, OnAxes, OneFrequency
 
 
@@ -40,6 +44,9 @@ SCAN = {
     "compensators": [{"label": "exact", "law": "exact_inverse", "model": "duo_bimorph_static"}],
     "measure": {"settle_cycles": 1, "measured_cycles": 1},
 }
+
+
+CIRCLE = {"kind": "circle", "radius_um": 20.0, "frequency_hz": 10.0}
 
 
 def test_a_signal_of_another_package_is_named_by_a_scenario_in_either_unit(sawtooth):
@@ -145,3 +152,154 @@ def test_it_serves_the_drive_file_too(doubtful, tmp_path):
     path.write_text("time_s,x,y\n0,0,0\n0.01,1,0\n0.02,2,1\n")
     found = compensate("duo_bimorph_static", path, "doubtful", {"gain_v_per_um": 0.2}, Terms(clip=True))
     np.testing.assert_allclose(found.drive_v[0].max(), 0.4, atol=2e-4)  # half a step of the converter
+
+
+@dataclass(frozen=True)
+class Lag:
+    """What a relaxing magnet remembers: the part of its voltage (m,) that has not been followed yet."""
+
+    behind_v: np.ndarray
+
+    def as_dict(self):
+        return {"behind_v": self.behind_v.tolist()}
+
+
+@dataclass(frozen=True, eq=False)
+class Follower(hammerstein.Hysteresis):
+    """Follows each voltage with a gain, and lags behind it by a share of the last step: a kind with memory.
+
+    With a lag of zero it is linear, so that theory knows all that follows.
+    """
+
+    kind = "follower"
+    gains: tuple[float, ...]
+    lag: float
+    weight_covariance = None
+
+    n_inputs = property(lambda self: len(self.gains))
+    n_outputs = property(lambda self: len(self.gains))
+    operators = property(
+        lambda self: tuple(tuple(int(o == k) for k in range(self.n_inputs)) for o in range(self.n_outputs))
+    )
+    weights = property(lambda self: tuple(np.array([g]) for g in self.gains))
+
+    def describe(self):
+        return f"follows {self.n_inputs} inputs"
+
+    def rest(self):
+        return Lag(np.zeros(self.n_inputs))
+
+    def restore(self, data):
+        return Lag(np.array(data["behind_v"]))
+
+    def with_weights(self, weights):
+        return replace(self, gains=tuple(float(w[0]) for w in weights))
+
+    def file(self):
+        return FollowerFile(gains=self.gains, lag=self.lag)
+
+    def _respond(self, u_v, start):
+        before = np.hstack([start.behind_v[:, None], u_v])[:, :-1]
+        mixed = (1.0 - self.lag) * u_v + self.lag * before
+        return np.array(self.gains)[:, None] * mixed, Lag(u_v[:, -1].copy())
+
+
+class FollowerFile(hammerstein.HysteresisFile):
+    """Its form in a model file."""
+
+    kind: Literal["follower"] = "follower"
+    gains: tuple[float, ...]
+    lag: float = Field(default=0.0, ge=0.0, lt=1.0)
+
+    def hysteresis(self):
+        return Follower(self.gains, self.lag)
+
+
+@pytest.fixture
+def follower(tmp_path):
+    hammerstein.register(FollowerFile)
+    axes = hammerstein.AxesDynamics(axes=(hammerstein.Axis(resonance_hz=430.0, damping_ratio=0.1),) * 2)
+    names = (("u_x", "u_y"), ("x", "y"))
+    model = hammerstein.HammersteinModel("followed", Follower((5.0, 4.0), 0.25), axes, 10.0, *names)
+    path = tmp_path / "followed.json"
+    model.save(path)
+    yield model, str(path)
+    HYSTERESIS.remove(FollowerFile)
+
+
+def test_a_hysteresis_of_another_package_is_saved_and_loaded(follower):
+    model, path = follower
+    again = hammerstein.HammersteinModel.load(path)
+    assert again.digest() == model.digest()
+    assert again.hysteresis.gains == (5.0, 4.0)
+    other = replace(model, hysteresis=Follower((5.0, 4.0), 0.5))
+    assert other.digest() != model.digest()
+
+
+def test_what_any_hysteresis_has_is_worked_out_where_a_kind_does_not_say(follower):
+    model, _ = follower
+    np.testing.assert_allclose(model.hysteresis.gain(3.0), np.diag([5.0, 4.0]), rtol=1e-2)
+    low, high = model.hysteresis.extremes(np.array([-1.0, 0.0]), np.array([3.0, 2.0]))
+    lag = 0.25 * 4.0 / SWEEP_SAMPLES  # a quarter of a step between the ends, 4 V apart; 3 and 2 V from rest
+    np.testing.assert_allclose(low, [-5.0 * (1.0 - lag), 0.0], atol=1e-12)
+    np.testing.assert_allclose(high, [5.0 * (3.0 - 0.75 * lag), 4.0 * (2.0 - 0.5 * lag)], atol=1e-12)
+    slopes = slopes_of(model.hysteresis, 1, 3.0)
+    np.testing.assert_allclose(np.median(slopes, axis=0), [0.0, 4.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        {"law": "none"},
+        {"law": "inverse_multiplicative", "iterations": 20},
+        {"law": "feedback"},
+        {"law": "feedback", "feedforward": "none"},
+    ],
+)
+def test_it_runs_under_every_law_that_can_take_it(follower, law):
+    _, path = follower
+    own = {"label": "own", "model": path, **law}
+    circle = {"kind": "circle", "radius_um": 20.0, "frequency_hz": 2.0}
+    scenario = {**SCAN, "actuator": path, "reference": circle, "compensators": [own]}
+    scenario["uncertainty"] = {"draws": 2, "weights": 0.01}
+    report = hammerstein.run(scenario)
+    worst = max(row.rms_true_um for row in report.rows)
+    assert 0.0 < worst < (1.0 if law["law"] != "feedback" else 10.0)  # um of a 20 um circle
+
+
+def test_the_plain_loop_is_the_compiled_one(follower):
+    """The law's loop for any kind against its compiled form for plays, on a hysteresis that both know."""
+    table = hammerstein.HammersteinModel.load("duo_bimorph_static")
+
+    class Wrapped(Follower):
+        n_inputs = property(lambda self: 2)
+        operators = property(lambda self: table.hysteresis.operators)
+        slope_columns = staticmethod(table.hysteresis.slope_columns)
+        rest, restore = staticmethod(table.hysteresis.rest), staticmethod(table.hysteresis.restore)
+
+        def respond(self, u_v, start=None):
+            return table.hysteresis.respond(u_v, start)
+
+    law = hammerstein.InverseMultiplicative(iterations=3)
+    plain = law.design(replace(table, hysteresis=Wrapped((1.0, 1.0), 0.0)), 10.0, 50e-6)
+    angle = np.linspace(0.0, 20.0, 500)
+    path = 20.0 * np.stack([np.sin(angle), 1.0 - np.cos(angle)])
+    compiled = law.design(table, 10.0, 50e-6)
+    np.testing.assert_allclose(plain.respond(path)[0], compiled.respond(path)[0], atol=1e-12)
+
+
+def test_a_law_that_needs_more_names_kind_and_want(follower):
+    _, path = follower
+    for law, want in (("exact_inverse", "no exact inverse"), ("decoupled_inverse", "inverts plays alone")):
+        own = {"label": "own", "law": law, "model": path}
+        with pytest.raises(hammerstein.InputError, match=want) as told:
+            hammerstein.run({**SCAN, "actuator": path, "reference": CIRCLE, "compensators": [own]})
+        assert "'follower'" in str(told.value)
+
+
+def test_python_control_takes_it_too(follower):
+    model, _ = follower
+    u = np.random.default_rng(0).normal(size=(2, 40))
+    system = model.hysteresis.to_iosys(50e-6)
+    response = control.input_output_response(system, 50e-6 * np.arange(40), u)
+    np.testing.assert_allclose(response.outputs, model.hysteresis.respond(u)[0], atol=1e-12)

@@ -2,6 +2,7 @@ import subprocess
 import sys
 from importlib.metadata import version
 
+import numpy as np
 import pytest
 
 import hammerstein
@@ -77,3 +78,17 @@ def test_check_of_files_and_values(file, tmp_path):
     assert hammerstein.check(other, tmp_path / "loop.json").exit_code == 1
     with pytest.raises(hammerstein.InputError, match="give the file of its baseline"):
         hammerstein.check(LOOP)
+
+
+def test_a_model_simulates_and_compensates_by_a_method():
+    model = hammerstein.HammersteinModel.load("duo_bimorph")
+    time_s = 50e-6 * np.arange(1000)
+    path = 10.0 * np.stack([np.sin(2 * np.pi * 100 * time_s) ** 3, np.sin(2 * np.pi * 60 * time_s) ** 3])
+    found = model.compensate(path)
+    response = model.simulate(found.drive_v, 50e-6)
+    np.testing.assert_array_equal(response.position_um, found.shortfall.predicted_um)
+    assert np.abs(response.position_um - path).max() < 0.05  # steps of the converter, 1 mV, through 12 um/V
+    with pytest.raises(hammerstein.InputError, match="did you mean softening_v"):
+        model.compensate(path, softning_v=0.1)
+    with pytest.raises(hammerstein.InputError, match=r"give \(2, samples\)"):
+        model.simulate(np.zeros((3, 5)), 50e-6)

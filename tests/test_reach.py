@@ -3,7 +3,7 @@ import pytest
 import theory
 
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
-from hammerstein.compensators.exact.reach import largest_scale, reach, require_reach, shortfall
+from hammerstein.compensators.exact.reach import reach, require_reach, shortfall
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import SimulationError
@@ -62,18 +62,6 @@ def test_reach_is_what_the_inverse_just_reaches():
 
 def test_without_limit_the_reach_has_none():
     assert np.isinf(reach(_table(), np.inf).alone_um).all()
-
-
-def test_largest_scale_of_a_path():
-    model = _table()
-    law = ExactInverseLaw(model, 10.0)
-    angle = 2.0 * np.pi * np.arange(800) / 400
-    circle = 70.0 * np.stack([np.cos(angle), np.sin(angle)])
-    scale = largest_scale(law, circle)
-    assert 0.5 < scale < 0.9
-    assert np.abs(law.drive_for(0.999 * scale * circle)).max() < 10.0
-    assert np.abs(law.drive_for(1.001 * scale * circle)).max() == 10.0
-    assert largest_scale(law, 0.5 * circle) == 1.0
 
 
 def test_shortfall_names_samples_and_axes():

@@ -81,6 +81,7 @@ def block_behind(printed: HammersteinModel, dynamics: AxesDynamics | StaticDynam
     u = printed.amplitude_v * np.sin(2.0 * np.pi * FREQUENCY_HZ * time_s)
     block = discretise(dynamics, sample_time_s, instruments.sensor.bandwidth_hz)
     rows = []
+    assert isinstance(printed.hysteresis, PrandtlIshlinskii)
     for o, row in enumerate(printed.hysteresis.pairs):
         rows.append(tuple(_pair_behind(pair, u, block.respond, o, period) for pair in row))
     return PrandtlIshlinskii(tuple(rows))
@@ -186,6 +187,7 @@ def _read(
 
 def _dense(folder: Path, model: HammersteinModel) -> Path:
     thresholds = model.amplitude_v * np.arange(DENSE) / DENSE
+    assert isinstance(model.hysteresis, PrandtlIshlinskii)
     dense = replace(
         model,
         name="duo_bimorph_dense",

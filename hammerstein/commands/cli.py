@@ -7,20 +7,30 @@ import os
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from hammerstein.commands import records as record_commands, terminal
+from hammerstein.commands import (
+    export as export_command,
+    records as record_commands,
+    study as study_commands,
+    terminal,
+)
 from hammerstein.commands.terminal import complain, show, tell
 from hammerstein.errors import HammersteinError
 from hammerstein.escaping import clean
+from hammerstein.runtime.cache import folder_of_runs
 from hammerstein.runtime.deadline import ended_in_time
 from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, leave
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from hammerstein.experiment.batch import Outcome
     from hammerstein.experiment.prepare import Progress
+    from hammerstein.experiment.report import Report
+    from hammerstein.reporting.folder import TraceFormat, Writer
     from hammerstein.scenario import Scenario
 
 app = typer.Typer(
@@ -36,6 +46,8 @@ app = typer.Typer(
 app.command()(record_commands.loops)
 app.command()(record_commands.identify)
 app.command()(record_commands.compensate)
+app.command()(export_command.export)
+app.command()(study_commands.sweep)
 
 Paths = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Scenario files, or folders of them.")]
 Jobs = Annotated[
@@ -44,6 +56,7 @@ Jobs = Annotated[
 Yes = Annotated[bool, typer.Option("--yes", help="Start also what takes more than ten minutes.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 PROCESSORS = os.cpu_count() or 1
+KEPT = f"in {place}" if (place := folder_of_runs()) else "(nothing is kept here)"
 
 
 def _say_version(wanted: bool) -> None:
@@ -137,21 +150,30 @@ def run(
     page: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write all claims and figures on one page there.")
     ] = None,
+    interactive: Annotated[
+        bool, typer.Option("--interactive", help="Put plots to zoom into on each page.")
+    ] = False,
+    open_: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help=f"Pass by what earlier runs kept {KEPT}.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print what would be run, with memory and time; run nothing.")
+    ] = False,
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run scenarios and write a report for each: numbers, a page, figures."""
-    from hammerstein.runtime.processes import begin_loading
+    """Run scenarios and write a report for each: numbers, a page, figures.
 
-    if jobs > 1 and (len(paths) > 1 or paths[0].is_dir()):
-        begin_loading()  # before this process loads what it needs itself
+    What was worked out before is kept, and not done twice.
+    """
     from hammerstein.commands.tables import claims_table, kept_aside, result_table
-    from hammerstein.commands.warm_up import compile_once
     from hammerstein.errors import InputError
-    from hammerstein.experiment.batch import load_all, run_all
+    from hammerstein.experiment.batch import load_all
     from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.claims_page import CLAIMS, PAGE, write_claims, write_page
     from hammerstein.reporting.folder import Writer
+    from hammerstein.reporting.html.interactive import refuse_without_library
+    from hammerstein.reporting.html.overview import OVERVIEW, write_overview
+    from hammerstein.runtime import store as kept_results
     from hammerstein.storage.staging import prepare
 
     refuse_unwritable("--out", out)
@@ -161,17 +183,27 @@ def run(
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
-    jobs = _planned(scenarios, jobs, yes)
-    writer = Writer(out, figures, "mat" if traces == "mat" else "csv" if traces == "csv" else None)
+    if dry_run:
+        from hammerstein.commands.tables import plan_table
+        from hammerstein.experiment.plan import plan_of
+
+        show(plan_table({name: plan_of(scenario, jobs) for name, scenario in scenarios.items()}, jobs))
+        return
+    if interactive:
+        refuse_without_library()
+    store, useless = kept_results.opened(fresh)
+    if useless:
+        complain(useless)
+    kind = "mat" if traces == "mat" else "csv" if traces == "csv" else None
+    writer = Writer(out, figures, cast("TraceFormat | None", kind), interactive, store)
     writer.prepare(scenarios)
+    if len(scenarios) > 1:
+        prepare(out, OVERVIEW, [OVERVIEW.sign[0]])
     if any(scenario.claims for scenario in scenarios.values()):
         prepare(out, CLAIMS, [CLAIMS.sign[0]])
-    compile_once(complain)
-    outcomes = []
-    with _Watch(len(scenarios)) as watch:
-        for outcome in run_all(scenarios, writer, jobs, watch.progress):
-            watch.finished(outcome.name)
-            outcomes.append(outcome)
+    outcomes = _run_what_changed(scenarios, writer, jobs, yes)
+    for trouble in dict.fromkeys(outcome.unkept for outcome in outcomes if outcome.unkept):
+        complain(trouble)
     outcomes.sort(key=lambda outcome: outcome.name)
     reports = [outcome.report for outcome in outcomes if outcome.report is not None]
     claimed = [report for report in reports if report.verdicts]
@@ -183,6 +215,7 @@ def run(
     else:
         kept += write_claims(claimed, out) if claimed else ()
         kept += write_page(reports, out, page) if page is not None else ()
+    kept += write_overview(reports, out) if len(reports) > 1 else ()
     for place in kept:
         complain(kept_aside(place))
     if as_json:
@@ -196,7 +229,52 @@ def run(
             show(claims_table(claimed))
         if reports:
             tell(f"{len(reports)} of {len(outcomes)} reports written in {out}")
+            tell(f"look at {_first_page(reports, out)}")
+    if open_ and reports:
+        _open(_first_page(reports, out))
     _fail_with(outcomes)
+
+
+def _first_page(reports: Sequence[Report], out: Path) -> Path:
+    """The page to look at first: of one report its own, of several the one over all of them."""
+    return out / "index.html" if len(reports) > 1 else out / reports[0].name / "report.html"
+
+
+def _open(page: Path) -> None:
+    import webbrowser
+
+    if not webbrowser.open(page.resolve().as_uri()):
+        complain(f"no browser could be started; open {page} in one")
+
+
+def _run_what_changed(scenarios: dict[str, Scenario], writer: Writer, jobs: int, yes: bool) -> list[Outcome]:
+    """Write the reports that an earlier run has left in the store, and run the other scenarios."""
+    from hammerstein.experiment.batch import Outcome
+
+    outcomes = []
+    for name, scenario in scenarios.items():
+        known = writer.again(name, scenario)
+        if known is not None:
+            report, kept = known
+            outcomes.append(Outcome(name, report, kept=kept))
+    known_names = {outcome.name for outcome in outcomes}
+    left = {name: scenario for name, scenario in scenarios.items() if name not in known_names}
+    if not left:
+        return outcomes
+    from hammerstein.runtime.processes import begin_loading
+
+    if jobs > 1 and len(left) > 1:
+        begin_loading()  # before this process loads what it needs itself
+    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.experiment.batch import run_all
+
+    jobs = _planned(left, jobs, yes)
+    compile_once(complain)
+    with _Watch(len(left)) as watch:
+        for outcome in run_all(left, writer, jobs, watch.progress, writer.store):
+            watch.finished(outcome.name)
+            outcomes.append(outcome)
+    return outcomes
 
 
 def _planned(scenarios: dict[str, Scenario], jobs: int, yes: bool) -> int:
@@ -209,7 +287,8 @@ def _planned(scenarios: dict[str, Scenario], jobs: int, yes: bool) -> int:
 
     plans = plans_of(scenarios)
     if text := together(plans).announcement(jobs):
-        if sys.stdin.isatty() and sys.stderr.isatty() and not yes:
+        watched = sys.stdin.isatty() and sys.stderr.isatty()
+        if watched and not yes and together(plans).is_long(jobs):
             raise InputError("plan", f"{text}. Or start it with --yes")
         complain(text)
     fitting = jobs_that_fit(plans, jobs)
@@ -237,7 +316,12 @@ def check(
         bool, typer.Option("--update-baseline", help="Accept the numbers as the new baseline.")
     ] = False,
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the result for CI.")] = None,
-    markdown: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a summary page.")] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a summary in Markdown.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a page with old and new curves.")
+    ] = None,
     jobs: Jobs = PROCESSORS,
     yes: Yes = False,
     as_json: AsJson = False,
@@ -248,8 +332,10 @@ def check(
     from hammerstein.files import refuse_overwriting, refuse_unwritable, write_atomic
     from hammerstein.regression.check import check_files
     from hammerstein.regression.result import JUNIT, SUMMARY
+    from hammerstein.reporting.html.check_page import CONTENT, check_page
 
-    for option, file, content in (("--junit", junit, JUNIT), ("--markdown", markdown, SUMMARY)):
+    outputs = (("--junit", junit, JUNIT), ("--markdown", markdown, SUMMARY), ("--html", html, CONTENT))
+    for option, file, content in outputs:
         if file is not None:
             refuse_unwritable(option, file.parent)
             refuse_overwriting(option, file, content)
@@ -262,6 +348,8 @@ def check(
         write_atomic(junit, result.junit())
     if markdown is not None:
         write_atomic(markdown, result.markdown())
+    if html is not None:
+        write_atomic(html, check_page(result))
     tell(json.dumps(result.as_dict()) if as_json else result.text())
     raise typer.Exit(result.exit_code)
 

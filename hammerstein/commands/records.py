@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hammerstein.commands.terminal import complain, show, tell
+from hammerstein.commands.volts import volts
 from hammerstein.escaping import clean
 
 if TYPE_CHECKING:
@@ -59,18 +60,6 @@ def _refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
 
 def _columns(words: str) -> list[str]:
     return [word.strip() for word in words.split(",") if word.strip()]
-
-
-def _volts(option: str, words: str | None) -> tuple[float, ...] | None:
-    """Voltages from an option, with commas between them."""
-    from hammerstein.errors import InputError
-
-    if words is None:
-        return None
-    try:
-        return tuple(float(word) for word in words.split(","))
-    except ValueError:
-        raise InputError(option, f"{words!r} are no voltages with commas between them") from None
 
 
 def _reader(
@@ -349,7 +338,7 @@ def compensate(
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
     _refuse_output(out, [Path(model), reference], CONTENT)
     compile_once(complain)
-    ends, begins = _volts("--range", range_v), _volts("--start", start)
+    ends, begins = volts("--range", range_v), volts("--start", start)
     terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
     found = compensated(model, reference, law, options, terms)
     write_atomic(out, found.to_csv())

@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from hammerstein.compensators.drive_file import Compensation
+    from hammerstein.experiment.plan import Plan
     from hammerstein.identification.fit import Fit
     from hammerstein.records.gains import Gain
     from hammerstein.records.loops import Loop
 
+PLANNED = ("scenario", "part", "", "memory", "time on one processor")
 _LEFT = 3  # the first columns hold words
 
 
@@ -45,6 +47,22 @@ def result_table(reports: Iterable[Report]) -> Table:
     return table
 
 
+def plan_table(plans: Mapping[str, Plan], jobs: int) -> Table:
+    """One line for each part of each scenario: what it is, memory, time; at the end all of them."""
+    from hammerstein.experiment.plan import duration, size
+
+    table = _table("What would be run, nothing of it found among kept results", PLANNED)
+    for name, plan in plans.items():
+        for part in plan.parts:
+            table.add_row(name, part.what, "", size(part.bytes), duration(part.seconds))
+    seconds = sum(plan.seconds for plan in plans.values())
+    largest = max(plan.bytes for plan in plans.values())
+    table.add_row("all", "the largest at a time", "", size(largest), duration(seconds))
+    if jobs > 1:
+        table.add_row("", f"with {jobs} jobs, at best", "", "", duration(seconds / jobs))
+    return table
+
+
 def _figures(rows: Sequence[Row]) -> list[str]:
     frequencies = sorted({row.frequency_hz for row in rows})
     span = f"{frequencies[0]:g}" + (f" ... {frequencies[-1]:g}" if len(frequencies) > 1 else "")
@@ -59,7 +77,7 @@ def actuator_table(models: Iterable[HammersteinModel]) -> Table:
     """One line an actuator: size, operators, dynamics."""
     table = _table("Packaged actuators", ("name", "inputs", "outputs", "operators", "dynamics", "range_v"))
     for model in models:
-        operators = sum(len(pair.thresholds_v) for row in model.hysteresis.pairs for pair in row)
+        operators = sum(sum(row) for row in model.hysteresis.operators)
         words = (model.name, ", ".join(model.inputs), ", ".join(model.outputs), str(operators))
         volts = dict.fromkeys(zip(model.recorded.lowest_v, model.recorded.highest_v, strict=True))
         table.add_row(

@@ -10,7 +10,7 @@ import numpy as np
 from hammerstein.blocks import Array, Law, require_square
 from hammerstein.compensators.base import Compensator
 from hammerstein.driving import DriveRange, RangeLike
-from hammerstein.errors import SimulationError
+from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
 
@@ -74,6 +74,11 @@ class DecoupledInverseLaw(Law[InverseState]):
 
     def __init__(self, model: HammersteinModel, range_v: RangeLike):
         hysteresis = model.hysteresis
+        if not isinstance(hysteresis, PrandtlIshlinskii):
+            raise InputError(
+                "decoupled_inverse",
+                f"inverts plays alone; the model's hysteresis is of kind {hysteresis.kind!r}",
+            )
         require_square(hysteresis.n_inputs, hysteresis.n_outputs, "decoupled_inverse")
         m = self.n_inputs = self.n_outputs = hysteresis.n_inputs
         self.range = DriveRange.of(range_v, model)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
-from hammerstein.blocks import Controller, Law
+from hammerstein.blocks import Controller, Law, checked_reference
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.exact.reach import Reach, Shortfall, reach, require_reach, shortfall
@@ -182,15 +182,36 @@ def compensate(
     SimulationError : the law cannot work, the path is out of reach, or the drive leaves the records
     IdentificationError : the model's own fit report flagged it
     """
-    terms = terms or Terms()
-    model = HammersteinModel.load(model_path)
-    _refuse_flagged(model, model_path, terms)
-    limits = _range(model, terms)
+    model, source = HammersteinModel.load(model_path), PurePath(model_path).name
+    sample_time_s = model.instruments.drive.sample_time_s
+    time_s, reference, resampled = _on_grid(reference_path, model, sample_time_s)
+    try:
+        found = compensation_of(model, reference, law, options, terms, source)
+    except SimulationError as error:
+        raise SimulationError(f"{reference_path}: {error}") from None
+    return replace(found, time_s=time_s, resampled=resampled)
+
+
+def compensation_of(
+    model: HammersteinModel,
+    reference_um: ArrayLike,
+    law: str,
+    options: Mapping[str, Any],
+    terms: Terms | None = None,
+    source: str | None = None,
+) -> Compensation:
+    """Voltages for a reference (output, sample) [um] on the sample time of the model's drive.
+
+    source : what the model is called in messages; its name if not given. The rest is that of ``compensate``.
+    """
+    terms, called = terms or Terms(), source or model.name
+    refuse_flagged(model, called, terms)
+    limits = allowed_range(model, terms)
     drive = model.instruments.drive.model_copy(
         update={"range_v": tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))}
     )
-    time_s, reference, resampled = _on_grid(reference_path, model, drive.sample_time_s)
-    built = _options(law, options).design(model, limits, drive.sample_time_s)
+    reference = checked_reference(reference_um, len(model.outputs))
+    built = compensator_of(law, options).design(model, limits, drive.sample_time_s)
     if isinstance(built, Controller):
         raise InputError("--law", "feedback needs the sensor's readings: it has no drive to send ahead")
     asked = built.drive_for(reference)
@@ -204,16 +225,19 @@ def compensate(
             volts = f"With {limits.words(model.inputs)} (--range), counted from the start (--start):"
             remedy = _slower(model, limits, law, options, reference, drive.sample_time_s)
             raise SimulationError(
-                f"{reference_path}: {error} {volts} {reachable.statement(model.outputs)} {remedy}"
-                "Or accept it with --clip."
+                f"{error} {volts} {reachable.statement(model.outputs)} {remedy}Or accept it with --clip."
             ) from None
     if not terms.beyond_records:
         _refuse_beyond(model, held)
-    source = PurePath(model_path).name
-    return Compensation(model, built, reachable, time_s, reference, held, predicted, resampled, source)
+    time_s = np.arange(reference.shape[1], dtype=np.float64) * drive.sample_time_s
+    return Compensation(model, built, reachable, time_s, reference, held, predicted, False, called)
 
 
-def _refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
+def refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
+    """Refuse a model that its own fit report flags, unless that is accepted.
+
+    Raises IdentificationError with what the report says.
+    """
     verdict = model.verdict
     if verdict is not None and verdict.flagged and not terms.accept_flagged:
         what = "; ".join(verdict.statements) or "see its fit report"
@@ -223,8 +247,11 @@ def _refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
         )
 
 
-def _range(model: HammersteinModel, terms: Terms) -> DriveRange:
-    """What the drive may do: the recorded range, or what is asked for."""
+def allowed_range(model: HammersteinModel, terms: Terms) -> DriveRange:
+    """What the drive may do: the recorded range, or what is asked for.
+
+    Raises InputError for a range or a start that does not fit the model.
+    """
     m = len(model.inputs)
     recorded = np.array([model.recorded.lowest_v, model.recorded.highest_v])
     low, high = recorded
@@ -298,7 +325,7 @@ def _slower(
     for frequency in np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS):
         rounded = float(f"{frequency:.2g}")
         try:
-            options_then = _options(law, {**options, "filter_hz": rounded})
+            options_then = compensator_of(law, {**options, "filter_hz": rounded})
             built = options_then.design(model, limits, sample_time_s)
             assert isinstance(built, Law)  # feedback has no filter
             found = shortfall(model, built, reference, built.drive_for(reference), sample_time_s)
@@ -333,8 +360,11 @@ def _on_grid(path: Path, model: HammersteinModel, sample_time_s: float) -> tuple
     return grid, np.ascontiguousarray(reference), not same
 
 
-def _options(law: str, options: Mapping[str, Any]) -> Compensator:
-    """The compensator that is named, with its options."""
+def compensator_of(law: str, options: Mapping[str, Any]) -> Compensator:
+    """Give the compensator that is named, with its options.
+
+    Raises InputError for an unknown law or option.
+    """
     given = {name: value for name, value in options.items() if value is not None}
     try:
         return COMPENSATORS.value({"law": law, **given})

@@ -14,7 +14,7 @@ from hammerstein.blocks import Array, Law, require_square
 from hammerstein.compensators.base import Compensator
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis import PlayState, PrandtlIshlinskii
+from hammerstein.hysteresis import Hysteresis, Memory, PlayState, PrandtlIshlinskii, slopes_of
 from hammerstein.hysteresis.slopes import slope_matrices
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Gain, Passes, TimeConstant, of_equal_rows
@@ -24,7 +24,7 @@ from hammerstein.quantities import Gain, Passes, TimeConstant, of_equal_rows
 class FeedbackState:
     """Memory of the law: the plays of its inner model and the delayed or filtered signal (m,) [V]."""
 
-    plays: PlayState
+    plays: Memory
     memory_v: Array
 
     def as_dict(self) -> dict[str, Any]:
@@ -114,15 +114,16 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         iterations: int = 1,
         run_anyway: bool = False,
     ):
-        hysteresis = model.hysteresis
+        hysteresis = model.hysteresis.on_grid(sample_time_s)
         require_square(hysteresis.n_inputs, hysteresis.n_outputs, "inverse_multiplicative")
         self.n_inputs = self.n_outputs = hysteresis.n_inputs
         self.hysteresis, self.range, self.iterations = hysteresis, DriveRange.of(range_v, model), iterations
         self.sample_time_s = None if filter_s is None else sample_time_s
         pass_s = None if filter_s is None else sample_time_s / iterations
         self.pole = 0.0 if filter_s is None or pass_s is None else math.exp(-pass_s / filter_s)
-        self.gain_v_per_um = _gain_matrix(gain, hysteresis)
-        found = convergence(hysteresis, self.gain_v_per_um, self.pole)
+        slopes = slope_matrices(hysteresis, model.amplitude_v)
+        self.gain_v_per_um = _gain_matrix(gain, hysteresis, model.amplitude_v, slopes)
+        found = convergence(slopes, self.gain_v_per_um, self.pole)
         self.convergence = replace(found, pass_s=pass_s)
         if not (self.convergence.converges or run_anyway):
             raise SimulationError(f"{self.convergence.statement()} {self._remedy()}")
@@ -157,37 +158,45 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
 
     def restore(self, data: dict[str, Any]) -> FeedbackState:
         """State from what ``as_dict`` gave."""
-        return FeedbackState(PlayState.from_dict(data["plays"]), np.array(data["memory_v"], dtype=np.float64))
+        plays = self.hysteresis.restore(data["plays"])
+        return FeedbackState(plays, np.array(data["memory_v"], dtype=np.float64))
 
     def _respond(self, reference_um: Array, start: FeedbackState) -> tuple[Array, FeedbackState]:
+        wanted_v = self._from_rest(reference_um)
+        if isinstance(self.hysteresis, PrandtlIshlinskii):
+            return self._compiled(self.hysteresis, wanted_v, start)
+        low, high = self.range.counted
+        plays, memory, drive = start.plays, start.memory_v, np.empty_like(wanted_v)
+        for t, ahead in enumerate((self.gain_v_per_um @ wanted_v).T):
+            for _ in range(self.iterations):
+                drive[:, t] = np.clip(ahead + memory, low, high)
+                v, plays = self.hysteresis.step(drive[:, t], plays)
+                left = drive[:, t] - self.gain_v_per_um @ v
+                memory = self.pole * memory + (1.0 - self.pole) * left
+        return drive, FeedbackState(plays, memory)
+
+    def _compiled(
+        self, hysteresis: PrandtlIshlinskii, wanted_um: Array, start: FeedbackState
+    ) -> tuple[Array, FeedbackState]:
+        """Run the same loop over the samples, compiled."""
         from hammerstein.compensators.kernels import respond_inverse_multiplicative
 
-        plays, memory = start.plays.copy(), start.memory_v.copy()
-        drive = np.empty_like(reference_um)
-        b = self.hysteresis.bank
-        respond_inverse_multiplicative(
-            self._from_rest(reference_um),
-            self.gain_v_per_um,
-            self.pole,
-            self.iterations,
-            *self.range.counted,
-            b.r,
-            b.slope,
-            b.moment,
-            plays.count,
-            plays.end,
-            plays.x,
-            plays.d,
-            plays.below,
-            memory,
-            drive,
-        )
+        plays, memory = _copy_of(start.plays), start.memory_v.copy()
+        drive, b = np.empty_like(wanted_um), hysteresis.bank
+        options = (self.gain_v_per_um, self.pole, self.iterations, *self.range.counted)
+        stack = (plays.count, plays.end, plays.x, plays.d, plays.below)
+        respond_inverse_multiplicative(wanted_um, *options, b.r, b.slope, b.moment, *stack, memory, drive)
         return drive, FeedbackState(plays, memory)
 
 
-def convergence(hysteresis: PrandtlIshlinskii, gain_v_per_um: Array, pole: float = 0.0) -> Convergence:
-    """Examine ``I - (1-a) K J`` over every slope matrix J of a square model."""
-    slopes = slope_matrices(hysteresis)
+def _copy_of(plays: Memory) -> PlayState:
+    """Copy of the memory of play operators, which the compiled loop writes to."""
+    assert isinstance(plays, PlayState)
+    return plays.copy()
+
+
+def convergence(slopes: Array, gain_v_per_um: Array, pole: float = 0.0) -> Convergence:
+    """Examine ``I - (1-a) K J`` over every slope matrix J (number, output, input) of a square model."""
     direct = np.diagonal(slopes, axis1=1, axis2=2)
     eigenvalues = np.linalg.eigvals(gain_v_per_um @ slopes)
     overshoot = bool((eigenvalues.real > 1.0 + 1e-9).any())
@@ -195,23 +204,26 @@ def convergence(hysteresis: PrandtlIshlinskii, gain_v_per_um: Array, pole: float
     return Convergence(float(direct.min()), float(direct.max()), radius, overshoot)
 
 
-def _gain_matrix(gain: str | ArrayLike, hysteresis: PrandtlIshlinskii) -> Array:
+def _gain_matrix(
+    gain: str | ArrayLike, hysteresis: Hysteresis[Any], amplitude_v: float, slopes: Array
+) -> Array:
     m = hysteresis.n_inputs
     if isinstance(gain, str):
-        return np.eye(m) if gain == "identity" else _auto_gain(hysteresis)
+        return np.eye(m) if gain == "identity" else _auto_gain(hysteresis, amplitude_v, slopes)
     matrix = np.asarray(gain, dtype=np.float64)
     if matrix.shape != (m, m) or not np.isfinite(matrix).all():
         raise InputError("gain", f"has shape {matrix.shape}; give a finite ({m}, {m}) matrix in V/um")
     return matrix
 
 
-def _auto_gain(hysteresis: PrandtlIshlinskii) -> Array:
+def _auto_gain(hysteresis: Hysteresis[Any], amplitude_v: float, slopes: Array) -> Array:
     """Largest multiple of the inverse of the summed weights that overshoots at no slope."""
-    summed = np.stack([hysteresis.slope_columns(k)[-1] for k in range(hysteresis.n_inputs)], axis=1)
+    last = [slopes_of(hysteresis, k, amplitude_v)[-1] for k in range(hysteresis.n_inputs)]
+    summed = np.stack(last, axis=1)
     if abs(np.linalg.det(summed)) < 1e-12 * np.abs(summed).max() ** len(summed):
         raise SimulationError("The summed weights form a singular matrix: the model has no automatic gain.")
     inverse = np.linalg.inv(summed)
-    largest = np.linalg.eigvals(inverse @ slope_matrices(hysteresis)).real.max()
+    largest = np.linalg.eigvals(inverse @ slopes).real.max()
     return np.asarray(inverse / largest)
 
 

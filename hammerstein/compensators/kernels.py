@@ -13,6 +13,20 @@ STILL_V = 1e-9
 
 
 @compiled()
+def respond_gain(reference, gain, base, low, high, drive):  # type: ignore[no-untyped-def]
+    """U = base + gain Y_r within the range, summed in the order of the outputs, however many samples.
+
+    reference : (p, N); gain : (m, p) [V/um]; base, low, high : (m,) [V]; drive : (m, N), overwritten
+    """
+    for t in range(reference.shape[1]):
+        for k in range(gain.shape[0]):
+            wanted = 0.0
+            for o in range(gain.shape[1]):
+                wanted += gain[k, o] * reference[o, t]
+            drive[k, t] = min(max(wanted + base[k], low[k]), high[k])
+
+
+@compiled()
 def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
     reference, gain, pole, iterations, low, high, r, slope, moment, count, end, x, d, below, memory, drive
 ):

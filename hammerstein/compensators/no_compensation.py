@@ -32,12 +32,12 @@ class NoCompensationLaw(Law[NoMemory]):
 
     def __init__(self, model: HammersteinModel, range_v: RangeLike):
         self.n_inputs, self.n_outputs = model.hysteresis.n_inputs, model.hysteresis.n_outputs
-        self.gain_v_per_um: Array = np.asarray(
+        self.gain_v_per_um: Array = np.ascontiguousarray(
             np.linalg.pinv(model.hysteresis.gain(model.amplitude_v)), dtype=np.float64
         )
         self.range = DriveRange.of(range_v, model)
         self.origin_um = np.zeros(self.n_outputs)
-        self._base_v = self.range.start_v - self.range.working_point_v
+        self.base_v = self.range.start_v - self.range.working_point_v
 
     def rest(self) -> NoMemory:
         """Give the empty state."""
@@ -48,10 +48,11 @@ class NoCompensationLaw(Law[NoMemory]):
         return NoMemory()
 
     def _respond(self, reference_um: Array, start: NoMemory) -> tuple[Array, NoMemory]:
-        # einsum, not a BLAS product: its sums do not depend on how many samples there are.
-        drive = np.einsum("ko,ot->kt", self.gain_v_per_um, reference_um)
-        low, high = self.range.counted
-        return np.clip(drive + self._base_v[:, None], low[:, None], high[:, None]), start
+        from hammerstein.compensators.kernels import respond_gain
+
+        drive = np.empty((self.n_inputs, reference_um.shape[1]))
+        respond_gain(reference_um, self.gain_v_per_um, self.base_v, *self.range.counted, drive)
+        return drive, start
 
 
 class NoCompensation(Compensator):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -13,6 +12,7 @@ from hammerstein.experiment.prepare import Progress, Window
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.runtime.faults import as_error
+from hammerstein.runtime.store import Store
 from hammerstein.runtime.workers import side_by_side
 from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.storage.manifest import refuse_name
@@ -29,12 +29,14 @@ class Outcome:
     """What became of one scenario file: its report, or the error that stopped it.
 
     kept : files in its folder that a person had changed, under their new names
+    unkept : why its results are not kept for the next run; empty if they are
     """
 
     name: str
     report: Report | None
     error: HammersteinError | None = None
     kept: tuple[Path, ...] = ()
+    unkept: str = ""
 
 
 def find_scenarios(paths: Sequence[Path]) -> list[Path]:
@@ -82,19 +84,22 @@ def run_all(
     finish: Finish,
     jobs: int,
     progress: Progress | None = None,
+    store: Store | None = None,
 ) -> Iterator[Outcome]:
     """Run scenarios and hand each report to ``finish`` as soon as it is there.
+
+    What the store has is not worked out again.
 
     With several scenarios and jobs, each scenario runs in a process of its own; a single one uses threads.
     The numbers depend on neither. Outcomes come in the order in which the scenarios finish.
     """
     if jobs == 1 or len(scenarios) == 1:
         for name, scenario in scenarios.items():
-            yield _outcome(name, scenario, finish, jobs, progress)
+            yield _outcome(name, scenario, finish, jobs, progress, store)
         return
     # Long ones first, so that none is left alone at the end.
     by_size = sorted(scenarios.items(), key=lambda item: -_size(item[1]))
-    tasks = [partial(_outcome, name, scenario, finish, 1, None) for name, scenario in by_size]
+    tasks = [partial(_outcome, name, scenario, finish, 1, None, store) for name, scenario in by_size]
 
     def lost(number: int, how: str) -> Outcome:
         name = by_size[number][0]
@@ -106,7 +111,7 @@ def run_all(
 def _size(scenario: Scenario) -> float:
     """Samples to work through, about; a case with its share of the figures costs at least some."""
     step = scenario.instruments.drive.sample_time_s
-    others = math.prod(len(values) for name, values in scenario.sweep.values() if name != "frequency_hz")
+    others = scenario.sweep.others("frequency_hz")
     try:
         signals = scenario.signals(only="frequency_hz")
         lengths = [Window.of(scenario, signal, step).total for signal in signals]
@@ -122,13 +127,14 @@ def _outcome(
     finish: Finish,
     jobs: int,
     progress: Progress | None,
+    store: Store | None,
 ) -> Outcome:
     try:
-        report = run(scenario, name, jobs, progress)
+        report = run(scenario, name, jobs, progress, store)
         kept = finish(report)
     except Exception as error:  # a fault in one scenario must not take the others with it
         return Outcome(name, None, _of(name, as_error(error)))
-    return Outcome(name, report.without_traces(), kept=kept)
+    return Outcome(name, report.without_traces(), kept=kept, unkept="" if store is None else store.problem)
 
 
 def _of(name: str, error: HammersteinError) -> HammersteinError:

@@ -9,11 +9,13 @@ from typing import Any
 
 from hammerstein.compensators import InverseMultiplicative
 from hammerstein.errors import HammersteinError
-from hammerstein.experiment.measure import needed_by, rows_of
+from hammerstein.experiment.kept import KeptCases
+from hammerstein.experiment.measure import needed_by
 from hammerstein.experiment.prepare import prepare
 from hammerstein.instruments import Drive, Instruments
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
+from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.claims import Change, Claim, FactorName
 from hammerstein.scenario.source import ClosedFormSpec, ModelSource
@@ -36,11 +38,13 @@ class Variation:
     model: HammersteinModel
 
 
-def changes_of(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Iterator[Change]:
+def changes_of(
+    scenario: Scenario, model: HammersteinModel, claim: Claim, store: Store | None = None
+) -> Iterator[Change]:
     """What the figure of a claim becomes with each factor changed alone; NaN where it cannot be simulated."""
     for variation in variations(_of_claim(scenario, claim), model, claim):
         if variation.scenario is not None and (claim.factors is None or variation.factor in claim.factors):
-            yield Change(variation.factor, variation.words, _value(variation, claim))
+            yield Change(variation.factor, variation.words, _value(variation, claim, store))
 
 
 def variations(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Iterator[Variation]:
@@ -72,17 +76,24 @@ def variations(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Ite
         yield Variation("identification_frequency", words, lower, model)
 
 
-def rows_needed(scenario: Scenario, claims: Sequence[Claim], name: str, model: HammersteinModel) -> list[Row]:
+def rows_needed(
+    scenario: Scenario,
+    claims: Sequence[Claim],
+    name: str,
+    model: HammersteinModel,
+    store: Store | None = None,
+) -> list[Row]:
     """Rows that the claims select, from the cases alone that have them."""
-    setup = prepare(scenario, name, model=model)
+    setup = prepare(scenario, name, model=model, fresh=store is not None and store.fresh)
     cases = [case for case in setup.cases() if needed_by(setup, case, claims)]
-    return [row for case in cases for row in rows_of(setup, case).rows]
+    kept = KeptCases(setup, store)
+    return [row for case in cases for row in kept.result(case).rows]
 
 
-def _value(variation: Variation, claim: Claim) -> float:
+def _value(variation: Variation, claim: Claim, store: Store | None) -> float:
     assert variation.scenario is not None
     try:
-        return claim.value(rows_needed(variation.scenario, [claim], claim.id, variation.model))
+        return claim.value(rows_needed(variation.scenario, [claim], claim.id, variation.model, store))
     except HammersteinError:
         return math.nan
 

@@ -17,9 +17,11 @@ from hammerstein.compensators import (
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.prepare import Window, driven_axes, plant_of, scenario_axes
 from hammerstein.experiment.recording import STRETCH
+from hammerstein.experiment.sensitivity import evaluations, varying
 from hammerstein.runtime.memory import COPIES, free_bytes, run_bytes
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec
+from hammerstein.scenario.uncertainty import Uncertainty
 from hammerstein.simulation import Plant
 
 # Of a two-axis actuator on a processor of 2.5 GHz, rounded up; they only have to tell minutes from hours.
@@ -29,10 +31,13 @@ SECONDS_A_PASS = 8e-8
 SECONDS_A_TAP = 2e-9
 SECONDS_OF_A_FIT, SECONDS_A_FITTED_SAMPLE = 5.0, 4e-5
 BYTES_A_ROW = 3_000
-BYTES_OF_A_DRAWN_ACTUATOR = 30_000
+BYTES_OF_DRAWN_FIGURES = 200
+RESAMPLED_BYTES = 50_000
 BYTES_A_FITTED_SAMPLE, BYTES_A_REGRESSOR = 200, 24
 TAPS = 13.5  # of a reference filter of half the sample rate
+TOLD_S = 60.0
 LONG_S = 600.0
+"""What takes longer waits for a yes where a person watches."""
 
 
 @dataclass(frozen=True)
@@ -78,13 +83,17 @@ class Plan:
     def announcement(self, jobs: int) -> str:
         """Say how long it takes where that is long; empty where it is not."""
         seconds = self.seconds / max(jobs, 1)
-        if not seconds > LONG_S:
+        if not seconds > TOLD_S:
             return ""
         longest = max(self.parts, key=lambda part: part.seconds)
         return (
             f"this takes about {duration(seconds)}; the longest part is {longest.what} "
             f"({duration(longest.seconds)} on one processor). To shorten it, lower {longest.keys}"
         )
+
+    def is_long(self, jobs: int) -> bool:
+        """Whether a person who watches must say yes first."""
+        return self.seconds / max(jobs, 1) > LONG_S
 
 
 def plans_of(scenarios: Mapping[str, Scenario]) -> list[Plan]:
@@ -152,7 +161,7 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
     """The cases, and their repetition on drawn actuators."""
     m, p = plant.model.hysteresis.n_inputs, plant.model.hysteresis.n_outputs
     axes = len(driven_axes(scenario, len(scenario_axes(scenario, plant.model))))
-    others = math.prod(len(v) for k, v in scenario.sweep.values() if k != "frequency_hz")
+    others = scenario.sweep.others("frequency_hz")
     cases = samples = work = longest = 0.0
     for signal in scenario.signals(only="frequency_hz"):
         total = float(Window.of(scenario, signal, plant.sample_time_s).total)
@@ -176,14 +185,31 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
         keys += ", or lower iterations"
     words = f"{cases:.3g} runs of up to {longest:.3g} samples"
     yield Part(words, kept + cases * p * BYTES_A_ROW, seconds, keys)
+    rows = cases * p * max(1, models)
     if scenario.uncertainty is not None:
-        draws = scenario.uncertainty.draws
-        rows = draws * cases * p * max(1, models) * BYTES_A_ROW
+        yield from _on_drawn(scenario.uncertainty, plant, rows, cases, seconds)
+
+
+def _on_drawn(
+    uncertainty: Uncertainty, plant: Plant, rows: float, cases: float, seconds: float
+) -> Iterator[Part]:
+    """All runs once more on every drawn actuator; of those only the figures stay."""
+    draws = uncertainty.draws
+    yield Part(
+        f"{draws:.3g} drawn actuators in {cases:.3g} runs each",
+        draws * rows * BYTES_OF_DRAWN_FIGURES,
+        draws * seconds,
+        "uncertainty.draws",
+    )
+    if uncertainty.sensitivity is not None:
+        parameters = len(varying(uncertainty, plant.model))
+        count = evaluations(uncertainty.sensitivity, parameters)
         yield Part(
-            f"{draws:.3g} drawn actuators in {cases:.3g} runs each",
-            rows + draws * BYTES_OF_A_DRAWN_ACTUATOR,
-            draws * seconds,
-            "uncertainty.draws",
+            f"{count} drawn actuators, ({parameters} + 2) x {uncertainty.sensitivity}, in {cases:.3g} runs "
+            f"each, for the sensitivities to {parameters} parameters",
+            (RESAMPLED_BYTES + count) * rows * BYTES_OF_DRAWN_FIGURES,
+            count * seconds,
+            "uncertainty.sensitivity",
         )
 
 
@@ -215,4 +241,4 @@ def duration(seconds: float) -> str:
         if seconds >= 2.0 * length:
             number = seconds / length
             return f"{number:.2g} {unit}" if number < 99 else f"{number:,.0f} {unit}"
-    return f"{seconds / 60.0:.0f} minutes"
+    return f"{seconds / 60.0:.0f} minutes" if seconds >= 90.0 else f"{seconds:.2g} seconds"

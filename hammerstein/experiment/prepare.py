@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.blocks import Controller, Law
-from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
+from hammerstein.compensators.feedback.pid import closed_loop
 from hammerstein.driving import DriveRange
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, Mistake, SimulationError
-from hammerstein.instruments import Instruments, standard_noise
+from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.memory import refuse_too_long
 from hammerstein.scenario import Scenario
@@ -109,7 +109,7 @@ class SetUp:
             return lambda tested, seed: tested.respond(values, case.seed(seed))
         law = self.laws[case.label]
         if isinstance(law, Controller):
-            return lambda tested, seed: _closed(tested, law, values, case.seed(seed))
+            return lambda tested, seed: closed_loop(law, tested, values, case.seed(seed))
         voltages = law.drive_for(values)
         return lambda tested, seed: tested.respond(voltages, case.seed(seed), reference_um=values)
 
@@ -149,36 +149,6 @@ class SetUp:
         return values_of(case, time_s, len(scenario_axes(self.scenario, self.plant.model)), rest)
 
 
-def _closed(plant: Plant, law: Controller[Any], reference_um: Array, seed: list[int]) -> Response:
-    """Response of an actuator whose voltages depend on what the sensor reads, from rest."""
-    if not isinstance(law, FeedbackController):
-        return plant.closed_loop(law, reference_um, seed)
-    noise = standard_noise(np.random.default_rng(seed), *reference_um.shape)
-    instruments = plant.instruments
-    wires = closed_loop(
-        law,
-        reference_um,
-        plant.model.hysteresis,
-        plant.block,
-        instruments.drive,
-        instruments.sensor,
-        noise,
-        plant.model.recorded.working_point_v,
-    )
-    return Response(
-        sample_time_s=plant.sample_time_s,
-        reference_um=reference_um,
-        requested_v=wires.requested_v,
-        drive_v=wires.drive_v,
-        hysteresis_um=wires.hysteresis_um,
-        position_um=wires.position_um,
-        reading_um=wires.reading_um,
-        saturated=wires.saturated,
-        inputs=plant.model.inputs,
-        outputs=plant.model.outputs,
-    )
-
-
 def scenario_axes(scenario: Scenario, model: HammersteinModel) -> tuple[str, ...]:
     """Names of the axes that the scenario's signal has."""
     return model.inputs if scenario.drive is not None else model.outputs
@@ -205,10 +175,12 @@ def prepare(
     source: str = "scenario",
     progress: Progress | None = None,
     model: HammersteinModel | None = None,
+    fresh: bool = False,
 ) -> SetUp:
     """Load the actuator, identify every model, build every law.
 
-    ``model`` takes the place of the scenario's actuator, if given.
+    ``model`` takes the place of the scenario's actuator, if given; ``fresh`` passes by identifications that
+    were kept.
 
     Raises
     ------
@@ -218,7 +190,7 @@ def prepare(
     """
     plant = plant_of(scenario, model)
     _check_signal(scenario, plant, source)
-    models = _models(scenario, plant, progress)
+    models = _models(scenario, plant, progress, fresh)
     laws: dict[str, AnyLaw] = {}
     for compensator in scenario.compensators:
         laws[compensator.label] = _law(compensator, models[compensator.label], plant)
@@ -258,7 +230,9 @@ def _labelled(name: str, error: HammersteinError) -> tuple[Any, ...]:
     return (f"{name}: {error}",)
 
 
-def _models(scenario: Scenario, plant: Plant, progress: Progress | None) -> dict[str, HammersteinModel]:
+def _models(
+    scenario: Scenario, plant: Plant, progress: Progress | None, fresh: bool
+) -> dict[str, HammersteinModel]:
     """Models by label; one that several compensators share is identified once."""
     from hammerstein.experiment.simulated_identification import identify_by_experiment
 
@@ -273,7 +247,7 @@ def _models(scenario: Scenario, plant: Plant, progress: Progress | None) -> dict
             found[key] = HammersteinModel.load(str(source.model))
         elif key not in found and source.identification is not None:
             try:
-                found[key] = identify_by_experiment(plant, source.identification, scenario.seed)
+                found[key] = identify_by_experiment(plant, source.identification, scenario.seed, fresh)
             except (InputError, SimulationError, IdentificationError) as error:
                 raise type(error)(*_labelled(f"identification of {source.label!r}", error)) from None
         models[source.label] = found[key]
@@ -348,19 +322,5 @@ def _check_reach(scenario: Scenario, plant: Plant, source: str) -> None:
 
 
 def _far_ends(model: HammersteinModel, limits: DriveRange) -> tuple[Array, Array]:
-    """Least and largest position (p,) of the static block from rest, whatever the other outputs do [um].
-
-    About the middle of the range every pair moves by its settled loop; rest itself is reached, too.
-    """
-    low, high = limits.counted
-    half, middle = 0.5 * limits.span_v, 0.5 * (low + high)
-    pairs = model.hysteresis.pairs
-    tips = np.array([[pair.amplitude(h) for pair, h in zip(row, half, strict=True)] for row in pairs])
-    centre = np.array(
-        [
-            sum(float(pair.weights_um_per_v.sum()) * u for pair, u in zip(row, middle, strict=True))
-            for row in pairs
-        ]
-    )
-    reach = np.abs(tips).sum(axis=1)
-    return np.minimum(centre - reach, 0.0), np.maximum(centre + reach, 0.0)
+    """Least and largest position (p,) of the static block from rest, whatever the other outputs do [um]."""
+    return model.hysteresis.extremes(*limits.counted)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hammerstein.dynamics import StaticDynamics, discretise
 from hammerstein.experiment.prepare import Case, SetUp
-from hammerstein.hysteresis import PlayState
+from hammerstein.hysteresis import Memory
 from hammerstein.model import HammersteinModel
 from hammerstein.simulation import Response, refuse_unbounded
 
@@ -36,7 +36,7 @@ class Target:
 class PredictionState(NamedTuple):
     """Memory of a model's plays, and state (n,) of its linear block; None for a static model."""
 
-    plays: PlayState | None = None
+    plays: Memory | None = None
     linear: Array | None = None
 
 
@@ -88,6 +88,7 @@ def _prediction(
     setup: SetUp, model: HammersteinModel, drive_v: Array, start: PredictionState
 ) -> tuple[Array, Array, PredictionState]:
     """What a model predicts that the sensor reads, and where the actuator is."""
+    model = model.on_grid(setup.plant.sample_time_s)
     v, plays = model.static_response(drive_v, start.plays)
     refuse_unbounded(f"prediction of {model.name}_um", v, setup.plant.sample_time_s)
     if isinstance(model.dynamics, StaticDynamics):

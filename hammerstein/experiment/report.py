@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,30 @@ class Band:
     p95_um: float
 
 
+@dataclass(frozen=True)
+class Sensitivity:
+    """Part of the variance of one metric of one row that is due to one uncertain parameter.
+
+    first, total : index of the parameter alone, and with all that it does together with others
+    *_low, *_high : their 95 % limits
+    """
+
+    compensator: str
+    excited_axis: str
+    measured_axis: str
+    frequency_hz: float
+    amplitude_v: float | None
+    amplitude_um: float | None
+    metric: str
+    parameter: str
+    first: float
+    first_low: float
+    first_high: float
+    total: float
+    total_low: float
+    total_high: float
+
+
 @dataclass(frozen=True, eq=False)
 class Trace:
     """The measured window of one case, for figures and for ``--traces``."""
@@ -74,6 +98,7 @@ class Report:
     statements : what a reader must know of convergence, saturation and settling
     verdicts : the scenario's claims and what was found
     bands : spread over the draws of an uncertain actuator; empty without uncertainty
+    sensitivities : which uncertain parameter that spread is due to; empty if not asked for
     traces : measured windows; they are not written into the report file
     """
 
@@ -89,6 +114,7 @@ class Report:
     statements: tuple[str, ...]
     verdicts: tuple[Verdict, ...] = ()
     bands: tuple[Band, ...] = ()
+    sensitivities: tuple[Sensitivity, ...] = ()
     traces: tuple[Trace, ...] = ()
 
     def __repr__(self) -> str:
@@ -117,7 +143,8 @@ class Report:
             "model_digest": self.model_digest,
             "statements": list(self.statements),
             "claims": [verdict.as_dict() for verdict in self.verdicts],
-            "bands": [{k: v for k, v in asdict(band).items() if v is not None} for band in self.bands],
+            "bands": [_known(band) for band in self.bands],
+            "sensitivities": [_known(found) for found in self.sensitivities],
             "rows": [row.key() | dict(row.figures) for row in self.rows],
         }
         return json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n"
@@ -126,12 +153,22 @@ class Report:
         """Text of ``bands.csv``: one line for each row and metric."""
         import pandas as pd
 
-        table = pd.DataFrame([asdict(band) for band in self.bands])
-        return _csv(table)
+        return _csv(pd.DataFrame([asdict(band) for band in self.bands]))
+
+    def sensitivities_to_csv(self) -> str:
+        """Text of ``sensitivities.csv``: one line for each row, metric and uncertain parameter."""
+        import pandas as pd
+
+        return _csv(pd.DataFrame([asdict(found) for found in self.sensitivities]))
 
     def to_csv(self) -> str:
         """Text of ``rms.csv``: one line a row, figures without meaning left empty."""
         return _csv(self.to_frame())
+
+
+def _known(found: Band | Sensitivity) -> dict[str, Any]:
+    """Plain JSON without what has no value."""
+    return {name: value for name, value in asdict(found).items() if value is not None}
 
 
 def _csv(table: pd.DataFrame) -> str:

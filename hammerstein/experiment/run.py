@@ -9,13 +9,16 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.causes import changes_of, rows_needed, with_passes
-from hammerstein.experiment.measure import rows_of, statements_of
+from hammerstein.experiment.kept import KeptCases
+from hammerstein.experiment.measure import statements_of
 from hammerstein.experiment.plan import Plan, identification_parts, plan_of
 from hammerstein.experiment.prepare import Case, Progress, SetUp, plant_of, prepare, scenario_axes
 from hammerstein.experiment.report import Report
+from hammerstein.experiment.sensitivity import sensitivities_of
 from hammerstein.experiment.uncertainty_bands import bands_of
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
+from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario, scenario_of
 from hammerstein.scenario.claims import verdicts
 from hammerstein.scenario.scenario import AlsoOn, ScenarioSource
@@ -96,6 +99,13 @@ def _chosen(
 ) -> tuple[SetUp, Case]:
     _, scenario = scenario_of(source)
     swept = {key: (value,) for key, value in values.items()}
+    if scenario.sweep.is_zip:  # a value brings those of the other keys with it
+        for found in scenario.sweep.combinations():
+            if all(found.get(key) == value for key, value in values.items()):
+                swept = {key: (value,) for key, value in found.items()}
+                break
+        else:
+            raise InputError("simulate", f"the scenario has no case with {dict(values)}")
     chosen = scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update=swept)})
     Plan(tuple(identification_parts(chosen, plant_of(chosen)))).refuse_too_large()
     setup = prepare(chosen)
@@ -108,7 +118,11 @@ def _chosen(
 
 
 def run(
-    scenario: ScenarioSource, name: str | None = None, jobs: int = 1, progress: Progress | None = None
+    scenario: ScenarioSource,
+    name: str | None = None,
+    jobs: int = 1,
+    progress: Progress | None = None,
+    store: Store | None = None,
 ) -> Report:
     """Run every case of a scenario and measure it.
 
@@ -118,6 +132,7 @@ def run(
     name : what the report is called; the name of the file, or "scenario", if not given
     jobs : threads; the numbers do not depend on it
     progress : called with what is done, how much of it, and of how much
+    store : where the results of cases are kept and found; all are worked out if not given
 
     Returns
     -------
@@ -132,18 +147,18 @@ def run(
     own_name, scenario = scenario_of(scenario)
     name = name or own_name
     plan_of(scenario, jobs).refuse_too_large()
-    setup = prepare(scenario, name, progress)
-    cases = list(setup.cases())
+    setup = prepare(scenario, name, progress, fresh=store is not None and store.fresh)
+    cases, kept = list(setup.cases()), KeptCases(setup, store)
     results = []
     parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")
-    for i, result in enumerate(parallel(delayed(rows_of)(setup, case) for case in cases)):
+    for i, result in enumerate(parallel(delayed(kept.result)(case) for case in cases)):
         results.append(result)
         if progress:
             progress("simulating", i + 1, len(cases))
     rows = tuple(row for result in results for row in result.rows)
     _refuse_not_finite(rows)
     answers: dict[str, Sequence[Row]] = {setup.plant.model.name: rows}
-    answers |= _other_answers(scenario, name)
+    answers |= _other_answers(scenario, name, store)
     traces = tuple(result.trace for result in results)
     return Report(
         name=name,
@@ -157,9 +172,12 @@ def run(
         rows=rows,
         statements=statements_of(setup, results),
         verdicts=verdicts(
-            scenario.claims, answers, lambda claim: tuple(changes_of(scenario, setup.plant.model, claim))
+            scenario.claims,
+            answers,
+            lambda claim: tuple(changes_of(scenario, setup.plant.model, claim, store)),
         ),
-        bands=bands_of(setup, cases, jobs, progress),
+        bands=bands_of(kept, cases, jobs, progress),
+        sensitivities=sensitivities_of(kept, cases, jobs, progress),
         traces=traces,
     )
 
@@ -174,12 +192,12 @@ def _refuse_not_finite(rows: Iterable[Row]) -> None:
             )
 
 
-def _other_answers(scenario: Scenario, name: str) -> dict[str, Sequence[Row]]:
+def _other_answers(scenario: Scenario, name: str, store: Store | None) -> dict[str, Sequence[Row]]:
     """What the claims need of the same experiment on the other actuators that they are put to."""
     answers: dict[str, Sequence[Row]] = {}
     for other in scenario.claims_also_on if scenario.claims else ():
         also = AlsoOn(actuator=other) if isinstance(other, str) else other
         model = HammersteinModel.load(also.actuator)
         told = scenario if isinstance(other, str) else with_passes(scenario, also.passes) or scenario
-        answers[model.name] = rows_needed(told, scenario.claims, name, model)
+        answers[model.name] = rows_needed(told, scenario.claims, name, model, store)
     return answers

@@ -68,6 +68,12 @@ def is_path(report: Report) -> bool:
     return all(row.excited_axis == "all" for row in report.rows)
 
 
+def banded_metric(report: Report) -> tuple[str, str]:
+    """Figure that the spread of drawn actuators is told of, and what it is called."""
+    path = is_path(report) and len(report.axes) > 1
+    return ("euclidean_max_true_um", "worst distance") if path else ("rms_true_um", "rms error")
+
+
 def is_direct(report: Report, row: Row) -> bool:
     """Whether a row is of an axis that was driven itself."""
     if row.excited_axis == "all":

@@ -38,7 +38,9 @@ CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
 """Slow steps of the creep record, in parts of the amplitude; each lasts a sixth of it."""
 
 
-def identify_by_experiment(plant: Plant, spec: ClosedFormSpec | JointFitSpec, seed: int) -> HammersteinModel:
+def identify_by_experiment(
+    plant: Plant, spec: ClosedFormSpec | JointFitSpec, seed: int, fresh: bool = False
+) -> HammersteinModel:
     """Model of a simulated actuator, found by driving it one input at a time (paper, section 3.3).
 
     The result is kept on disk (``cache``): the same experiment on the same actuator is not done twice.
@@ -48,13 +50,15 @@ def identify_by_experiment(plant: Plant, spec: ClosedFormSpec | JointFitSpec, se
     plant : the actuator on its bench
     spec : the experiment and the method
     seed : of the sensor's noise; the experiment's own settings are mixed in
+    fresh : whether what was kept before is passed by
 
     Raises
     ------
     IdentificationError : the data do not determine the model, or the drive cuts the voltage
     """
     actuator = replace(plant.model, instruments=plant.instruments)
-    return HammersteinModel.from_json(kept(_identified)(actuator.to_json(), spec.model_dump_json(), seed))
+    found = kept(_identified, fresh)(actuator.to_json(), spec.model_dump_json(), seed)
+    return HammersteinModel.from_json(found)
 
 
 def _identified(actuator_json: str, spec_json: str, seed: int) -> str:

@@ -1,12 +1,33 @@
-"""Rate-independent hysteresis: the Prandtl-Ishlinskii block and its compiled loops."""
+"""Hysteresis: what every kind is, and the classical Prandtl-Ishlinskii block with its compiled loops.
 
-from hammerstein.hysteresis.prandtl_ishlinskii import (
-    Bank,
-    Pair,
-    PlayState,
-    PrandtlIshlinskii,
-    WeightCovariance,
-    play,
+To add a kind to the package, write it in a file of its own and name it here.
+"""
+
+from hammerstein.hysteresis.bank import Bank, PlayState
+from hammerstein.hysteresis.kind import (
+    HYSTERESIS,
+    Hysteresis,
+    HysteresisFile,
+    Memory,
+    Sloped,
+    slopes_of,
 )
+from hammerstein.hysteresis.pair import Pair, WeightCovariance, play
+from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii, PrandtlIshlinskiiFile
 
-__all__ = ["Bank", "Pair", "PlayState", "PrandtlIshlinskii", "WeightCovariance", "play"]
+__all__ = [
+    "HYSTERESIS",
+    "Bank",
+    "Hysteresis",
+    "HysteresisFile",
+    "Memory",
+    "Pair",
+    "PlayState",
+    "PrandtlIshlinskii",
+    "Sloped",
+    "WeightCovariance",
+    "play",
+    "slopes_of",
+]
+
+HYSTERESIS.register(PrandtlIshlinskiiFile)

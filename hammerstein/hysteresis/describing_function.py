@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.errors import InputError
-from hammerstein.hysteresis.prandtl_ishlinskii import Array, Pair, PrandtlIshlinskii
+from hammerstein.hysteresis.pair import Array, Pair
+from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 
 if TYPE_CHECKING:
     from hammerstein.interop.limit_cycles import HysteresisNonlinearity

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import singledispatch
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hammerstein.blocks import Array
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Hysteresis, Pair, PrandtlIshlinskii
 from hammerstein.hysteresis.slopes import slope_matrices
 
 SINGULAR = 1e-9
@@ -66,8 +68,9 @@ class Invertibility:
         )
 
 
+@singledispatch
 def invertibility(
-    hysteresis: PrandtlIshlinskii, range_v: ArrayLike = math.inf, amplitude_v: float | None = None
+    hysteresis: Hysteresis[Any], range_v: ArrayLike = math.inf, amplitude_v: float | None = None
 ) -> Invertibility:
     """Examine every slope matrix that a drive within a range can bring about.
 
@@ -85,7 +88,8 @@ def invertibility(
 
     Raises
     ------
-    InputError : more outputs than inputs, an input that moves no output, or one that the range cannot move
+    InputError : a kind that cannot tell, more outputs than inputs, an input that moves no output, or one
+        that the range cannot move
     SimulationError : too many slope matrices to examine
 
     Examples
@@ -93,6 +97,13 @@ def invertibility(
     >>> invertibility(PrandtlIshlinskii([[Pair([0.0, 1.0], [2.0, -3.0])]])).invertible
     False
     """
+    raise InputError("inverse", f"hysteresis of kind {hysteresis.kind!r} does not tell whether it has one")
+
+
+@invertibility.register
+def _(
+    hysteresis: PrandtlIshlinskii, range_v: ArrayLike = math.inf, amplitude_v: float | None = None
+) -> Invertibility:
     farthest = np.broadcast_to(np.asarray(range_v, dtype=np.float64), hysteresis.n_inputs)
     square, smallest = completed(hysteresis, amplitude_v or _usual_amplitude(hysteresis, farthest.max()))
     if (smallest >= farthest).any():
@@ -138,7 +149,7 @@ def _dominant_sign(square: PrandtlIshlinskii) -> int:
 
 def _enumerated(square: PrandtlIshlinskii, smallest_v: Array, n_outputs: int) -> Invertibility:
     """Examine all determinants one by one."""
-    slopes = slope_matrices(square)
+    slopes = slope_matrices(square, math.inf)
     determinants = np.linalg.det(slopes)
     size = np.prod(np.linalg.norm(slopes, axis=1), axis=1)
     sign = np.where(np.abs(determinants) <= SINGULAR * size, 0, np.sign(determinants)).astype(int)

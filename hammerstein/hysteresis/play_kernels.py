@@ -206,7 +206,7 @@ def respond_turning_points(  # type: ignore[no-untyped-def]
     ends, xs, ds = np.empty((m, height), np.int64), np.empty((m, height)), np.empty((m, height))
     tips = np.empty((m, height, len(outputs)))
     for k in range(m):
-        _load(n[k], lines[k], count[k], end[k], x[k], d[k], ends[k], xs[k], ds[k], tips[k], outputs)
+        load(n[k], lines[k], count[k], end[k], x[k], d[k], ends[k], xs[k], ds[k], tips[k], outputs)
     for start in range(0, u.shape[1], BLOCK):
         stop = min(start + BLOCK, u.shape[1])
         y[:, start:stop] = 0.0
@@ -214,7 +214,7 @@ def respond_turning_points(  # type: ignore[no-untyped-def]
             if not _finite(u[k], start, stop):
                 return start
             if n[k] > 0:
-                count[k] = _respond_block(
+                count[k] = respond_block(
                     u[k], start, stop, r[k], guide[k], scale[k], lines[k],
                     count[k], ends[k], xs[k], ds[k], tips[k], y, outputs,
                 )  # fmt: skip
@@ -224,7 +224,7 @@ def respond_turning_points(  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _load(n, lines, count, end, x, d, ends, xs, ds, tips, outputs):  # type: ignore[no-untyped-def]
+def load(n, lines, count, end, x, d, ends, xs, ds, tips, outputs):  # type: ignore[no-untyped-def]
     """Copy a stack onto a floor of n operators at rest, and follow its tips from the floor upwards."""
     ends[0], xs[0], ds[0] = n, 0.0, 0.0
     tips[0] = 0.0
@@ -270,7 +270,7 @@ def _sum(u, start, stop):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _respond_block(  # type: ignore[no-untyped-def]
+def respond_block(  # type: ignore[no-untyped-def]
     u, start, stop, r, guide, scale, lines, top, end, x, d, tip, y, outputs
 ):
     """Add to y what one input contributes from start to stop; returns the new top of its stack.

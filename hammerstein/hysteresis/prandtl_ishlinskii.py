@@ -2,254 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from pydantic import Field
 
-from hammerstein.errors import InputError, Mistake, SimulationError
+from hammerstein.errors import InputError
+from hammerstein.hysteresis.bank import Bank, PlayState
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
+from hammerstein.hysteresis.pair import Array, Pair, WeightCovariance, frozen
+from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile
 
 if TYPE_CHECKING:
-    from hammerstein.interop.block_system import BlockSystem
     from hammerstein.interop.limit_cycles import HysteresisNonlinearity
 
-Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
-
-
-def _frozen(values: ArrayLike) -> Array:
-    array = np.array(values, dtype=np.float64)
-    array.flags.writeable = False
-    return array
-
-
-def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
-    """Outputs of a bank of play (backlash) operators driven by one voltage.
-
-        p[k] = max(u[k] - r, min(u[k] + r, p[k-1]))          (paper, eq. 1)
-
-    Parameters
-    ----------
-    u : (sample,) input [V]
-    r : (operator,) thresholds [V], not negative
-    start : (operator,) outputs before the first sample [V]; zero if not given
-
-    Returns
-    -------
-    (operator, sample) outputs [V]
-
-    Examples
-    --------
-    >>> play([0.0, 2.0, 1.0, -2.0], [0.5])
-    array([[ 0. ,  1.5,  1.5, -1.5]])
-    """
-    from hammerstein.hysteresis.play_kernels import play_bank
-
-    thresholds = np.atleast_1d(np.asarray(r, dtype=np.float64))
-    plays = np.zeros(len(thresholds)) if start is None else np.array(start, dtype=np.float64)
-    outputs = np.empty((len(thresholds), np.size(u)))
-    play_bank(np.ascontiguousarray(u, dtype=np.float64), thresholds, plays, outputs)
-    return outputs
-
 
 @dataclass(frozen=True, eq=False)
-class Pair:
-    """What one output hears of one input: a bank of play operators.
-
-    A linear gain is a bank with the single threshold 0, for a play of threshold 0 passes its input
-    unchanged; an absent pair is an empty bank (paper, definition 3.1).
-
-    Parameters
-    ----------
-    thresholds_v : (operator,) thresholds [V], not negative, strictly increasing
-    weights_um_per_v : (operator,) weights [um/V], of either sign
-    weight_errors_um_per_v : (operator,) standard errors of the weights [um/V], if they are known
-
-    Raises
-    ------
-    InputError : non-finite, negative or unsorted thresholds, or lengths that differ
-
-    Examples
-    --------
-    >>> Pair([0.0, 1.0], [2.0, 1.0]).slopes
-    array([2., 3.])
-    """
-
-    thresholds_v: Array
-    weights_um_per_v: Array
-    weight_errors_um_per_v: Array | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "thresholds_v", _frozen(self.thresholds_v))
-        object.__setattr__(self, "weights_um_per_v", _frozen(self.weights_um_per_v))
-        if self.weight_errors_um_per_v is not None:
-            object.__setattr__(self, "weight_errors_um_per_v", _frozen(self.weight_errors_um_per_v))
-        mistakes = list(self._mistakes())
-        if mistakes:
-            raise InputError("Prandtl-Ishlinskii pair", mistakes)
-
-    def _mistakes(self) -> Iterable[Mistake]:
-        r, w, errors = self.thresholds_v, self.weights_um_per_v, self.weight_errors_um_per_v
-        if r.ndim != 1 or w.shape != r.shape:
-            yield Mistake("weights_um_per_v", f"has shape {w.shape}, the thresholds {r.shape}; give one each")
-        if errors is not None and errors.shape != w.shape:
-            yield Mistake("weight_errors_um_per_v", f"has shape {errors.shape}, the weights {w.shape}")
-        if not np.isfinite(r).all():
-            yield Mistake("thresholds_v", "holds a value that is not finite")
-        elif (r < 0).any():
-            yield Mistake("thresholds_v", f"holds a negative value, {r.min():g} V; thresholds are 0 or more")
-        elif r.ndim == 1 and (np.diff(r) <= 0).any():
-            yield Mistake("thresholds_v", "is not strictly increasing; sort it and merge equal thresholds")
-        if not np.isfinite(w).all():
-            yield Mistake("weights_um_per_v", "holds a value that is not finite")
-
-    @classmethod
-    def linear(cls, gain_um_per_v: float) -> Pair:
-        """Pass the input times a gain [um/V]."""
-        return cls(_frozen([0.0]), _frozen([gain_um_per_v]))
-
-    @classmethod
-    def absent(cls) -> Pair:
-        """Hear nothing of the input."""
-        return cls(_frozen([]), _frozen([]))
-
-    def __repr__(self) -> str:
-        r, w = self.thresholds_v, self.weights_um_per_v
-        if not len(r):
-            return "Pair(absent)"
-        thresholds = f"thresholds {r[0]:.4g} to {r[-1]:.4g} V"
-        return f"Pair({len(r)} operators, {thresholds}, summed weight {w.sum():.4g} um/V)"
-
-    @property
-    def slopes(self) -> Array:
-        """Partial sums of the weights (operator,) [um/V]: the slope while operators 1..j move."""
-        return np.cumsum(self.weights_um_per_v)
-
-    def amplitude(self, amplitude_v: float) -> float:
-        """Half height of the settled loop [um]: sum of w (A - r) over the thresholds below A."""
-        r, w = self.thresholds_v, self.weights_um_per_v
-        return float(w @ np.maximum(amplitude_v - r, 0.0))
-
-    def loop_area(self, amplitude_v: float) -> float:
-        """Area of the settled loop [um V]: 4 sum of w r (A - r) over the thresholds below A."""
-        r, w = self.thresholds_v, self.weights_um_per_v
-        return float(4.0 * (w * r) @ np.maximum(amplitude_v - r, 0.0))
-
-    def rising_branch(self, u_v: ArrayLike, amplitude_v: float) -> Array:
-        """Rise above the lower tip of the settled loop [um]: sum of w max(0, u + A - 2 r)."""
-        r, w = self.thresholds_v, self.weights_um_per_v
-        rise = np.subtract.outer(np.asarray(u_v) + amplitude_v, 2.0 * r)
-        return np.asarray(np.maximum(rise, 0.0) @ w)
-
-
-@dataclass(frozen=True, eq=False)
-class WeightCovariance:
-    """How the errors of all weights of one output hang together: their covariance L L^T.
-
-    factor_um_per_v : (weight, weight) lower triangle L [um/V]; pair after pair in the order of the inputs
-    slopes_at_bound : slopes that the fit held at a bound; their weights vary with the others alone
-    """
-
-    factor_um_per_v: Array
-    slopes_at_bound: int = 0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "factor_um_per_v", _frozen(self.factor_um_per_v))
-        if not np.isfinite(self.factor_um_per_v).all():
-            raise InputError("weight_covariance", "holds a value that is not finite")
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance (weight, weight) [um^2/V^2]."""
-        return np.asarray(self.factor_um_per_v @ self.factor_um_per_v.T)
-
-
-@dataclass(frozen=True, eq=False)
-class PlayState:
-    """Memory of a Prandtl-Ishlinskii model: the stack of segments of each input (see ``kernels``).
-
-    Made by ``PrandtlIshlinskii.rest``, ``.state_of`` or by a run; its arrays are not written to.
-
-    count : (m,) height of each stack; end, x, d : (m, operator+1); below : (m, operator+1, p)
-    """
-
-    count: Counts
-    end: Counts
-    x: Array
-    d: Array
-    below: Array
-
-    def copy(self) -> PlayState:
-        """Give an independent copy."""
-        return PlayState(*(array.copy() for array in self._arrays()))
-
-    def _arrays(self) -> tuple[Any, ...]:
-        return self.count, self.end, self.x, self.d, self.below
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists that JSON keeps to the last bit."""
-        names = ("count", "end", "x", "d", "below")
-        return {name: array.tolist() for name, array in zip(names, self._arrays(), strict=True)}
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> PlayState:
-        """Restore what ``as_dict`` saved."""
-        count, end = (np.array(data[name], dtype=np.int64) for name in ("count", "end"))
-        x, d, below = (np.array(data[name], dtype=np.float64) for name in ("x", "d", "below"))
-        return cls(count, end, x, d, below)
-
-
-@dataclass(frozen=True, eq=False)
-class Bank:
-    """All operators of every input on one threshold grid an input, as the kernels want them.
-
-    n : (m,) operators of each input
-    r : (m, n_max) thresholds [V], filled up with infinity
-    w : (m, n_max, p) weights [um/V], zero where an output lacks the operator
-    slope, moment : (m, n_max+1, p) partial sums of w and of w r
-    lines : (m, n_max+1, 2 p) the two side by side
-    guide, scale : (m, levels), (m,) where the search for a threshold begins, see ``kernels``
-    """
-
-    n: Counts
-    r: Array
-    w: Array
-    slope: Array
-    moment: Array
-    lines: Array
-    guide: Counts
-    scale: Array
-
-    @classmethod
-    def of(cls, pairs: Sequence[Sequence[Pair]]) -> Bank:
-        """Merge the pairs (output, input) onto one grid an input."""
-        from hammerstein.hysteresis.play_kernels import search_guide
-
-        p, m = len(pairs), len(pairs[0])
-        grids = [np.unique(np.concatenate([pairs[o][k].thresholds_v for o in range(p)])) for k in range(m)]
-        n = np.array([len(grid) for grid in grids], dtype=np.int64)
-        r = np.full((m, max(1, int(n.max()))), np.inf)
-        w = np.zeros((*r.shape, p))
-        for k, grid in enumerate(grids):
-            r[k, : len(grid)] = grid
-            for o in range(p):
-                pair = pairs[o][k]
-                w[k, np.searchsorted(grid, pair.thresholds_v), o] = pair.weights_um_per_v
-        slope, moment = np.zeros((2, m, r.shape[1] + 1, p))
-        np.cumsum(w, axis=1, out=slope[:, 1:])
-        np.cumsum(w * np.where(np.isfinite(r), r, 0.0)[:, :, None], axis=1, out=moment[:, 1:])
-        lines = np.concatenate([slope, moment], axis=2)
-        guide, scale = search_guide(r, n)
-        for array in (n, r, w, slope, moment, lines, guide, scale):
-            array.flags.writeable = False
-        return cls(n, r, w, slope, moment, lines, guide, scale)
-
-
-@dataclass(frozen=True, eq=False)
-class PrandtlIshlinskii:
+class PrandtlIshlinskii(Hysteresis[PlayState]):
     """Rate-independent hysteresis of m inputs and p outputs: every output hears every input.
 
         v_l[k] = sum over inputs j and operators i of  w_lji  play(u_j; r_lji)[k]      (paper, eq. 4)
@@ -274,6 +47,8 @@ class PrandtlIshlinskii:
     array([[ 0.,  3.,  3., -3.]])
     """
 
+    kind: ClassVar[str] = "prandtl_ishlinskii"
+
     pairs: tuple[tuple[Pair, ...], ...] = field()
     weight_covariance: tuple[WeightCovariance, ...] | None = None
 
@@ -288,9 +63,6 @@ class PrandtlIshlinskii:
             weights = [sum(len(pair.thresholds_v) for pair in row) for row in self.pairs]
             if [known.factor_um_per_v.shape for known in self.weight_covariance] != [(n, n) for n in weights]:
                 raise InputError("weight_covariance", f"must have one factor an output, of {weights} rows")
-
-    def __repr__(self) -> str:
-        return f"PrandtlIshlinskii({self.describe()})"
 
     def describe(self) -> str:
         """Say in a few words what it is."""
@@ -314,7 +86,7 @@ class PrandtlIshlinskii:
         if weights.ndim != 3:
             message = f"weights have shape {weights.shape}; give (output, input, operator)"
             raise InputError("Prandtl-Ishlinskii model", message)
-        r = _frozen(thresholds_v)
+        r = frozen(thresholds_v)
         rows = []
         for l, row in enumerate(weights):  # noqa: E741 - the paper's index of an output
             rows.append(tuple(_named_pair(r, w, l, k) for k, w in enumerate(row)))
@@ -382,68 +154,27 @@ class PrandtlIshlinskii:
         rows = [plays @ bank.w[k, : len(plays)] for k, plays in enumerate(plays_v)]
         return np.asarray(np.sum(rows, axis=0))
 
-    def respond(self, u_v: ArrayLike, start: PlayState | None = None) -> tuple[Array, PlayState]:
-        """Outputs for a whole signal.
+    def restore(self, data: dict[str, Any]) -> PlayState:
+        """Memory from what ``PlayState.as_dict`` gave."""
+        return PlayState.from_dict(data)
 
-        A signal too long for the memory is worked off in blocks, each from the state after the one before;
-        the numbers are those of one piece to the last bit.
-
-        Parameters
-        ----------
-        u_v : (input, sample) voltages [V], finite
-        start : state before the first sample; at rest if not given
-
-        Returns
-        -------
-        v_um : (output, sample) outputs [um]
-        state : state after the last sample
-
-        Raises
-        ------
-        InputError : wrong number of inputs
-        SimulationError : a voltage that is not finite
-
-        Examples
-        --------
-        >>> model = PrandtlIshlinskii([[Pair([0.5], [2.0])]])
-        >>> state = model.rest()
-        >>> for block in ([[0.0, 2.0]], [[1.0, -2.0]]):
-        ...     v, state = model.respond(block, state)
-        >>> v
-        array([[ 3., -3.]])
-        """
+    def _respond(self, u_v: Array, start: PlayState) -> tuple[Array, PlayState]:
         from hammerstein.hysteresis.play_kernels import respond_turning_points
 
-        u = np.ascontiguousarray(np.atleast_2d(np.asarray(u_v, dtype=np.float64)))
-        if u.ndim != 2 or u.shape[0] != self.n_inputs:
-            message = f"has shape {u.shape}; the model wants ({self.n_inputs}, samples)"
-            raise InputError("voltage", message)
-        state = self.rest() if start is None else start.copy()
-        y = np.empty((self.n_outputs, u.shape[1]))
-        b, s = self.bank, state
+        y, b, s = np.empty((self.n_outputs, u_v.shape[1])), self.bank, start.copy()
         bank = (b.r, b.guide, b.scale, b.n, b.lines)
         stack = (s.count, s.end, s.x, s.d, s.below)
-        done = respond_turning_points(u, *bank, *stack, y, (0,) * self.n_outputs)
-        if done < u.shape[1]:
-            axis, sample = (int(i[0]) for i in np.nonzero(~np.isfinite(u)))
-            raise SimulationError(f"voltage of input {axis + 1} is not finite at sample {sample}")
-        return y, state
+        done = respond_turning_points(u_v, *bank, *stack, y, (0,) * self.n_outputs)
+        if done < u_v.shape[1]:
+            refuse_not_finite(u_v)
+        return y, s
 
-    def step(self, u_v: ArrayLike, state: PlayState) -> tuple[Array, PlayState]:
-        """Outputs (output,) [um] for one sample (input,) [V], and the state after it.
-
-        Equal to ``respond`` to the last bit.
-        """
-        y, after = self.respond(np.reshape(np.asarray(u_v, dtype=np.float64), (-1, 1)), state)
-        return y[:, 0], after
-
-    def amplitude(self, amplitude_v: float) -> Array:
-        """Half heights of the settled loops (output, input) [um] for a voltage amplitude [V]."""
-        return np.array([[pair.amplitude(amplitude_v) for pair in row] for row in self.pairs])
-
-    def gain(self, amplitude_v: float) -> Array:
-        """Gain matrix (output, input) [um/V] of the settled loops at a voltage amplitude [V]."""
-        return self.amplitude(amplitude_v) / amplitude_v
+    def amplitude(self, amplitude_v: ArrayLike) -> Array:
+        """Half heights of the settled loops (output, input) [um], in closed form."""
+        sizes = np.broadcast_to(np.asarray(amplitude_v, dtype=np.float64), self.n_inputs)
+        return np.array(
+            [[pair.amplitude(size) for pair, size in zip(row, sizes, strict=True)] for row in self.pairs]
+        )
 
     def loop_area(self, amplitude_v: float) -> Array:
         """Areas of the settled loops (output, input) [um V] for a voltage amplitude [V]."""
@@ -453,17 +184,27 @@ class PrandtlIshlinskii:
         """Slopes (operator, output) [um/V] while the first 1, 2, ... operators of input k move."""
         return self.bank.slope[k, 1 : self.bank.n[k] + 1]
 
-    def to_iosys(self, sample_time_s: float, name: str = "hysteresis") -> BlockSystem:
-        """Give the block as a discrete ``control.NonlinearIOSystem``, ``drive_v[k]`` to ``hysteresis_um[o]``.
+    @property
+    def operators(self) -> tuple[tuple[int, ...], ...]:
+        """Number of play operators of every pair (output, input)."""
+        return tuple(tuple(len(pair.thresholds_v) for pair in row) for row in self.pairs)
 
-        Raises InputError for a sample time that is not above zero.
-        """
-        from hammerstein.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+    @property
+    def weights(self) -> tuple[Array, ...]:
+        """Weights of each output, pair after pair in the order of the inputs [um/V]."""
+        return tuple(np.concatenate([pair.weights_um_per_v for pair in row]) for row in self.pairs)
 
-        require_grid(None, sample_time_s, "hysteresis")
-        block = Stepwise(self.rest(), self.step, PlayState.as_dict, PlayState.from_dict)
-        wires = signals("drive_v", self.n_inputs), signals("hysteresis_um", self.n_outputs)
-        return BlockSystem(block, *wires, sample_time_s, name)
+    def with_weights(self, weights: Sequence[ArrayLike]) -> PrandtlIshlinskii:
+        """Give the same thresholds with other weights."""
+        rows = []
+        for row, own, counts in zip(self.pairs, weights, self.operators, strict=True):
+            parts = np.split(np.asarray(own, dtype=np.float64), np.cumsum(counts)[:-1])
+            rows.append(tuple(Pair(pair.thresholds_v, part) for pair, part in zip(row, parts, strict=True)))
+        return PrandtlIshlinskii(tuple(rows))
+
+    def file(self) -> PrandtlIshlinskiiFile:
+        """Give its form in a model file."""
+        return PrandtlIshlinskiiFile.of(self)
 
     def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
         """Give a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
@@ -502,3 +243,26 @@ def _checked_plays(plays: Array, r: Array, k: int) -> Array:
         )
         raise InputError("start", message)
     return plays
+
+
+class PrandtlIshlinskiiFile(HysteresisFile):
+    """Classical Prandtl-Ishlinskii hysteresis: pairs (output, input), and what is known of their errors."""
+
+    kind: Literal["prandtl_ishlinskii"] = "prandtl_ishlinskii"
+    pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
+    weight_covariance: tuple[CovarianceFile, ...] | None = None
+
+    def hysteresis(self) -> PrandtlIshlinskii:
+        """Give the hysteresis this describes."""
+        pairs = tuple(tuple(pair.pair() for pair in row) for row in self.pairs)
+        known = self.weight_covariance
+        return PrandtlIshlinskii(pairs, None if known is None else tuple(one.covariance() for one in known))
+
+    @classmethod
+    def of(cls, hysteresis: PrandtlIshlinskii) -> PrandtlIshlinskiiFile:
+        """Describe a hysteresis."""
+        known = hysteresis.weight_covariance
+        return cls(
+            pairs=tuple(tuple(PairFile.of(pair) for pair in row) for row in hysteresis.pairs),
+            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
+        )

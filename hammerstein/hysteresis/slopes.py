@@ -1,27 +1,29 @@
-"""Slope matrices that a multivariable Prandtl-Ishlinskii model can have."""
+"""Slope matrices that multivariable hysteresis can have."""
 
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 
 from hammerstein.blocks import Array
 from hammerstein.errors import SimulationError
-from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.hysteresis import Hysteresis, slopes_of
 
 LARGEST_NUMBER = 2_000_000
 
 
-def slope_matrices(hysteresis: PrandtlIshlinskii) -> Array:
+def slope_matrices(hysteresis: Hysteresis[Any], amplitude_v: float) -> Array:
     """All slope matrices J (combination, output, input) [um/V].
 
-    Column k is the slope of all outputs while the first 1, 2, ..., n_k operators of input k move; every
-    combination of prefixes can occur.
+    Column k is a slope of all outputs while input k moves; every combination of columns can occur.
+
+    amplitude_v : of the loops along which slopes are taken, for a kind that does not know all of its own [V]
 
     Raises SimulationError where there are too many to examine.
     """
-    columns = [hysteresis.slope_columns(k) for k in range(hysteresis.n_inputs)]
+    columns = [slopes_of(hysteresis, k, amplitude_v) for k in range(hysteresis.n_inputs)]
     if any(len(column) == 0 for column in columns):
         raise SimulationError("An input moves no output: the model has no inverse.")
     number = int(np.prod([len(column) for column in columns], dtype=float))

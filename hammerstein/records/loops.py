@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.errors import InputError, Mistake
 from hammerstein.records.noise import noise_rms, quantum
 from hammerstein.records.preparation import driven_alone, driven_inputs
 from hammerstein.records.record import Record
@@ -175,25 +174,6 @@ def _drawn(u: Array, excursion: Excursion) -> bool:
     low, high = sorted((float(u[start]), float(u[turn])))
     inner = (u > low + JUMP * (high - low)) & (u < high - JUMP * (high - low))
     return bool(inner[start:turn].any() and inner[turn : stop + 1].any())
-
-
-def settled_loop(record: Record, input_index: int = 0, output_index: int = 0) -> Loop:
-    """The last settled loop of the largest amplitude, no minor loop.
-
-    Raises
-    ------
-    InputError : the record holds no whole cycle, or ends before any cycle has settled
-    """
-    loops = [loop for loop in pair_loops(record, input_index, output_index) if not loop.minor]
-    settled = [loop for loop in loops if loop.settled]
-    if settled:
-        largest = max(loop.amplitude_v for loop in settled)
-        return [loop for loop in settled if loop.amplitude_v >= 0.99 * largest][-1]
-    pair = f"column {record.outputs[output_index]} over {record.inputs[input_index]}"
-    found = f"{len(loops) or 'no'} full cycle{'s' * (len(loops) != 1)} up to row {record.rows[-1]}"
-    moving = f", still moving by {loops[-1].drift_um:.3g} um" if loops else ""
-    what = f"too short to settle: {found}{moving}; record more cycles at one amplitude"
-    raise InputError(record.source, [Mistake(pair, what)])
 
 
 def branches(record: Record, loop: Loop) -> Branches:

@@ -95,13 +95,21 @@ def _check(outcome: Outcome, path: Path, baseline: Path) -> ScenarioCheck:
     if report is None:
         return ScenarioCheck(outcome.name, path, error=outcome.error)
     try:
-        if baseline.is_file():
-            findings = compare(report, _load(baseline), report.scenario.tolerances)
-        else:
-            findings = (Finding(Kind.NO_BASELINE),)
+        if not baseline.is_file():
+            return ScenarioCheck(outcome.name, path, _count(report), (Finding(Kind.NO_BASELINE),))
+        accepted, tolerances = _load(baseline), report.scenario.tolerances
+        findings = compare(report, accepted, tolerances)
     except HammersteinError as error:
         return ScenarioCheck(outcome.name, path, error=error)
-    return ScenarioCheck(outcome.name, path, _count(report), findings)
+    return ScenarioCheck(
+        outcome.name,
+        path,
+        _count(report),
+        findings,
+        accepted=accepted.rows,
+        now=numbers_of(report),
+        tolerances=tolerances,
+    )
 
 
 def _load(path: Path) -> Baseline:

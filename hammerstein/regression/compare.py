@@ -94,13 +94,22 @@ def compare(
     >>> compare(report, Baseline.of(report))
     ()
     """
-    counts = {name: COUNT for name, metric in METRICS.items() if metric.exact}
-    allowed = counts | dict(tolerances or {})
+    allowed = all_tolerances(tolerances)
     _refuse_unknown(allowed, report.name)
     return (
         *_changes(report, baseline),
         *_rows(numbers_of(report), baseline.rows, allowed),
     )
+
+
+def all_tolerances(given: Mapping[str, Tolerance] | None = None) -> dict[str, Tolerance]:
+    """Tolerances by name: those of the scenario, and of counts, which may not move at all."""
+    return {name: COUNT for name, metric in METRICS.items() if metric.exact} | dict(given or {})
+
+
+def tolerance_of(metric: str, tolerances: Mapping[str, Tolerance]) -> Tolerance:
+    """Tolerance of a number; that of a metric is that of its band."""
+    return tolerances.get(metric.partition(".")[0], DEFAULT)
 
 
 def deviation(metric: str, now: float, baseline: float) -> float:
@@ -155,7 +164,7 @@ def _numbers(
     key: Key, now: Mapping[str, float], stored: Mapping[str, float], tolerances: Mapping[str, Tolerance]
 ) -> Iterator[Finding]:
     for metric, before in stored.items():
-        tolerance = tolerances.get(metric.partition(".")[0], DEFAULT)  # that of a metric is that of its band
+        tolerance = tolerance_of(metric, tolerances)
         if metric not in now:
             yield Finding(Kind.MISSING_NUMBER, key, metric, baseline=before)
         elif not _is_void(metric, (now, stored), tolerances) and not (

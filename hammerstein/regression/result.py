@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -15,7 +15,9 @@ from hammerstein.errors import HammersteinError, ToleranceError
 from hammerstein.escaping import clean, markdown
 from hammerstein.files import Content
 from hammerstein.metrics import KEY
+from hammerstein.regression.baseline import Numbers
 from hammerstein.regression.compare import Finding, Kind, deviation, limit
+from hammerstein.scenario.scenario import Tolerance
 
 DEFAULT_FOLDER = Path("reports/baseline")
 SUITE, TITLE = "hammerstein check", "# Scenarios against their baselines"
@@ -40,6 +42,8 @@ class ScenarioCheck:
     findings : what differs
     error : what stopped the run
     written : with an update, whether the baseline had to be written; otherwise None
+    accepted, now : numbers of the baseline and of this run; empty where nothing was compared
+    tolerances : by name of the number, where the scenario gives its own
     """
 
     name: str
@@ -48,6 +52,9 @@ class ScenarioCheck:
     findings: tuple[Finding, ...] = ()
     error: HammersteinError | None = None
     written: bool | None = None
+    accepted: Numbers = field(default_factory=dict)
+    now: Numbers = field(default_factory=dict)
+    tolerances: Mapping[str, Tolerance] = field(default_factory=dict)
 
     @property
     def headline(self) -> str:

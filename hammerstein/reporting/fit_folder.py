@@ -7,34 +7,35 @@ from pathlib import Path
 from hammerstein.identification.fit import Fit
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.fit_page import fit_json, fit_page
+from hammerstein.reporting.html.fit_html import fit_html
 from hammerstein.storage.manifest import Owner
 from hammerstein.storage.staging import staged
 
 FIT = Owner("fit", sign=("fit.json", '"held_records"'))
-ALWAYS = ("fit.json", "report.md")
+ALWAYS = ("fit.json", "report.html", "report.md")
 
 
 def write_fit(
     model: HammersteinModel, fit: Fit, path: Path, folder: Path, figures: bool = True
 ) -> tuple[Path, ...]:
-    """Write the model file, ``report.md``, ``fit.json`` and the figures: all of them, or none.
+    """Write the model file, both pages, ``fit.json`` and the figures: all of them, or none.
 
     Gives the places of files of an earlier fit that a person had changed and that were kept.
 
     Raises InputError if they cannot be written.
     """
     with staged(folder, FIT) as stage:
-        names = []
+        drawn: dict[str, bytes] = {}
         if figures:
             from hammerstein.reporting.figures.identified import identified_figures
             from hammerstein.reporting.figures.write import files_of
 
             for name, content in files_of(identified_figures(fit)):
                 stage.write(name, content)
-                names.append(name)
-        stage.write(
-            "report.md", fit_page(model, fit, sorted(name for name in names if name.endswith(".png")))
-        )
+                drawn[name] = content
+        pictures = sorted(name for name in drawn if name.endswith(".png"))
+        stage.write("report.md", fit_page(model, fit, pictures))
+        stage.write("report.html", fit_html(model, fit, drawn))
         stage.write("fit.json", fit_json(model, fit))
         model.save(path)  # the last thing that can fail
     return stage.kept

@@ -8,7 +8,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import PurePath
 from typing import Any
 
+import numpy as np
+
 from hammerstein.escaping import markdown
+from hammerstein.hysteresis import slopes_of
 from hammerstein.identification.choice import Trial
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.score import Score
@@ -54,6 +57,16 @@ def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> 
     parts = [
         f"# Fit report of {markdown(model.name)}",
         markdown(fit.verdict),
+        fit_body(model, fit),
+        *(["## Figures", *_pictures(figures)] if figures else []),
+        "Every number with full precision is in `fit.json`.",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def fit_body(model: HammersteinModel, fit: Fit) -> str:
+    """Markdown of what stands between the verdict and the figures."""
+    parts = [
         *_statements(fit),
         "## Errors",
         *_errors(fit),
@@ -65,10 +78,8 @@ def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> 
             _pairs(model, fit),
         ),
         *(["## Dynamics", *_dynamics(model, fit)] if fit.kind == "hammerstein" else []),
-        *(["## Figures", *_pictures(figures)] if figures else []),
-        "Every number with full precision is in `fit.json`.",
     ]
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(parts)
 
 
 def _statements(fit: Fit) -> Iterator[str]:
@@ -145,17 +156,20 @@ def _facts(model: HammersteinModel, fit: Fit) -> Iterator[tuple[str, str]]:
 
 
 def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[list[str]]:
-    for name, row in zip(fit.outputs, model.hysteresis.pairs, strict=True):
-        for input_, pair in zip(fit.inputs, row, strict=True):
-            if not len(pair.thresholds_v):
+    hysteresis, gains = model.hysteresis, model.hysteresis.gain(model.amplitude_v)
+    for o, (name, counts) in enumerate(zip(fit.outputs, hysteresis.operators, strict=True)):
+        known, ends = hysteresis.weight_covariance, np.cumsum(counts)
+        errors = None if known is None else np.sqrt(np.diagonal(known[o].covariance))
+        for k, (input_, count) in enumerate(zip(fit.inputs, counts, strict=True)):
+            if not count:
                 continue
-            errors = pair.weight_errors_um_per_v
+            slopes = slopes_of(hysteresis, k, model.amplitude_v)[:, o]
             yield [
                 f"{markdown(input_)} to {markdown(name)}",
-                str(len(pair.thresholds_v)),
-                f"{pair.amplitude(model.amplitude_v) / model.amplitude_v:.4g}",
-                f"{pair.slopes.min():.4g} to {pair.slopes.max():.4g}",
-                f"{errors.max():.2g}" if errors is not None else "not known",
+                str(count),
+                f"{gains[o, k]:.4g}",
+                f"{slopes.min():.4g} to {slopes.max():.4g}",
+                "not known" if errors is None else f"{errors[ends[k] - count : ends[k]].max():.2g}",
             ]
 
 

@@ -15,6 +15,9 @@ from hammerstein.errors import InputError
 from hammerstein.escaping import cell
 from hammerstein.experiment.report import FORMAT, Report, Trace
 from hammerstein.reporting.figures.write import FIGURES
+from hammerstein.reporting.kept_reports import found, keep, key_of_report
+from hammerstein.runtime.store import Store
+from hammerstein.scenario import Scenario
 from hammerstein.storage.manifest import Owner
 from hammerstein.storage.staging import Stage, prepare, staged
 
@@ -23,7 +26,7 @@ LONGEST_NAME = 60  # a character takes up to four of the 255 bytes that most sys
 
 
 REPORT = Owner("report", sign=("report.json", f'"format": "{FORMAT}"'), replaces=(FIGURES.name,))
-ALWAYS = ("report.json", "report.md", "rms.csv")
+ALWAYS = ("report.html", "report.json", "report.md", "rms.csv")
 
 
 @dataclass(frozen=True)
@@ -35,9 +38,15 @@ class Written:
 
 
 def write_report(
-    report: Report, folder: Path, *, figures: bool = True, traces: TraceFormat | None = None
+    report: Report,
+    folder: Path,
+    *,
+    figures: bool = True,
+    traces: TraceFormat | None = None,
+    interactive: bool = False,
+    store: Store | None = None,
 ) -> Written:
-    """Write ``report.json``, ``rms.csv``, ``report.md``, figures and, on request, traces.
+    """Write ``report.json``, ``rms.csv``, ``report.md``, ``report.html``, figures and, on request, traces.
 
     They take the place of those of an earlier run together; where one cannot be written, that report stays.
     Files that this program did not write stay as well.
@@ -48,28 +57,34 @@ def write_report(
     folder : where to; made if it does not exist
     figures : whether to draw
     traces : format of the traces, none if not given
+    interactive : whether the page holds plots to zoom into
+    store : where figures are kept and found; all are drawn if not given
 
     Raises
     ------
     InputError : the folder cannot be written, is a link, or holds other people's files under these names
     """
+    from hammerstein.reporting.html.interactive import interactive_of
+    from hammerstein.reporting.html.run_page import run_page
     from hammerstein.reporting.page import render
 
     with staged(folder, REPORT) as stage:
-        drawn = []
+        drawn: dict[str, bytes] = {}
         if figures:
-            from hammerstein.reporting.figures import figures_of
-            from hammerstein.reporting.figures.write import files_of
+            from hammerstein.reporting.figures.kept import drawn as files_drawn
 
-            for name, content in files_of(figures_of(report)):
+            for name, content in files_drawn(report, store):
                 stage.write(name, content)
-                drawn.append(name)
+                drawn[name] = content
         if traces is not None:
             _write_traces(report, stage, traces)
         if report.bands:
             stage.write("bands.csv", report.bands_to_csv())
+        if report.sensitivities:
+            stage.write("sensitivities.csv", report.sensitivities_to_csv())
         stage.write("rms.csv", report.to_csv())
         stage.write("report.md", render(report, sorted(name for name in drawn if name.endswith(".png"))))
+        stage.write("report.html", run_page(report, drawn, interactive_of(report) if interactive else None))
         stage.write("report.json", report.to_json())
     return Written(tuple(stage.written), stage.kept)
 
@@ -81,6 +96,8 @@ class Writer:
     out: Path
     figures: bool = True
     traces: TraceFormat | None = None
+    interactive: bool = False
+    store: Store | None = None
 
     def prepare(self, names: Iterable[str]) -> None:
         """Refuse folders that cannot take a report, before the work; InputError says why."""
@@ -90,7 +107,39 @@ class Writer:
     def __call__(self, report: Report) -> tuple[Path, ...]:
         """Write one report; give the places of files that were kept."""
         folder = self.out / report.name
-        return write_report(report, folder, figures=self.figures, traces=self.traces).kept
+        written = write_report(
+            report,
+            folder,
+            figures=self.figures,
+            traces=self.traces,
+            interactive=self.interactive,
+            store=self.store,
+        )
+        key = self._key(report.name, report.scenario)
+        if self.store is not None and key is not None:
+            names = [path.relative_to(folder).as_posix() for path in written.files]
+            keep(self.store, key, report, folder, names)
+        return written.kept
+
+    def again(self, name: str, scenario: Scenario) -> tuple[Report, tuple[Path, ...]] | None:
+        """Write the report of an earlier run, if nothing that it depends on has changed.
+
+        Gives the report, without its traces, and the places of files that were kept; None where it must be
+        run.
+        """
+        key = self._key(name, scenario)
+        known = None if self.store is None or key is None else found(self.store, key, name, scenario)
+        if known is None:
+            return None
+        report, files = known
+        with staged(self.out / name, REPORT) as stage:
+            for file, content in files.items():
+                stage.write(file, content)
+        return report, stage.kept
+
+    def _key(self, name: str, scenario: Scenario) -> str | None:
+        written = f"figures {self.figures}, traces {self.traces}, interactive {self.interactive}"
+        return key_of_report(name, scenario, written)
 
 
 def _write_traces(report: Report, stage: Stage, kind: TraceFormat) -> None:

@@ -39,9 +39,13 @@ TITLES = {
     "loops": "Loops",
     "errors": "Errors over time",
     "drift": "Drift",
+    "sensitivity": "What the spread is due to",
     "path": "Path, time and errors",
 }
 CAPTIONS = {
+    "sensitivity": "Parts of the variance over the drawn actuators, for each compensator where its 95 % band "
+    "ends highest. Dark: of the parameter alone; pale: with all it does together with others; thin: 95 % "
+    "limits. Errors of the weights of one axis hang together and count as one parameter.",
     "sweep_true": "As above, for the true position, which a sensor without lag and noise would read.",
     "sweep": "One panel for each transfer, one curve for each compensator or model. Both axes are "
     "logarithmic where the values span more than about a decade.",
@@ -105,12 +109,12 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
     page = environment.get_template("report.md.jinja").render(
         report=report,
         answer=_answer(report),
-        figures=[_picture(name, report) for name in sorted(figures, key=_place)],
+        figures=[picture_of(name, report) for name in sorted(figures, key=place_of)],
         statements=report.statements[:MOST_STATEMENTS],
         tables=list(number_tables(report)),
-        setting=list(_setting(report)),
-        sources=[_source(s) for s in (*report.scenario.compensators, *report.scenario.models)],
-        glossary=_glossary(report),
+        setting=list(setting_of(report)),
+        sources=[source_of(s) for s in (*report.scenario.compensators, *report.scenario.models)],
+        glossary=glossary_of(report),
         paper=PAPER,
     )
     return re.sub(r"\n{3,}", "\n\n", page)
@@ -132,13 +136,14 @@ def _kind(name: str) -> str:
     return next((kind for kind in TITLES if name.startswith(kind)), "")
 
 
-def _place(name: str) -> tuple[int, str]:
+def place_of(name: str) -> tuple[int, str]:
     """Order on the page: what is compared first, then its errors, the true position last."""
-    order = ("drift", "loops", "path", "operators", "sweep", "errors", "sweep_true", "")
+    order = ("drift", "loops", "path", "operators", "sweep", "errors", "sweep_true", "sensitivity", "")
     return order.index(_kind(name)), name
 
 
-def _picture(name: str, report: Report) -> Picture:
+def picture_of(name: str, report: Report) -> Picture:
+    """What the figure of a PNG file is, and how to read it."""
     kind, stem = _kind(name), PurePath(name).stem
     compared, models = report.scenario.reference is not None, report.scenario.models
     remarks = {
@@ -170,7 +175,7 @@ def _lag(report: Report) -> str:
     )
 
 
-def _glossary(report: Report) -> list[tuple[str, str]]:
+def glossary_of(report: Report) -> list[tuple[str, str]]:
     """The columns that this report fills."""
     meanings = KEYS | {name: metric.meaning for name, metric in METRICS.items()}
     return [
@@ -180,7 +185,7 @@ def _glossary(report: Report) -> list[tuple[str, str]]:
     ]
 
 
-def _setting(report: Report) -> Iterator[tuple[str, str]]:
+def setting_of(report: Report) -> Iterator[tuple[str, str]]:
     """What was run, as pairs of a name and a text."""
     scenario, portable = report.scenario, report.scenario.portable()
     model = HammersteinModel.load(scenario.actuator)
@@ -201,7 +206,7 @@ def _setting(report: Report) -> Iterator[tuple[str, str]]:
     yield "Digest of the actuator's model", code(report.model_digest)
 
 
-def _source(source: ModelSource) -> tuple[str, str, str, str]:
+def source_of(source: ModelSource) -> tuple[str, str, str, str]:
     """Label, law, settings and origin of a compensator or model."""
     described = (inspect.getdoc(type(source)) or "").splitlines()
     is_law = hasattr(source, "law")

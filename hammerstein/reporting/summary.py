@@ -45,12 +45,14 @@ def answer(report: Report, quote: Quote = str) -> str:
     report : what was found
     quote : how a label is written, for example in italics
     """
-    if any(row.rms_um is not None for row in report.rows):
-        sentences = _compared(report, quote)
-    else:
-        sentences = _loops(report)
-    first = [*_answered(report, quote), *_uncertain(report, quote)]
-    return " ".join([*first, *sentences, *_conduct(report)])
+    return " ".join(sentences(report, quote))
+
+
+def sentences(report: Report, quote: Quote = str) -> list[str]:
+    """The sentences of the answer, the figure that the scenario asks for first."""
+    compared = any(row.rms_um is not None for row in report.rows)
+    found = (_compared if compared else _loops)(report, quote)
+    return [*_answered(report, quote), *_uncertain(report, quote), *found, *_conduct(report)]
 
 
 @dataclass(frozen=True)
@@ -254,7 +256,7 @@ def _ranges(names: Sequence[str], winners: Sequence[str], quote: Quote) -> str:
     )
 
 
-def _loops(report: Report) -> Iterator[str]:
+def _loops(report: Report, _: Quote) -> Iterator[str]:
     """Height and width of the loops in the first and in the last run of a sweep."""
     measured = [row for row in report.rows if row.height_um is not None]
     conditions = conditions_of(measured)

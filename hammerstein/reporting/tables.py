@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from hammerstein.experiment.report import Band, Report
+from hammerstein.experiment.report import Band, Report, Sensitivity
 from hammerstein.experiment.selection import (
     Condition,
+    banded_metric,
     identified_at,
     is_path,
     number,
@@ -30,12 +31,17 @@ class NumberTable:
     remark: str = ""
 
 
-def number_tables(report: Report) -> Iterator[NumberTable]:
+def number_tables(report: Report, frequencies: int = MOST_FREQUENCIES) -> Iterator[NumberTable]:
     """Errors of the reading, errors of the true position, and loops, as far as the report has them.
 
     A long sweep is shown at a few frequencies: its ends, those of identification, and some between.
+
+    Parameters
+    ----------
+    report : what was found
+    frequencies : how many are shown at most
     """
-    kept, remark = _kept_rows(report)
+    kept, remark = _kept_rows(report, frequencies)
     if any(row.rms_um is not None for row in kept):
         target = "reference" if report.scenario.reference is not None else "prediction"
         errors = _path_errors if is_path(report) else _transfer_errors
@@ -46,14 +52,16 @@ def number_tables(report: Report) -> Iterator[NumberTable]:
         yield _loops(report, loops, remark)
     if report.bands:
         yield _bands(report, [row for row in kept if row.compensator], remark)
+    if report.sensitivities:
+        yield _sensitivities(report, [row for row in kept if row.compensator], remark)
 
 
-def _kept_rows(report: Report) -> tuple[list[Row], str]:
+def _kept_rows(report: Report, most: int) -> tuple[list[Row], str]:
     """Rows that are shown, and what is left out."""
     frequencies = sorted({row.frequency_hz for row in report.rows})
-    if len(frequencies) <= MOST_FREQUENCIES:
+    if len(frequencies) <= most:
         return list(report.rows), ""
-    kept = selected_frequencies(frequencies, identified_at(report).values(), MOST_FREQUENCIES)
+    kept = selected_frequencies(frequencies, identified_at(report).values(), most)
     remark = f"Shown are {len(kept)} of {len(frequencies)} frequencies; all are in `rms.csv`."
     return [row for row in report.rows if row.frequency_hz in kept], remark
 
@@ -140,7 +148,7 @@ def _loops(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
 def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
     """Median and 5-95 % over the drawn actuators, of the true position."""
     path = is_path(report) and len(report.axes) > 1
-    metric, words = ("euclidean_max_true_um", "worst distance") if path else ("rms_true_um", "rms error")
+    metric, words = banded_metric(report)
     bands = {tuple(getattr(b, name) for name in KEY): b for b in report.bands if b.metric == metric}
     transfers = list(dict.fromkeys((row.excited_axis, row.measured_axis) for row in rows))
     transfers = transfers[:1] if path else transfers
@@ -158,6 +166,33 @@ def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
         f"which hold at least {100.0 * share_held(draws):.0f} % of such actuators with 95 % confidence) [um]"
     )
     return NumberTable(title, (*_key_header(report, rows), *names), tuple(lines), remark)
+
+
+def _sensitivities(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
+    """Total index of every parameter, of the same figure as the bands."""
+    metric, words = banded_metric(report)
+    own = [found for found in report.sensitivities if found.metric == metric]
+    parameters = list(dict.fromkeys(found.parameter for found in own))
+    known = {(*(getattr(found, name) for name in KEY), found.parameter): found for found in own}
+    lines = []
+    for row in rows:
+        found = [known.get((*row.key().values(), parameter)) for parameter in parameters]
+        if any(found):
+            transfer = _transfer(report, row.excited_axis, row.measured_axis)
+            key = _key_cells(rows, row.compensator, Condition.of(row))
+            lines.append((*key, transfer, *(_index(one) for one in found)))
+    title = (
+        f"What the spread is due to: part of the variance of the {words} of the true position, each "
+        "parameter with all that it does together with others (95 % limits)"
+    )
+    header = (*_key_header(report, rows), "transfer", *parameters)
+    return NumberTable(title, header, tuple(lines), remark)
+
+
+def _index(found: Sensitivity | None) -> str:
+    if found is None:
+        return ""
+    return f"{found.total:.2f} ({found.total_low:.2f} to {found.total_high:.2f})"
 
 
 def _band(band: Band | None) -> str:

@@ -30,8 +30,19 @@ def folder() -> Path | None:
         return None
 
 
-def kept(function: Callable[..., str]) -> Callable[..., str]:
-    """Give a function from texts and numbers to a text whose results are kept."""
+def folder_of_runs() -> Path | None:
+    """Where the results of runs are kept; None if they are not."""
+    place = folder()
+    return None if place is None else place / "kept"
+
+
+def kept(function: Callable[..., str], fresh: bool = False) -> Callable[..., str]:
+    """Give a function from texts and numbers to a text whose results are kept.
+
+    Parameters
+    ----------
+    fresh : whether what was kept before is passed by
+    """
     place = folder()
     if place is None:
         return function
@@ -39,7 +50,7 @@ def kept(function: Callable[..., str]) -> Callable[..., str]:
     def remembered(*arguments: str | int) -> str:
         key = repr((function.__qualname__, _code(), arguments))
         path = place / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.json"
-        found = _read(path)
+        found = None if fresh else _read(path)
         if found is None:
             found = function(*arguments)
             _store(path, found)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -21,6 +22,7 @@ from hammerstein.plugins import load_plugins
 from hammerstein.quantities import Cycles, FileName, Frequency, NoCycles, Passes, Seed, Size, Tolerated, Wait
 from hammerstein.scenario.claims import Claim, MetricName, NumberName
 from hammerstein.scenario.source import ModelSource
+from hammerstein.scenario.study import Study
 from hammerstein.scenario.tested import Tested
 from hammerstein.scenario.uncertainty import Uncertainty
 from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference
@@ -33,9 +35,17 @@ _STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
 class Sweep(BaseModel):
-    """Values that take the place of one in the signal; several keys give every combination."""
+    """Values that take the place of one in the signal.
+
+    Several keys give every combination, or with ``combine = "zip"`` the first values together, the second
+    ones, and so on.
+    """
 
     model_config = _STRICT
+
+    combine: Literal["product", "zip"] | None = Field(
+        default=None, description="every combination of the values of several keys, or one after the other"
+    )
 
     frequency_hz: Frequencies | None = None
     amplitude_um: Sizes | None = None
@@ -44,14 +54,32 @@ class Sweep(BaseModel):
 
     def values(self) -> list[tuple[str, tuple[float, ...]]]:
         """Keys that are swept, with their values."""
-        found = ((name, getattr(self, name)) for name in type(self).model_fields)
+        found = ((name, getattr(self, name)) for name in SWEPT)
         return [(name, values) for name, values in found if values is not None]
 
     def combinations(self, only: str | None = None) -> Iterator[dict[str, float]]:
         """Every combination of the values, by key; of one key alone if ``only`` names it."""
-        swept = [(name, values) for name, values in self.values() if only in (None, name)]
-        for values in itertools.product(*(values for _, values in swept)):
-            yield dict(zip((name for name, _ in swept), values, strict=True))
+        swept = self.values()
+        if not self.is_zip:
+            swept = [(name, values) for name, values in swept if only in (None, name)]
+        names, values = [name for name, _ in swept], [values for _, values in swept]
+        for found in zip(*values, strict=True) if self.is_zip else itertools.product(*values):
+            yield {name: value for name, value in zip(names, found, strict=True) if only in (None, name)}
+
+    @property
+    def is_zip(self) -> bool:
+        """Whether the values of several keys belong together."""
+        return self.combine == "zip"
+
+    def others(self, name: str) -> int:
+        """How many combinations each value of one key is in."""
+        if self.is_zip:
+            return 1
+        return math.prod(len(values) for key, values in self.values() if key != name)
+
+
+SWEPT = tuple(name for name in Sweep.model_fields if name != "combine")
+"""Keys of a signal that a sweep may give values for."""
 
 
 class Measure(BaseModel):
@@ -104,6 +132,9 @@ class Scenario(BaseModel):
     compensators: tuple[Tested, ...] = ()
     models: tuple[ModelSource, ...] = ()
     uncertainty: Uncertainty | None = Field(default=None, description="repeat the run on drawn actuators")
+    study: Study | None = Field(
+        default=None, description="other values of any numeric key, for hammerstein sweep"
+    )
     answered_by: MetricName | None = Field(
         default=None, description="figure of merit that answers the question; it is told and drawn first"
     )
@@ -134,7 +165,11 @@ class Scenario(BaseModel):
             yield f"the label {label!r} is used twice; every label must differ"
         yield from self._never_tested()
         signal = self.reference or self.drive
-        for key in self.sweep.model_dump(exclude_none=True):
+        lengths = {key: len(values) for key, values in self.sweep.values()}
+        if self.sweep.is_zip and len(set(lengths.values())) != 1:
+            told = ", ".join(f"{key} {length}" for key, length in lengths.items()) or "no key has any"
+            yield f'sweep.combine = "zip" wants as many values of each key: {told}'
+        for key in lengths:
             if signal is not None and key not in signal.model_dump():
                 yield f"sweep.{key} is not a key of the {signal.kind} in this scenario"
 
@@ -165,7 +200,7 @@ class Scenario(BaseModel):
 
     def signals(self, only: str | None = None) -> Iterator[Reference | Excitation]:
         """Every signal of the sweep; of one swept key alone if ``only`` names it."""
-        fields = {name: name.removesuffix("_um").removesuffix("_v") for name in Sweep.model_fields}
+        fields = {name: name.removesuffix("_um").removesuffix("_v") for name in SWEPT}
         for values in self.sweep.combinations(only):
             yield self.signal.model_copy(update={fields[key]: value for key, value in values.items()})
 
@@ -175,14 +210,19 @@ class Scenario(BaseModel):
         return {key: _without_folders(value, key) for key, value in content.items()}
 
     def _files(self) -> list[Path]:
-        """Model files and signals that the scenario names, as far as they exist."""
+        """Model files and signals that the run needs, as far as they exist."""
         named = [self.actuator, *(s.model for s in (*self.compensators, *self.models) if s.model)]
         signals = [self.signal.path] if isinstance(self.signal, FromFile) else []
         return [Path(name) for name in (*named, *signals) if Path(name).is_file()]
 
+    def files(self) -> list[Path]:
+        """Every file that the scenario names, as far as it exists."""
+        others = (other if isinstance(other, str) else other.actuator for other in self.claims_also_on)
+        return self._files() + [Path(name) for name in others if Path(name).is_file()]
+
     def digest(self) -> str:
         """Short hash of everything in the scenario that changes its numbers, what its files hold included."""
-        words = {"question", "paper_figure", "tolerances", "claims", "claims_also_on"}
+        words = {"question", "paper_figure", "tolerances", "claims", "claims_also_on", "study"}
         content = {key: value for key, value in self.portable().items() if key not in words}
         content |= {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in self._files()}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

@@ -2,21 +2,49 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from hammerstein.dynamics import AxesDynamics, Axis, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Hysteresis
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
-from hammerstein.quantities import Deviation, Draws, Seed
+from hammerstein.quantities import BaseSamples, Deviation, Draws, Seed
 
 Array = NDArray[np.float64]
+
+
+class Normals(Protocol):
+    """Whatever gives standard normal numbers, one after the other."""
+
+    def standard_normal(self, size: Any = None) -> Any:
+        """One number, or an array."""
+
+
+class _Given:
+    """Numbers that were chosen beforehand."""
+
+    def __init__(self, numbers: Array) -> None:
+        self._numbers, self._next = numbers, 0
+
+    def standard_normal(self, size: Any = None) -> Any:
+        """One number, or an array."""
+        first, self._next = self._next, self._next + (1 if size is None else size)
+        return self._numbers[first] if size is None else self._numbers[first : self._next]
+
+
+class Parameter(NamedTuple):
+    """One thing that is uncertain: its name, how many normal numbers it takes, and whether it varies."""
+
+    name: str
+    size: int
+    varies: bool
 
 
 class Uncertainty(BaseModel):
@@ -39,6 +67,18 @@ class Uncertainty(BaseModel):
     damping: Deviation = 0.0
     creep: Deviation = 0.0
     noise: Deviation = 0.0
+    sensitivity: BaseSamples | None = Field(
+        default=None,
+        description="base samples, a power of two, of the search for the parameters that cost most",
+    )
+
+    @field_validator("sensitivity")
+    @classmethod
+    def _is_a_power_of_two(cls, samples: int | None) -> int | None:
+        if samples is not None and samples & (samples - 1):
+            near = 2 ** round(math.log2(samples))
+            raise ValueError(f"must be a power of two, as a Sobol sequence needs it; {near} is near")
+        return samples
 
     def draw(
         self, model: HammersteinModel, instruments: Instruments, number: int
@@ -48,7 +88,33 @@ class Uncertainty(BaseModel):
         Raises InputError where standard errors are asked for and the model has no covariance, or where axes
         are perturbed and the dynamics have none.
         """
-        generator = np.random.default_rng([self.seed, number])
+        return self.drawn(model, instruments, np.random.default_rng([self.seed, number]))
+
+    def of(
+        self, model: HammersteinModel, instruments: Instruments, normal: Array
+    ) -> tuple[HammersteinModel, Instruments]:
+        """Actuator and instruments of standard normal numbers, in the order of ``parameters``."""
+        return self.drawn(model, instruments, _Given(normal))
+
+    def parameters(self, model: HammersteinModel) -> tuple[Parameter, ...]:
+        """What is drawn, in this order; errors of weights that hang together are one parameter."""
+        found = [
+            Parameter(f"weights of {name}", len(weights), bool(self.weights))
+            for name, weights in zip(model.outputs, model.hysteresis.weights, strict=True)
+        ]
+        axes = model.dynamics.axes if isinstance(model.dynamics, AxesDynamics) else ()
+        for name, axis in zip(model.outputs, axes, strict=False):
+            found.append(Parameter(f"resonance of {name}", 1, self.resonance > 0.0))
+            found.append(Parameter(f"damping of {name}", 1, self.damping > 0.0))
+            found.append(
+                Parameter(f"creep of {name}", len(axis.creep), self.creep > 0.0 and bool(axis.creep))
+            )
+        return (*found, Parameter("noise", 1, self.noise > 0.0))
+
+    def drawn(
+        self, model: HammersteinModel, instruments: Instruments, generator: Normals
+    ) -> tuple[HammersteinModel, Instruments]:
+        """Actuator and instruments of the standard normal numbers that a generator gives."""
         hysteresis = _weights_drawn(model.hysteresis, self.weights, generator)
         dynamics = self._dynamics_drawn(model, generator)
         drawn = replace(model, hysteresis=hysteresis, dynamics=dynamics)
@@ -57,7 +123,7 @@ class Uncertainty(BaseModel):
         return drawn, instruments.model_copy(update={"sensor": sensor})
 
     def _dynamics_drawn(
-        self, model: HammersteinModel, generator: np.random.Generator
+        self, model: HammersteinModel, generator: Normals
     ) -> AxesDynamics | StaticDynamics | StateSpaceDynamics:
         dynamics = model.dynamics
         if isinstance(dynamics, AxesDynamics):
@@ -69,7 +135,7 @@ class Uncertainty(BaseModel):
             )
         return dynamics
 
-    def _axis_drawn(self, axis: Axis, generator: np.random.Generator) -> Axis:
+    def _axis_drawn(self, axis: Axis, generator: Normals) -> Axis:
         drawn: dict[str, object] = {}
         if axis.resonance_hz is not None and axis.damping_ratio is not None:
             drawn["resonance_hz"] = axis.resonance_hz * _factor(self.resonance, generator)
@@ -81,34 +147,24 @@ class Uncertainty(BaseModel):
         return axis.model_copy(update=drawn)
 
 
-def _factor(relative: float, generator: np.random.Generator) -> float:
+def _factor(relative: float, generator: Normals) -> float:
     return float(np.exp(relative * generator.standard_normal()))
 
 
-def _weights_drawn(
-    hysteresis: PrandtlIshlinskii, relative: float | str, generator: np.random.Generator
-) -> PrandtlIshlinskii:
-    rows = []
-    for output, row in enumerate(hysteresis.pairs):
-        weights = np.concatenate([pair.weights_um_per_v for pair in row])
-        normal = generator.standard_normal(len(weights))
-        drawn = weights + _deviations(hysteresis, output, weights, relative, normal)
-        ends = np.cumsum([len(pair.thresholds_v) for pair in row])[:-1]
-        pairs = zip(row, np.split(drawn, ends), strict=True)
-        rows.append(tuple(Pair(pair.thresholds_v, own) for pair, own in pairs))
-    return PrandtlIshlinskii(tuple(rows))
-
-
-def _deviations(
-    hysteresis: PrandtlIshlinskii, output: int, weights: Array, relative: float | str, normal: Array
-) -> Array:
-    """Deviations of all weights of one output, from as many standard normal numbers."""
-    if not isinstance(relative, str):
-        return np.asarray(relative * np.abs(weights) * normal)
-    if hysteresis.weight_covariance is None:
+def _weights_drawn(hysteresis: Hysteresis[Any], relative: float | str, generator: Normals) -> Hysteresis[Any]:
+    known = hysteresis.weight_covariance
+    if isinstance(relative, str) and known is None:
         raise InputError(
             "uncertainty.weights",
             "the actuator's model does not say how the errors of its weights hang together; identify it "
             "again, or give a relative deviation",
         )
-    return np.asarray(hysteresis.weight_covariance[output].factor_um_per_v @ normal)
+    drawn = []
+    for output, weights in enumerate(hysteresis.weights):
+        normal = generator.standard_normal(len(weights))
+        if isinstance(relative, str):
+            assert known is not None
+            drawn.append(weights + known[output].factor_um_per_v @ normal)
+        else:
+            drawn.append(weights + relative * np.abs(weights) * normal)
+    return hysteresis.with_weights(drawn)

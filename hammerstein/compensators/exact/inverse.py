@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass, replace
+from functools import singledispatch
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
-from hammerstein.blocks import Array, Law
+from hammerstein.blocks import Array, Law, S
 from hammerstein.compensators.base import Compensator
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import play
-from hammerstein.hysteresis.invertibility import completed, invertibility, require_inverse
+from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii, play
+from hammerstein.hysteresis.invertibility import Invertibility, completed, invertibility, require_inverse
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Volts
 
@@ -50,7 +52,27 @@ class Recovery(NamedTuple):
     gain: Array
 
 
-class ExactInverseLaw(Law[ExactState]):
+class StaticInverse(Law[S]):
+    """The exact inverse of a static block of some kind, which other laws build on.
+
+    invertibility : what was found before the run
+    """
+
+    invertibility: Invertibility
+
+    @abstractmethod
+    def solve(
+        self, v_um: Array, start: S, away: Array, recovery: Recovery | None = None
+    ) -> tuple[Array, S, Array]:
+        """Drive (m, N) for outputs (p, N) of the static block, both counted from rest, and the state after.
+
+        away : (n,) distance of a linear block behind it from where its inverse believes it to be; the last
+            of what is returned is that distance afterwards
+        recovery : how that distance is taken away; needed if there is such a block
+        """
+
+
+class ExactInverseLaw(StaticInverse[ExactState]):
     """Solves ``Gamma(U) = Y_r`` in every sample by walking the affine pieces of the model.
 
     The model may be any square one whose slope determinants have one sign (``invertibility``), with its own
@@ -105,6 +127,7 @@ class ExactInverseLaw(Law[ExactState]):
         run_anyway: bool = False,
     ):
         hysteresis = model.hysteresis
+        assert isinstance(hysteresis, PrandtlIshlinskii)
         self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
         self.range, self.softening_v = DriveRange.of(range_v, model), softening_v
         if not (np.isfinite(softening_v) and softening_v >= 0.0):
@@ -135,6 +158,10 @@ class ExactInverseLaw(Law[ExactState]):
         about[:, at.STILL] = STILL * (1.0 + float(bank.r[np.isfinite(bank.r)].max()))
         about[:, at.GAIN : at.GAIN + m] = np.abs([bank.slope[k, n] for k, n in enumerate(bank.n)])
         return table
+
+    def design_table(self) -> Array:
+        """Table of ``exact_pieces`` as it is before a run."""
+        return self._table.copy()
 
     def statement(self) -> str:
         """Say whether there is an inverse, and how far the drive jumps at a reversal."""
@@ -176,12 +203,7 @@ class ExactInverseLaw(Law[ExactState]):
     def solve(
         self, v_um: Array, start: ExactState, away: Array, recovery: Recovery | None = None
     ) -> tuple[Array, ExactState, Array]:
-        """Drive (m, N) for outputs (p, N) of the static block, both counted from rest, and the state after.
-
-        away : (n,) distance of a linear block behind it from where its inverse believes it to be; the last
-            of what is returned is that distance afterwards
-        recovery : how that distance is taken away; needed if there is such a block
-        """
+        """See ``StaticInverse.solve``."""
         from hammerstein.compensators.exact import pieces as at
         from hammerstein.compensators.exact.kernel import respond_exact
 
@@ -193,6 +215,32 @@ class ExactInverseLaw(Law[ExactState]):
         stack[:], hand[:] = start.stack, start.hand
         respond_exact(v_um, self.n_inputs - p, *back, left, table, drive)
         return drive, ExactState(stack.copy(), hand.copy()), left
+
+
+@singledispatch
+def exact_inverse_of(
+    hysteresis: Hysteresis[Any],
+    model: HammersteinModel,
+    range_v: RangeLike,
+    softening_v: float = 0.0,
+    run_anyway: bool = False,
+) -> StaticInverse[Any]:
+    """Build the exact inverse of a hysteresis on its sample grid; each kind that has one registers it.
+
+    model : the model whose static block this is; the other options are those of the law
+
+    Raises InputError for a kind without an exact inverse.
+    """
+    raise InputError(
+        "exact_inverse",
+        f"hysteresis of kind {hysteresis.kind!r} has no exact inverse; use inverse_multiplicative, or "
+        "identify another kind",
+    )
+
+
+@exact_inverse_of.register
+def _(hysteresis: PrandtlIshlinskii, model: HammersteinModel, *options: Any) -> ExactInverseLaw:
+    return ExactInverseLaw(model, *options)
 
 
 def _difference(whole: float, part: float) -> float:
@@ -214,4 +262,5 @@ class ExactInverse(Compensator):
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Build the law, see ``Compensator.design``."""
-        return ExactInverseLaw(model, range_v, self.softening_v, self.run_anyway)
+        here = model.hysteresis.on_grid(sample_time_s)
+        return exact_inverse_of(here, model, range_v, self.softening_v, self.run_anyway)

@@ -209,11 +209,17 @@ def _aim(w):  # type: ignore[no-untyped-def]
         w[HERE, k, NOW, AIM] += more
 
 
+@compiled()
+def most_pieces(w):  # type: ignore[no-untyped-def]
+    """Pieces after which a walk is given up; one in a model with an inverse ends far sooner."""
+    return 64 + 8 * w.shape[1] * w.shape[2]
+
+
 @compiled(error_model="numpy")
 def _to_target(w):  # type: ignore[no-untyped-def]
     """Walk to the target from the first pieces; False where the model lets no walk get there."""
     m = w.shape[1]
-    for _ in range(64 + 8 * m * w.shape[2]):
+    for _ in range(most_pieces(w)):
         if w[HERE, 0, NOW, QUALITY] == 0.0:
             return False
         _aim(w)

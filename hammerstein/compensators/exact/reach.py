@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.blocks import Array, Law, checked_reference
-from hammerstein.compensators.exact.inverse import ExactInverseLaw
+from hammerstein.compensators.exact.inverse import exact_inverse_of
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.dynamics import discretise
 from hammerstein.errors import SimulationError
@@ -78,9 +78,9 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
         return Reach(nowhere, nowhere)
     middle = 0.5 * (limits.low_v + limits.high_v)
     about = replace(limits, working_point_v=middle, start_v=middle, conditioned=False)
-    law = ExactInverseLaw(model, about, run_anyway=run_anyway)
+    law = exact_inverse_of(model.hysteresis, model, about, 0.0, run_anyway)
     half = 0.5 * limits.span_v
-    most = float(np.sum([np.abs(model.hysteresis.amplitude(h)).sum() for h in half]))
+    most = float(np.abs(model.hysteresis.amplitude(half)).sum()) * len(half)
     alone = np.array([most * _largest(_strokes_fit(law, [most * row])) for row in np.eye(p)])
     corners = [alone * np.array((1, *signs)) for signs in itertools.product((1, -1), repeat=p - 1)]
     together = alone * _largest(_strokes_fit(law, corners))
@@ -94,16 +94,6 @@ def _centre(model: HammersteinModel, limits: DriveRange) -> Array:
     before = limits.history()
     v, _ = model.hysteresis.respond(np.hstack([before, np.stack([high, low, high], axis=1)]))
     return np.asarray(0.5 * (v[:, -2] + v[:, -1]) - v[:, before.shape[1] - 1])
-
-
-def largest_scale(law: Law[Any], path_um: ArrayLike) -> float:
-    """Largest factor, up to 1, for a path (p, N) with which the drive stays within its range."""
-    path = checked_reference(path_um, law.n_outputs)
-
-    def fits(scale: float) -> bool:
-        return _inside(law, scale * path)
-
-    return 1.0 if fits(1.0) else _largest(fits)
 
 
 def _inside(law: Law[Any], path_um: Array) -> bool:
@@ -121,7 +111,7 @@ def _largest(fits: Callable[[float], bool]) -> float:
     return low
 
 
-def _strokes_fit(law: ExactInverseLaw, tips_um: Sequence[Array]) -> Callable[[float], bool]:
+def _strokes_fit(law: Law[Any], tips_um: Sequence[Array]) -> Callable[[float], bool]:
     """Whether a factor times each tip (p,), and its negative, can be reached again and again."""
     wave = np.sin(0.5 * np.pi * np.arange(10 * STROKE_SAMPLES + 1) / STROKE_SAMPLES)
 
@@ -203,6 +193,7 @@ def shortfall(
     """
     reference = checked_reference(reference_um, law.n_outputs)
     sent = asked_v if sent_v is None else sent_v
+    model = model.on_grid(sample_time_s)
     before, memory = model.hysteresis.respond(law.range.history())
     v, _ = model.static_response(sent, memory)
     position, _ = discretise(model.dynamics, sample_time_s).respond(v - before[:, -1:])
@@ -213,7 +204,8 @@ def shortfall(
     axis, sample = np.unravel_index(int(np.argmax(bends)), bends.shape)
     error = position - asked
     # An actuator may stand at an end of the range from the start: there it has missed nothing yet.
-    rounding = float(np.abs(model.hysteresis.bank.slope).max() * np.abs(sent - asked_v).max(initial=0.0))
+    asked_for, _ = model.static_response(asked_v, memory)
+    rounding = float(np.abs(v - asked_for).max(initial=0.0))
     missed = (np.abs(error) > MISSED_UM + rounding).any(axis=0)
     at_range = law.range.reached(asked_v) & ((asked_v != law.range.start_v[:, None]) | missed)
     return Shortfall(position, error, at_range, sample_time_s, (int(axis), int(sample)))

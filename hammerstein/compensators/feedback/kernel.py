@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hammerstein.compiled import compiled
-from hammerstein.hysteresis.play_kernels import move
+from hammerstein.hysteresis.play_kernels import load, respond_block
 
 # Columns of the controller's memory, a row an output: the last reference, what the sensor should read, the
 # integral, the last error, and the correction for the next sample.
@@ -47,53 +47,51 @@ def request(feedforward, inverse_gain, gain, limits, memory, requested):  # type
 
 @compiled()
 def run_closed_loop(  # type: ignore[no-untyped-def]
-    reference,
-    feedforward,
-    noise,
-    settings,
-    inverse_gain,
-    gain,
-    limits,
-    memory,
-    instruments,
-    steps,
-    rest,
-    bank,
-    plays,
-    rows,
-    x,
-    out,
+    reference, feedforward, noise, controller, effects, steps, rest, bank, plays, linear, out, outputs
 ):
     """Controller, drive, hysteresis, linear block and sensor, sample by sample.
 
-    reference, noise : (p, N); feedforward : (m, N); settings, memory : the controller's, see above
-    instruments : step [V], range [um], step [um], noise [um]
+    reference, noise : (p, N); feedforward : (m, N)
+    controller : settings and memory, see above, inverse gain (m, p), gain (p, m), limits (2, m)
+    effects : step of the drive [V], range, step and noise of the sensor [um]
     steps : (2, m) lowest and highest step of the converter; rest : (m,) working point of the hysteresis [V]
-    bank : r, slope, moment; plays : count, end, x, d, below; rows, x : of the linear block, positions first
+    bank, plays, outputs : see ``respond_turning_points``
+    linear : rows and state of the linear block, positions first
     out : requested and drive (m, N); hysteresis, position, reading (p, N), overwritten
     """
+    settings, inverse_gain, gain, limits, memory = controller
+    r, guide, scale, n, lines = bank
+    count, end, x, d = plays
+    rows, state = linear
     requested, drive, hysteresis, position, reading = out
     m, p = drive.shape[0], reading.shape[0]
-    both = np.empty(2 * p)
-    v = np.empty(p)
-    asked, counted = np.empty(m), np.empty(m)
-    now, heard = np.empty(p), np.empty(p)
-    z = np.empty(x.shape[0] + p)
-    new = np.empty(x.shape[0])
+    tall = r.shape[1] + 2
+    ends, xs, ds = np.empty((m, tall), np.int64), np.empty((m, tall)), np.empty((m, tall))
+    tips = np.empty((m, tall, p))
+    for k in range(m):
+        load(n[k], lines[k], count[k], end[k], x[k], d[k], ends[k], xs[k], ds[k], tips[k], outputs)
+    counted, v = np.empty((m, 1)), np.empty((p, 1))
+    asked, both, now, read = np.empty(m), np.empty(2 * p), np.empty(p), np.empty(p)
+    z, new = np.empty(state.shape[0] + p), np.empty(state.shape[0])
     for t in range(reference.shape[1]):
         request(feedforward[:, t], inverse_gain, gain, limits, memory, asked)
+        v[:] = 0.0
         for k in range(m):
             requested[k, t] = asked[k]
-            drive[k, t] = converted(asked[k], steps[0, k], steps[1, k], instruments[0])
-            counted[k] = drive[k, t] - rest[k]
-        _static_output(counted, bank, plays, v)
-        _linear_step(rows, x, v, z, new, both)
+            drive[k, t] = converted(asked[k], steps[0, k], steps[1, k], effects[0])
+            counted[k, 0] = drive[k, t] - rest[k]
+            if n[k] > 0:
+                count[k] = respond_block(
+                    counted[k], 0, 1, r[k], guide[k], scale[k], lines[k],
+                    count[k], ends[k], xs[k], ds[k], tips[k], v, outputs,
+                )  # fmt: skip
+        _linear_step(rows, state, v[:, 0], z, new, both)
         for o in range(p):
-            hysteresis[o, t], position[o, t] = v[o], both[o]
-            said = both[p + o] + instruments[3] * noise[o, t]
-            heard[o] = converted(said, -instruments[1], instruments[1], instruments[2])
-            reading[o, t], now[o] = heard[o], reference[o, t]
-        correct(now, heard, settings, memory)
+            hysteresis[o, t], position[o, t] = v[o, 0], both[o]
+            noisy = both[p + o] + effects[3] * noise[o, t]
+            read[o] = converted(noisy, -effects[1], effects[1], effects[2])
+            reading[o, t], now[o] = read[o], reference[o, t]
+        correct(now, read, settings, memory)
 
 
 @compiled()
@@ -101,18 +99,6 @@ def converted(value, low, high, step):  # type: ignore[no-untyped-def]
     """Clip to a range and round to a step, as ``Drive.apply`` and ``Sensor.read`` do."""
     held = min(max(value, low), high)
     return held if step == 0.0 else np.rint(held / step) * step
-
-
-@compiled()
-def _static_output(u, bank, plays, v):  # type: ignore[no-untyped-def]
-    """Output v (p,) of the hysteresis for voltages u (m,); its memory moves on."""
-    r, slope, moment = bank
-    count, end, x, d, below = plays
-    v[:] = 0.0
-    for k in range(u.shape[0]):
-        if r[k, 0] == np.inf:
-            continue
-        move(k, u[k], r, slope, moment, count, end, x, d, below, v)
 
 
 @compiled()

@@ -8,19 +8,20 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from hammerstein.blocks import Array, Controller, Law, checked_reference
 from hammerstein.compensators.base import COMPENSATORS, Compensator
 from hammerstein.compensators.feedback.tuning import POINTS, Gains, tuned
 from hammerstein.driving import DriveRange, RangeLike
-from hammerstein.dynamics import LinearBlock, StaticDynamics, discretise
+from hammerstein.dynamics import StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis import PrandtlIshlinskii
-from hammerstein.instruments import Drive, Sensor
+from hammerstein.hysteresis import PrandtlIshlinskii, slopes_of
+from hammerstein.instruments import standard_noise
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Gain
+from hammerstein.simulation import Plant, Response
 
 if TYPE_CHECKING:
     from hammerstein.interop.block_system import BlockSystem
@@ -35,22 +36,6 @@ class ControllerState:
     def as_dict(self) -> dict[str, Any]:
         """Give plain lists."""
         return {"memory": self.memory.tolist()}
-
-
-@dataclass(frozen=True, eq=False)
-class ClosedLoop:
-    """One run of a closed loop; rows are axes, columns samples.
-
-    requested_v, drive_v : (m, N) before and behind the drive [V]; hysteresis_um, position_um, reading_um :
-    (p, N) [um]; saturated : (m, N) where the range cut the voltage
-    """
-
-    requested_v: Array
-    drive_v: Array
-    hysteresis_um: Array
-    position_um: Array
-    reading_um: Array
-    saturated: NDArray[np.bool_]
 
 
 class FeedbackController(Controller[ControllerState]):
@@ -90,9 +75,7 @@ class FeedbackController(Controller[ControllerState]):
     >>> axis = AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12),))
     >>> model = HammersteinModel("one axis", plant, axis, 10.0, ("u",), ("y",))
     >>> law = FeedbackController(model, 10.0, 50e-6, sensor_bandwidth_hz=2000.0)
-    >>> block = discretise(axis, 50e-6, 2000.0)
-    >>> path_um, quiet = np.full((1, 4000), 20.0), np.zeros((1, 4000))
-    >>> run = closed_loop(law, path_um, plant, block, Drive(), Sensor(), quiet)
+    >>> run = closed_loop(law, Plant(model, model.instruments), np.full((1, 4000), 20.0), [0])
     >>> bool(abs(run.position_um[0, -1] - 20.0) < 0.05)
     True
     """
@@ -212,71 +195,72 @@ class FeedbackController(Controller[ControllerState]):
         return FeedbackStream(self).to_iosys(sample_time_s, name)
 
 
-def closed_loop(
-    law: FeedbackController,
-    reference_um: ArrayLike,
-    hysteresis: PrandtlIshlinskii,
-    block: LinearBlock,
-    drive: Drive,
-    sensor: Sensor,
-    noise: Array,
-    working_point_v: ArrayLike = 0.0,
-) -> ClosedLoop:
-    """Run a controller on an actuator, from rest at its working point.
+def closed_loop(law: Controller[Any], plant: Plant, reference_um: ArrayLike, seed: list[int]) -> Response:
+    """Response of an actuator whose voltages depend on what its sensor reads, from rest.
+
+    It is what ``Plant.closed_loop`` gives, to the last bit; where controller and hysteresis are those of this
+    package the loop over the samples is compiled.
 
     Parameters
     ----------
     law : the controller
+    plant : the actuator in its set-up
     reference_um : (p, N) path [um]; the feedforward, if there is one, knows it ahead, or the position follows
         it by the delay that the feedforward states
-    hysteresis, block : the actuator; the block's outputs are the positions, then those that the sensor's lag
-        lets through (``discretise`` with the sensor's bandwidth)
-    drive, sensor : they clip and round exactly as ``Drive.apply`` and ``Sensor.read`` do
-    noise : (p, N) standard normal numbers, drawn beforehand; times ``sensor.noise_um`` they are the noise
-    working_point_v : (m,) voltage at which the actuator rests [V]
+    seed : of the sensor's noise
 
     Raises
     ------
     InputError : shapes that do not fit
     SimulationError : the loop diverges
     """
+    reference, hysteresis = checked_reference(reference_um, law.n_outputs), plant.model.hysteresis
+    if (law.n_inputs, law.n_outputs) != (hysteresis.n_inputs, hysteresis.n_outputs):
+        raise InputError("closed loop", "controller and actuator must have the same axes")
+    if not isinstance(law, FeedbackController) or not isinstance(hysteresis, PrandtlIshlinskii):
+        return plant.closed_loop(law, reference, seed)
+    wires = _compiled_loop(law, plant, hysteresis, reference, seed)
+    if not np.isfinite(wires["position_um"]).all():
+        raise SimulationError("The closed loop diverges: its gains are too high for this actuator.")
+    low, high = plant.instruments.drive.limits(law.n_inputs)[:, :, None]
+    return Response(
+        sample_time_s=plant.sample_time_s,
+        reference_um=reference,
+        saturated=(wires["requested_v"] < low) | (wires["requested_v"] > high),
+        inputs=plant.model.inputs,
+        outputs=plant.model.outputs,
+        **wires,
+    )
+
+
+def _compiled_loop(
+    law: FeedbackController, plant: Plant, hysteresis: PrandtlIshlinskii, reference_um: Array, seed: list[int]
+) -> dict[str, Array]:
+    """Wires (axis, sample) of the compiled loop."""
     from hammerstein.compensators.feedback.kernel import run_closed_loop
 
-    reference = checked_reference(reference_um, law.n_outputs)
-    m, (p, samples) = law.n_inputs, reference.shape
-    if noise.shape != reference.shape or block.n_outputs != 2 * p or hysteresis.n_inputs != m:
-        raise InputError(
-            "closed loop", "noise, reference, hysteresis and linear block must have the same axes"
-        )
-    reference, forward = law.prepared(reference)
-    bank, state = hysteresis.bank, hysteresis.rest().copy()
-    plays = (state.count, state.end, state.x, state.d, state.below)
+    path_um, forward_v = law.prepared(reference_um)
+    m, p, samples = law.n_inputs, law.n_outputs, reference_um.shape[1]
+    drive, sensor = plant.instruments.drive, plant.instruments.sensor
     effects = (drive.resolution_v, sensor.range_um, sensor.resolution_um, sensor.noise_um)
-    requested, driven = np.empty((m, samples)), np.empty((m, samples))
-    static, position, reading = np.empty((p, samples)), np.empty((p, samples)), np.empty((p, samples))
+    voltages = {name: np.empty((m, samples)) for name in ("requested_v", "drive_v")}
+    positions = {name: np.empty((p, samples)) for name in ("hysteresis_um", "position_um", "reading_um")}
+    bank, plays = hysteresis.bank, hysteresis.rest().copy()
     run_closed_loop(
-        reference,
-        np.ascontiguousarray(forward),
-        np.ascontiguousarray(noise, dtype=np.float64),
-        law._settings,
-        law.inverse_gain_v_per_um,
-        law.gain_um_per_v,
-        law._limits,
-        law.rest().memory,
+        path_um,
+        np.ascontiguousarray(forward_v),
+        standard_noise(np.random.default_rng(seed), p, samples),
+        (law._settings, law.inverse_gain_v_per_um, law.gain_um_per_v, law._limits, law.rest().memory),
         np.array(effects),
         drive.steps(m),
-        np.array(np.broadcast_to(working_point_v, m), dtype=np.float64),
-        (bank.r, bank.slope, bank.moment),
-        plays,
-        block.rows,
-        block.rest(),
-        (requested, driven, static, position, reading),
+        np.array(plant.model.recorded.working_point_v),
+        (bank.r, bank.guide, bank.scale, bank.n, bank.lines),
+        (plays.count, plays.end, plays.x, plays.d),
+        (plant.block.rows, plant.block.rest()),
+        (*voltages.values(), *positions.values()),
+        (0,) * p,
     )
-    if not np.isfinite(position).all():
-        raise SimulationError("The closed loop diverges: its gains are too high for this actuator.")
-    low, high = drive.limits(m)[:, :, None]
-    saturated = (requested < low) | (requested > high)
-    return ClosedLoop(requested, driven, static, position, reading, saturated)
+    return voltages | positions
 
 
 def _computed(
@@ -305,7 +289,7 @@ def _extreme_slopes(model: HammersteinModel) -> list[Array]:
     inverse = np.linalg.pinv(hysteresis.gain(model.amplitude_v))
     ends = []
     for k in range(hysteresis.n_inputs):
-        columns = hysteresis.slope_columns(k)
+        columns = slopes_of(hysteresis, k, model.amplitude_v)
         size = columns @ np.linalg.pinv(inverse[[k]])[:, 0] if len(columns) else np.zeros(1)
         ends.append([columns[int(np.argmin(size))], columns[int(np.argmax(size))]] if len(columns) else [])
     return [np.stack(choice, axis=1) @ inverse for choice in itertools.product(*ends)]

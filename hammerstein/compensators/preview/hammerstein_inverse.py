@@ -12,7 +12,7 @@ from pydantic import Field
 
 from hammerstein.blocks import Array, Law, checked_reference
 from hammerstein.compensators.base import Compensator
-from hammerstein.compensators.exact.inverse import ExactInverseLaw, ExactState, Recovery
+from hammerstein.compensators.exact.inverse import ExactState, Recovery, exact_inverse_of
 from hammerstein.compensators.preview.linear_inverse import linear_inverse
 from hammerstein.driving import RangeLike
 from hammerstein.dynamics import LinearBlock
@@ -111,7 +111,8 @@ class HammersteinInverseLaw(Law[PathState]):
         softening_v: float = 0.0,
         run_anyway: bool = False,
     ):
-        self.exact = ExactInverseLaw(model, range_v, softening_v, run_anyway)
+        here = model.hysteresis.on_grid(sample_time_s)
+        self.exact = exact_inverse_of(here, model, range_v, softening_v, run_anyway)
         self.n_inputs, self.n_outputs = self.exact.n_inputs, self.exact.n_outputs
         self.range, self.origin_um = self.exact.range, self.exact.origin_um
         self.sample_time_s: float = sample_time_s

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hammerstein.experiment.report import Band, Report, Trace
-from hammerstein.experiment.selection import identified_at
+from hammerstein.experiment.report import Band, Report, Sensitivity, Trace
+from hammerstein.experiment.selection import banded_metric, identified_at
 from hammerstein.metrics import KEY, Row
 from hammerstein.reporting.figures.loop_data import (
     MOST_CURVES,
@@ -51,6 +51,10 @@ def figures_of(report: Report) -> dict[str, Figure]:
     >>> list(figures_of(run(scenario)))
     ['loops']
     """
+    return _answers(report) | _sensitivity(report)
+
+
+def _answers(report: Report) -> dict[str, Figure]:
     if len({row.frequency_hz for row in report.rows}) > MOST_LOOPS:
         return _sweeps(report)
     if not report.traces:
@@ -59,6 +63,30 @@ def figures_of(report: Report) -> dict[str, Figure]:
     if report.scenario.answered_by == DRIFT:
         return _drift(report)
     return _loops(report) if isinstance(signal, OnAxes) and signal.axis != "all" else _paths(report)
+
+
+def _sensitivity(report: Report) -> dict[str, Figure]:
+    """What the spread of each compensator is due to, in the row where it is worst."""
+    from hammerstein.reporting.figures.sensitivity import SensitivityBars, sensitivity_figure
+
+    metric, words = banded_metric(report)
+    own = [found for found in report.sensitivities if found.metric == metric]
+    worst: dict[str, Band] = {}
+    for band in report.bands:
+        before = worst.get(band.compensator)
+        if band.metric == metric and (before is None or band.p95_um > before.p95_um):
+            worst[band.compensator] = band
+    bars = []
+    for label, band in worst.items():
+        found = [one for one in own if _key(one) == _key(band)]
+        if found:
+            first = [(one.first, one.first_low, one.first_high) for one in found]
+            total = [(one.total, one.total_low, one.total_high) for one in found]
+            names = tuple(plain(one.parameter) for one in found)
+            where = f"{plain(label)}, {band.frequency_hz:g} Hz, {plain(band.measured_axis)}"
+            bars.append(SensitivityBars(where, names, np.array(first), np.array(total)))
+    title = f"What the spread of the {words} of the true position is due to"
+    return {"sensitivity": sensitivity_figure(bars, title)} if bars else {}
 
 
 def _drift(report: Report) -> dict[str, Figure]:
@@ -118,7 +146,7 @@ def _sweeps(report: Report) -> dict[str, Figure]:
     for name, merit, quantity, title in wanted:
         curves = sweep_curves(report, merit)
         if any(np.isfinite(curve.values).any() for curve in curves):
-            figures[name] = sweep_figure(curves, _transfers(report), quantity, title)
+            figures[name] = sweep_figure(curves, transfers_of(report), quantity, title)
     return figures
 
 
@@ -131,7 +159,7 @@ def _excited(report: Report) -> list[str]:
     return list(dict.fromkeys(row.excited_axis for row in report.rows))
 
 
-def _transfers(report: Report) -> list[list[str]]:
+def transfers_of(report: Report) -> list[list[str]]:
     """What stands above each panel (output, excited axis) of a sweep."""
     role, _ = _driven_quantity(report)
     square = len(_excited(report)) == len(report.axes) > 1
@@ -177,7 +205,7 @@ def sweep_curves(report: Report, merit: str) -> list[SweepCurve]:
     return curves
 
 
-def _key(row: Row | Band) -> tuple[object, ...]:
+def _key(row: Row | Band | Sensitivity) -> tuple[object, ...]:
     """What a row and its bands have in common."""
     return tuple(getattr(row, name) for name in KEY)
 
@@ -209,13 +237,13 @@ def _operators(report: Report) -> dict[str, Figure]:
         curves.append(SweepCurve(label, np.array(numbers, float), _grid(report, len(numbers), found)))
     title = "Model error against its size"
     figure = sweep_figure(
-        curves, _transfers(report), "rms error [µm]", title, "play operators of each transfer"
+        curves, transfers_of(report), "rms error [µm]", title, "play operators of each transfer"
     )
     return {"operators": figure}
 
 
 def _paths(report: Report) -> dict[str, Figure]:
-    runs = [run for trace in report.traces for run in _path_runs(report, trace)]
+    runs = [run for trace in report.traces for run in path_runs_of(report, trace)]
     volts = report.scenario.drive is not None
     kind = report.scenario.signal.kind.capitalize()
     compared = runs[0].target_um is not None
@@ -227,7 +255,7 @@ def _paths(report: Report) -> dict[str, Figure]:
     return figures
 
 
-def _path_runs(report: Report, trace: Trace) -> Iterator[PathRun]:
+def path_runs_of(report: Report, trace: Trace) -> Iterator[PathRun]:
     """A compensator's reading against its reference, or each model's prediction against the reading."""
     response, signal, time_s = trace.response, trace.signal, trace.time_s
     group = swept_label(signal, report.scenario.sweep)

@@ -69,7 +69,7 @@ def loop_runs(report: Report, traces: Sequence[Trace]) -> list[LoopRun]:
     """Mean measured cycle of each trace: reading, and what the models say of it."""
     labels = legend_labels(report, traces)
     return [
-        _loop(trace, label or f"{trace.signal.highest_frequency_hz:g} Hz", _driven(report, trace))
+        loop_of(trace, label or f"{trace.signal.highest_frequency_hz:g} Hz", driven_of(report, trace))
         for trace, label in zip(traces, labels, strict=True)
     ]
 
@@ -80,11 +80,11 @@ def error_runs(report: Report, traces: Sequence[Trace]) -> list[ErrorRun]:
     return [
         error
         for trace, label in zip(traces, labels, strict=True)
-        for error in _errors(trace, label, _driven(report, trace))
+        for error in errors_of(trace, label, driven_of(report, trace))
     ]
 
 
-def _driven(report: Report, trace: Trace) -> int:
+def driven_of(report: Report, trace: Trace) -> int:
     """Number of the input that a trace excites: named by the trace, or by its signal."""
     names = report.inputs if report.scenario.drive is not None else report.axes
     if trace.excited_axis in names:
@@ -92,7 +92,8 @@ def _driven(report: Report, trace: Trace) -> int:
     return int(trace.signal.model_dump()["axis"]) - 1
 
 
-def _loop(trace: Trace, label: str, driven: int) -> LoopRun:
+def loop_of(trace: Trace, label: str, driven: int) -> LoopRun:
+    """Mean measured cycle of a trace, and what a few models say of it."""
     response = trace.response
     wire = response.drive_v if response.reference_um is None else response.reference_um
     shown = trace.predictions if len(trace.predictions) <= MOST_OVERLAYS else ()
@@ -113,7 +114,8 @@ def _closed_cycle(trace: Trace, signals: Array) -> Array:
     return np.hstack([cycle, cycle[:, :1]])
 
 
-def _errors(trace: Trace, label: str, driven: int) -> Iterator[ErrorRun]:
+def errors_of(trace: Trace, label: str, driven: int) -> Iterator[ErrorRun]:
+    """First measured cycle of the errors of a trace, one run for each thing that it is compared with."""
     response, period = trace.response, trace.signal.period_s
     first = slice(0, round(period / response.sample_time_s) + 1)
     targets = [(p.label, p.reading_um) for p in trace.predictions]

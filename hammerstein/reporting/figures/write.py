@@ -14,6 +14,7 @@ from hammerstein.storage.manifest import Owner
 from hammerstein.storage.staging import staged
 
 PNG_COMPRESSION = 6
+KINDS = ("svg", "png")
 SHADES = [min(255, round(round(v / 25.5) * 25.5)) for v in range(256)]  # eleven of each colour
 
 if TYPE_CHECKING:

@@ -1,0 +1,114 @@
+"""The command that turns a model into code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hammerstein.commands.terminal import complain, tell
+from hammerstein.commands.volts import volts
+
+FORMATS = ("c",)
+
+
+def export(
+    model: Annotated[str | None, typer.Argument(help="Model file, or packaged actuator.")] = None,
+    law: Annotated[
+        str, typer.Option(help="As in a scenario, or model: the actuator itself.")
+    ] = "exact_inverse",
+    form: Annotated[str, typer.Option("--format", help="c: C99.")] = "c",
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where the code goes.")] = None,
+    check: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Make an export again, and compare.")
+    ] = None,
+    sample_time: Annotated[
+        float | None, typer.Option(metavar="S", help="Time between samples; that of the model's drive.")
+    ] = None,
+    preview_s: Annotated[
+        float | None, typer.Option("--preview", metavar="S", help="How far ahead the reference is known.")
+    ] = None,
+    filter_hz: Annotated[float | None, typer.Option(help="Bandwidth of the reference filter.")] = None,
+    softening_v: Annotated[float | None, typer.Option(help="Voltage that spreads the jump.")] = None,
+    gain: Annotated[str | None, typer.Option(help="Of inverse_multiplicative: auto or identity.")] = None,
+    range_v: Annotated[
+        str | None,
+        typer.Option("--range", metavar="LOW,HIGH", help="Voltages it may use; those of the records."),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="V[,V]", help="Voltage before the first sample; the path counts from there."),
+    ] = None,
+    conditioned: Annotated[
+        bool, typer.Option("--conditioned", help="It was driven to HIGH, then LOW, before the start.")
+    ] = False,
+    float32: Annotated[bool, typer.Option("--float32", help="Compute in single precision.")] = False,
+    accept_flagged: Annotated[
+        bool, typer.Option("--accept-flagged", help="Accept a model that its fit report flags.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Turn a law, or the model itself, into code that runs without Python."""
+    from hammerstein.errors import InputError
+
+    if (model is None) == (check is None):
+        raise InputError("export", "give a model and --out DIR, or --check DIR alone")
+    if check is not None:
+        _check(check, as_json)
+        return
+    if form not in FORMATS:
+        raise InputError("--format", f"{form!r} is not one of {', '.join(FORMATS)}")
+    given = {"preview_s": preview_s, "filter_hz": filter_hz, "softening_v": softening_v, "gain": gain}
+    options = {name: value for name, value in given.items() if value is not None}
+    request = {
+        "options": options,
+        "range_v": volts("--range", range_v),
+        "start_v": volts("--start", start),
+        "conditioned": conditioned,
+        "accept_flagged": accept_flagged,
+        "float32": float32,
+    }
+    assert model is not None  # the condition above
+    _write(model, law, out, sample_time, request, as_json)
+
+
+def _check(folder: Path, as_json: bool) -> None:
+    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.export.folder import check_export
+
+    compile_once(complain)
+    files = check_export(folder)
+    if as_json:
+        tell(json.dumps({"check": str(folder), "files": files}))
+    else:
+        tell(f"{folder}: all {len(files)} files are what its model gives")
+
+
+def _write(
+    model: str, law: str, out: Path | None, sample_time: float | None, given: dict[str, Any], as_json: bool
+) -> None:
+    from hammerstein.commands.tables import kept_aside
+    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.errors import InputError
+    from hammerstein.export.folder import ALWAYS, EXPORT, write_export
+    from hammerstein.export.request import request_of
+    from hammerstein.files import refuse_unwritable
+    from hammerstein.storage.staging import prepare
+
+    if out is None:
+        raise InputError("--out", "name the folder for the code")
+    refuse_unwritable("--out", out)
+    prepare(out, EXPORT, ALWAYS)
+    request, loaded = request_of(model, law, sample_time, **given)
+    compile_once(complain)
+    written = write_export(request, loaded, out)
+    for place in written.kept:
+        complain(kept_aside(place))
+    if as_json:
+        tell(json.dumps({"export": str(out), "statements": written.statements, "files": written.files}))
+        return
+    for text in written.statements:
+        tell(text)
+    tell(f"{', '.join(written.files)} in {out}; make check replays golden.csv")

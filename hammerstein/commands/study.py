@@ -1,0 +1,171 @@
+"""The command that runs a scenario with many values of its keys."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
+
+import typer
+
+from hammerstein.commands.terminal import complain, tell
+
+if TYPE_CHECKING:
+    from hammerstein.experiment.study import Sampled
+    from hammerstein.scenario import Scenario
+
+PARQUET = (".parquet", ".pq")
+LINES_AT_ONCE = 1000  # of a Parquet file
+
+
+def sweep(
+    path: Annotated[Path, typer.Argument(help="Scenario file with a table [study].")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Rows, as .csv or .parquet.")],
+    jobs: Annotated[int, typer.Option(min=1, help="Runs side by side.")] = 1,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Pass by what earlier runs kept.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print how many runs there are, and the time; run nothing.")
+    ] = False,
+) -> None:
+    """Run a scenario with many values of its keys, as lists or as samples; write one table of all rows.
+
+    Rows are written as they come: memory does not grow with their number. What was run is kept, and a sweep
+    that was interrupted goes on there.
+    """
+    from hammerstein.experiment.batch import load_all
+    from hammerstein.experiment.study import sampled
+    from hammerstein.files import Content, refuse_overwriting, refuse_unwritable
+    from hammerstein.runtime import store as kept_results
+
+    refuse_unwritable("--out", out.parent)
+    refuse_overwriting(
+        "--out", out, Content("table of a sweep", "PAR1" if out.suffix in PARQUET else "sample,")
+    )
+    ((name, scenario),) = load_all([path]).items()
+    if text := _announced(scenario, jobs, always=dry_run):
+        complain(text)
+    if dry_run:
+        return
+    store, useless = kept_results.opened(fresh)
+    if useless:
+        complain(useless)
+    failed = 0
+    with _written(out) as table:
+        for one in sampled(scenario, name, jobs, None, store):
+            failed += bool(one.error)
+            table.add(one)
+    if store is not None and store.problem:
+        complain(store.problem)
+    count = scenario.study.count() if scenario.study is not None else 0
+    if failed:
+        complain(f"{failed} of {count} runs were not possible; the column error says why")
+    tell(f"{count} runs written in {out}")
+
+
+def _announced(scenario: Scenario, jobs: int, always: bool) -> str:
+    """How many runs there are and how long they take, where that is long or asked for."""
+    from hammerstein.experiment.plan import TOLD_S, duration, plan_of, size
+
+    if scenario.study is None:
+        return ""
+    one, count = plan_of(scenario.model_copy(update={"uncertainty": None})), scenario.study.count()
+    seconds = count * one.seconds / jobs
+    if not always and seconds <= TOLD_S:
+        return ""
+    return (
+        f"{count} runs of {scenario.study.how} values, {duration(seconds)} with {jobs} jobs, "
+        f"{size(jobs * one.bytes)} of memory"
+    )
+
+
+class _Table(Protocol):
+    """A file that takes runs one after the other."""
+
+    def add(self, one: Sampled) -> None:
+        """Write the rows of one run."""
+
+
+@contextlib.contextmanager
+def _written(out: Path) -> Iterator[_Table]:
+    """A table that takes its name when it is whole."""
+    from hammerstein.files import UNFINISHED, begun, ended
+
+    part = out.with_name(f".{out.name}{UNFINISHED}")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    begun(part, part.unlink)
+    try:
+        table = _Parquet(part) if out.suffix in PARQUET else _Csv(part)
+        with contextlib.closing(table):
+            yield table
+        part.replace(out)
+    finally:
+        part.unlink(missing_ok=True)
+        ended(part)
+
+
+def _lines(one: Sampled) -> Iterator[dict[str, Any]]:
+    """One line a row, with the values of its run; a run without rows has one line."""
+    from hammerstein.metrics import KEY, METRICS
+
+    run: Mapping[str, Any] = {"sample": one.number, **{key: float(v) for key, v in one.point.items()}}
+    none = dict.fromkeys((*KEY, *METRICS))
+    for columns in [row.columns() for row in one.rows] or [none]:
+        figures = {name: None if columns[name] is None else float(columns[name]) for name in METRICS}
+        yield {**run, **{name: columns[name] for name in KEY}, **figures, "error": one.error}
+
+
+class _Csv:
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("w", newline="", encoding="utf-8")
+        self._writer: Any = None
+
+    def add(self, one: Sampled) -> None:
+        from hammerstein.escaping import cell
+
+        for line in _lines(one):
+            if self._writer is None:
+                self._writer = csv.DictWriter(self._file, list(line), lineterminator="\n")
+                self._writer.writeheader()
+            self._writer.writerow({k: cell(v) if isinstance(v, str) else v for k, v in line.items()})
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class _Parquet:
+    def __init__(self, path: Path) -> None:
+        from hammerstein.errors import InputError
+
+        try:
+            import pyarrow
+            from pyarrow import parquet
+        except ImportError:
+            what = "Parquet needs pyarrow: pip install 'hammerstein-control[parquet]', or write .csv"
+            raise InputError("--out", what) from None
+        self._arrow, self._parquet, self._path = pyarrow, parquet, path
+        self._lines: list[dict[str, Any]] = []
+        self._writer: Any = None
+
+    def add(self, one: Sampled) -> None:
+        self._lines += _lines(one)
+        if len(self._lines) >= LINES_AT_ONCE:
+            self._flush()
+
+    def _flush(self) -> None:
+        if not self._lines:
+            return
+        texts = {"compensator", "excited_axis", "measured_axis", "error"}
+        arrow = self._arrow
+        types = {"sample": arrow.int64()} | dict.fromkeys(texts, arrow.string())
+        schema = arrow.schema([(name, types.get(name, arrow.float64())) for name in self._lines[0]])
+        if self._writer is None:
+            self._writer = self._parquet.ParquetWriter(self._path, schema)
+        self._writer.write_table(arrow.Table.from_pylist(self._lines, schema))
+        self._lines = []
+
+    def close(self) -> None:
+        self._flush()
+        if self._writer is not None:
+            self._writer.close()

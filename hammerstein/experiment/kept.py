@@ -1,0 +1,136 @@
+"""Cases of a run that are worked out once: what was found is kept under a key of all that it depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.experiment.measure import Result, rows_of
+from hammerstein.experiment.prepare import Case, SetUp, scenario_axes
+from hammerstein.experiment.report import Prediction, Trace
+from hammerstein.metrics import METRICS, Row
+from hammerstein.runtime.store import Kept, Store, key_of
+from hammerstein.signals import FromFile
+from hammerstein.simulation import WIRES, Response
+
+Array = NDArray[np.float64]
+
+NUMBERS_NOT = {"label", "identification", "model", "only_at_hz"}
+"""Keys of a compensator that choose its model or name it; the model itself is a part of the key."""
+
+
+class KeptCases:
+    """Results of the cases of one set-up, from the store where they are there.
+
+    setup : what is run
+    store : where results are kept; None where nothing is
+    """
+
+    def __init__(self, setup: SetUp, store: Store | None) -> None:
+        self.setup, self.store = setup, store
+
+    def result(self, case: Case) -> Result:
+        """Rows and trace of a case."""
+        if self.store is None:
+            return rows_of(self.setup, case)
+        key = self.key(case, "case")
+        entry = self.store.read(key)
+        if entry is not None:
+            return _restored(self.setup, case, entry)
+        result = rows_of(self.setup, case)
+        self.store.write(key, _packed(result))
+        return result
+
+    def key(self, case: Case, kind: str, more: Any = None) -> str:
+        """Key of something that follows from a case, and of what else it depends on."""
+        setup = self.setup
+        labels = [case.label] if case.label else [source.label for source in setup.scenario.models]
+        content = {
+            "common": self._common,
+            "signal": _signal(case),
+            "axis": case.axis,
+            "tested": {label: self._tested[label] for label in labels},
+            "more": more,
+        }
+        return key_of(kind, content)
+
+    @cached_property
+    def _common(self) -> dict[str, Any]:
+        """What all cases depend on."""
+        setup, scenario = self.setup, self.setup.scenario
+        return {
+            "actuator": json.loads(setup.plant.model.to_json()),
+            "instruments": setup.plant.instruments.model_dump_json(),
+            "volts": scenario.drive is not None,
+            "measure": scenario.measure.model_dump_json(),
+            "seed": scenario.seed,
+            "metrics": list(METRICS),
+        }
+
+    @cached_property
+    def _tested(self) -> Mapping[str, Any]:
+        """Options and model of everything that is tested, by label."""
+        scenario, models = self.setup.scenario, self.setup.models
+        options = {c.label: c.model_dump_json(exclude=NUMBERS_NOT) for c in scenario.compensators}
+        limits = {source.label: source.only_at_hz for source in scenario.models}
+        return {
+            label: [options.get(label), limits.get(label), json.loads(model.to_json())]
+            for label, model in models.items()
+        }
+
+
+def _signal(case: Case) -> list[Any]:
+    """Everything in a signal, what its file holds included; its text is a part of the noise's seed."""
+    signal = case.signal
+    if not isinstance(signal, FromFile):
+        return [repr(signal), signal.model_dump_json()]
+    digest = hashlib.sha256(Path(signal.path).read_bytes()).hexdigest()
+    return [repr(signal), signal.model_dump_json(exclude={"path"}), digest]
+
+
+def _packed(result: Result) -> Kept:
+    trace = result.trace
+    response = trace.response
+    wires = {name: getattr(response, name) for name in (*WIRES, "saturated")}
+    arrays = {name: wire for name, wire in wires.items() if wire is not None}
+    for number, prediction in enumerate(trace.predictions):
+        arrays[f"reading_{number}"] = prediction.reading_um
+        arrays[f"position_{number}"] = prediction.position_um
+    document = {
+        "rows": [asdict(row) for row in result.rows],
+        "unsettled": result.unsettled,
+        "clipped": result.clipped,
+        "first_sample": trace.first_sample,
+        "sample_time_s": response.sample_time_s,
+        "predictions": [prediction.label for prediction in trace.predictions],
+    }
+    return Kept(document, arrays)
+
+
+def _restored(setup: SetUp, case: Case, entry: Kept) -> Result:
+    found, arrays, model = entry.document, entry.arrays, setup.plant.model
+    names = scenario_axes(setup.scenario, model)
+    wires: dict[str, Any] = {name: arrays.get(name) for name in (*WIRES, "saturated")}
+    response = Response(
+        sample_time_s=found["sample_time_s"], inputs=model.inputs, outputs=model.outputs, **wires
+    )
+    predictions = tuple(
+        Prediction(label, arrays[f"reading_{number}"], arrays[f"position_{number}"])
+        for number, label in enumerate(found["predictions"])
+    )
+    axis = "all" if case.axis is None else names[case.axis]
+    trace = Trace(case.label, case.signal, axis, response, found["first_sample"], predictions)
+    return Result(rows_from(found["rows"]), trace, found["unsettled"], found["clipped"])
+
+
+def rows_from(listed: Sequence[Mapping[str, Any]]) -> tuple[Row, ...]:
+    """Rows of what ``asdict`` made of them."""
+    return tuple(Row(**row) for row in listed)

@@ -1,0 +1,153 @@
+"""A scenario run with many other values of its keys; rows go out one after the other, none is held."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from pydantic import ValidationError
+
+from hammerstein.errors import HammersteinError, InputError, Mistake
+from hammerstein.experiment.kept import rows_from
+from hammerstein.experiment.prepare import Progress
+from hammerstein.experiment.run import run
+from hammerstein.metrics import Row
+from hammerstein.runtime.store import Kept, Store, key_of
+from hammerstein.scenario import Scenario
+from hammerstein.validation import mistakes_of
+
+_STEP = re.compile(r"([A-Za-z_]\w*)(?:\[(\d+)\])?")
+AT_ONCE = 4  # runs a job that may be waiting to be written
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """One run of a study.
+
+    number : from 1; point : values of the keys; rows : figures; error : why there are none
+    """
+
+    number: int
+    point: Mapping[str, float]
+    rows: tuple[Row, ...]
+    error: str = ""
+
+
+def sampled(
+    scenario: Scenario, name: str, jobs: int = 1, progress: Progress | None = None, store: Store | None = None
+) -> Iterator[Sampled]:
+    """Every run of the study of a scenario, in order; memory does not grow with their number.
+
+    A value that cannot be simulated is a run with an error; the others go on.
+
+    Parameters
+    ----------
+    scenario, name : what to run, and what it is called in messages
+    jobs : threads; the numbers do not depend on it
+    progress : called with what is done, how much of it, and of how much
+    store : where rows are kept and found; all are worked out if not given
+
+    Raises
+    ------
+    InputError : there is no study, or a key is no number of the scenario
+    """
+    from joblib import Parallel, delayed
+
+    study = scenario.study
+    if study is None:
+        raise InputError(name, "has no table [study] that says which values to run")
+    whole = {key for key in study.values if _is_whole(scenario, name, key, study.values[key][0])}
+    parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator", pre_dispatch=AT_ONCE * jobs)
+    numbered = enumerate(study.points(), start=1)
+    found = parallel(
+        delayed(_one)(scenario, name, number, _rounded(values, whole), store) for number, values in numbered
+    )
+    count = study.count()
+    for one in found:
+        if progress:
+            progress("sampling", one.number, count)
+        yield one
+
+
+def _rounded(values: Mapping[str, float], whole: set[str]) -> dict[str, float]:
+    return {key: round(value) if key in whole else value for key, value in values.items()}
+
+
+def _is_whole(scenario: Scenario, name: str, key: str, value: float) -> bool:
+    """Whether a key takes whole numbers alone; InputError where it takes no number at all."""
+    try:
+        varied(scenario, {key: round(value) + 0.5}, name)
+    except InputError as error:
+        if any("whole number" in mistake.what for mistake in error.mistakes):
+            varied(scenario, {key: round(value)}, name)
+            return True
+        varied(scenario, {key: value}, name)  # 0.5 more may be out of its range
+    return False
+
+
+def _one(
+    scenario: Scenario, name: str, number: int, values: Mapping[str, float], store: Store | None
+) -> Sampled:
+    try:
+        return Sampled(number, values, _rows(varied(scenario, values, name), name, store))
+    except HammersteinError as error:
+        return Sampled(number, values, (), str(error))
+
+
+def _rows(scenario: Scenario, name: str, store: Store | None) -> tuple[Row, ...]:
+    if store is None:
+        return run(scenario, name).rows
+    files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in scenario.files()]
+    key = key_of("sampled", [scenario.portable(), files])
+    entry = store.read(key)
+    if entry is not None:
+        return rows_from(entry.document)
+    rows = run(scenario, name).rows
+    store.write(key, Kept([asdict(row) for row in rows]))
+    return rows
+
+
+def varied(scenario: Scenario, values: Mapping[str, float], name: str = "scenario") -> Scenario:
+    """The scenario with other values of some keys, without what is not run in a study.
+
+    Raises InputError where a key is no number of the scenario, or its value is none that it takes.
+
+    Examples
+    --------
+    >>> scenario = Scenario.model_validate({"question": "?", "drive": {
+    ...     "kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}})
+    >>> varied(scenario, {"drive.amplitude_v": 5.0}).signal.model_dump()["amplitude_v"]
+    5.0
+    """
+    unused = {"study", "uncertainty", "claims", "claims_also_on", "tolerances"}
+    content = scenario.model_dump(exclude_unset=True, exclude=unused)
+    content = json.loads(json.dumps(content))
+    for key, value in values.items():
+        _put(content, key, value, name)
+    try:
+        return Scenario.model_validate_json(json.dumps(content), strict=True)
+    except ValidationError as error:
+        told = [Mistake(f"study.values: {m.where}", m.what) for m in mistakes_of(error, Scenario)]
+        raise InputError(name, told) from None
+
+
+def _put(content: Any, key: str, value: float, name: str) -> None:
+    """Put a value where a key such as ``compensators[1].gain`` says, counted from 1."""
+    *steps, last = key.split(".")
+    place = content
+    try:
+        for step in steps:
+            found = _STEP.fullmatch(step)
+            if found is None:
+                raise KeyError(step)
+            place = place.setdefault(found[1], {}) if found[2] is None else place[found[1]][int(found[2]) - 1]
+        if isinstance(place.get(last), str | list | dict | bool):
+            raise KeyError(last)
+        place[last] = value
+    except (KeyError, IndexError, TypeError, AttributeError):
+        what = 'names no number of this scenario; a key is written like "compensators[1].gain"'
+        raise InputError(name, [Mistake(f"study.values: {key}", what)]) from None

@@ -1,0 +1,183 @@
+"""What a block of hysteresis or dynamics gives to a template: sizes, tables, and where it starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import singledispatch
+from typing import Any
+
+import numpy as np
+
+from hammerstein.dynamics import LinearBlock
+from hammerstein.errors import InputError
+from hammerstein.hysteresis import PlayState, PrandtlIshlinskii
+
+
+@dataclass(frozen=True)
+class Size:
+    """A number that is known when the code is compiled."""
+
+    name: str
+    value: int
+    what: str
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Constant numbers: one, or an array of any shape."""
+
+    name: str
+    values: Any
+    what: str
+
+    @property
+    def shape(self) -> str:
+        """Brackets behind the name."""
+        return "".join(f"[{n}]" for n in np.shape(self.values))
+
+
+@dataclass(frozen=True, eq=False)
+class CPart:
+    """What the templates of a part need; parts add up to a law.
+
+    sizes, tables, indices : constants of the code; indices are tables of whole numbers
+    start : members of the memory, as they are at the start
+    values : what else the templates ask for
+    """
+
+    sizes: tuple[Size, ...] = ()
+    tables: tuple[Table, ...] = ()
+    indices: tuple[Table, ...] = ()
+    start: Mapping[str, Any] = field(default_factory=dict)
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    def __add__(self, other: CPart) -> CPart:
+        return CPart(
+            self.sizes + other.sizes,
+            self.tables + other.tables,
+            self.indices + other.indices,
+            {**self.start, **other.start},
+            {**self.values, **other.values},
+        )
+
+
+@singledispatch
+def c_block_of(hysteresis: object, state: object) -> CPart:
+    """Forward block of a kind of hysteresis, from a state on.
+
+    A kind that is added registers itself here, with templates of the part under its name.
+
+    Raises
+    ------
+    InputError : there are no templates for this kind
+    """
+    raise _no_code(hysteresis)
+
+
+def _no_code(hysteresis: object) -> InputError:
+    kind = getattr(hysteresis, "kind", type(hysteresis).__name__)
+    return InputError("export", f"hysteresis of kind {kind} has no C code; prandtl_ishlinskii has")
+
+
+@c_block_of.register
+def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
+    """Stack of segments on a floor at rest, with the output at each tip."""
+    bank = hysteresis.bank
+    segments = bank.r.shape[1] + 2
+    floor = {"end": 0, "x": 0.0, "d": 0.0, "tip": np.zeros(hysteresis.n_outputs)}
+    plays = []
+    for k, n in enumerate(bank.n):
+        held: list[dict[str, Any]] = [floor | {"end": int(n)}]
+        for s in range(int(state.count[k])):
+            held.append(_segment_above(held[-1], hysteresis, state, k, s))
+        held += [floor] * (segments - len(held))
+        plays.append({"count": int(state.count[k]), "stack": held})
+    own = Table("operators", bank.n, "Operators of each input.")
+    return _grid(hysteresis, segments) + CPart(indices=(own,), start={"plays": plays})
+
+
+def _segment_above(
+    below: dict[str, Any], hysteresis: PrandtlIshlinskii, state: PlayState, k: int, s: int
+) -> dict[str, Any]:
+    """Segment s of input k, and the output at its tip, as ``play_kernels._load`` finds it."""
+    bank, end = hysteresis.bank, int(state.end[k, s])
+    x, d = float(state.x[k, s]), float(state.d[k, s])
+    way, turn = x - below["x"], d - below["d"]
+    tip = below["tip"] + (bank.slope[k, end] * way - turn * bank.moment[k, end])
+    return {"end": end, "x": x, "d": d, "tip": tip}
+
+
+@singledispatch
+def c_moving_block_of(hysteresis: object, state: object) -> CPart:
+    """The same block inside a law that decides each sample from the one before (``play_kernels.move``).
+
+    Raises
+    ------
+    InputError : there are no templates for this kind
+    """
+    raise _no_code(hysteresis)
+
+
+@c_moving_block_of.register
+def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
+    """Stack of segments, with what those below each of them add."""
+    rows = hysteresis.bank.r.shape[1] + 1
+    plays = [
+        {
+            "count": int(state.count[k]),
+            "stack": [
+                {
+                    "end": int(state.end[k, s]),
+                    "x": state.x[k, s],
+                    "d": state.d[k, s],
+                    "below": state.below[k, s],
+                }
+                for s in range(rows)
+            ],
+        }
+        for k in range(hysteresis.n_inputs)
+    ]
+    return _grid(hysteresis, rows) + CPart(start={"plays": plays})
+
+
+def _grid(hysteresis: PrandtlIshlinskii, segments: int) -> CPart:
+    """Thresholds and partial sums of the weights."""
+    bank = hysteresis.bank
+    return CPart(
+        sizes=(
+            Size("ROWS", hysteresis.n_outputs, "outputs of the hysteresis"),
+            Size("N", bank.r.shape[1], "operators of an input, at most"),
+            Size("SEGMENTS", segments, "segments that an input can have"),
+        ),
+        tables=(
+            Table(
+                "threshold",
+                bank.r,
+                "Thresholds [V]: input, operator; filled up with walls.",
+            ),
+            Table("slope", bank.slope, "Summed weights of the first j operators [um/V]: input, j, output."),
+            Table("moment", bank.moment, "The same sums of weight times threshold [um]: input, j, output."),
+        ),
+        values={"segments": segments, "n_rows": hysteresis.n_outputs},
+    )
+
+
+def linear_part(block: LinearBlock) -> CPart:
+    """Linear block from rest, by its non-zero entries."""
+    n = len(block.A)
+    start, column, value = block.rows
+    row = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    return CPart(
+        sizes=(
+            Size("STATES", n, "of the linear block"),
+            Size("ENTRIES", len(value), "of its matrix that are not zero"),
+        ),
+        tables=(Table("entry", value, "Entries of the linear block [[A, B], [C, D]]."),),
+        indices=(
+            Table("row", row, "Where they stand."),
+            Table("column", column, "Where they stand."),
+        ),
+        start={"x": np.zeros(n)} if n else {},
+        values={"n_states": n},
+    )

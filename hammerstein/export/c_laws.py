@@ -1,0 +1,216 @@
+"""Each law as sizes, tables and a start for its template."""
+
+from __future__ import annotations
+
+from functools import singledispatch
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
+from hammerstein.compensators.exact import kernel as exact_kernel, pieces
+from hammerstein.compensators.exact.inverse import ExactInverseLaw, StaticInverse
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
+from hammerstein.compensators.kernels import STILL_V
+from hammerstein.compensators.no_compensation import NoCompensationLaw
+from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
+from hammerstein.driving import DriveRange
+from hammerstein.errors import InputError
+from hammerstein.export.c_blocks import CPart, Size, Table, c_block_of, c_moving_block_of, linear_part
+from hammerstein.export.forward import ForwardModel
+
+Array = NDArray[np.float64]
+
+
+@singledispatch
+def c_law_of(law: object) -> CPart:
+    """What the template of a law needs.
+
+    Raises
+    ------
+    InputError : there is no template for this law
+    """
+    raise InputError("--law", f"{type(law).__name__} has no C code")
+
+
+def _range(limits: DriveRange) -> CPart:
+    """Range as it is sent, and the working point from which a law counts."""
+    tables = [
+        Table("lowest_v", limits.low_v, "Lowest voltage that is sent [V]."),
+        Table("highest_v", limits.high_v, "Highest voltage that is sent [V]."),
+    ]
+    if has := bool(limits.working_point_v.any()):
+        tables.append(_working_point(limits))
+    return CPart(tables=tuple(tables), values={"has_working_point": has})
+
+
+def _working_point(limits: DriveRange) -> Table:
+    return Table("working_point", limits.working_point_v, "Voltage at which the plays rest [V].")
+
+
+def _origin(origin_um: Array) -> CPart:
+    """Position of the model at the start, from where the reference counts."""
+    if not origin_um.any():
+        return CPart(values={"has_origin": False})
+    what = "Position of the model at the start, from where the reference counts [um]."
+    return CPart(tables=(Table("origin", origin_um, what),), values={"has_origin": True})
+
+
+def _counted(limits: DriveRange) -> tuple[Table, Table]:
+    low, high = limits.counted
+    return (
+        Table("low", low, "Lowest voltage, counted from the working point [V]."),
+        Table("high", high, "Highest voltage, counted from the working point [V]."),
+    )
+
+
+@c_law_of.register
+def _(law: NoCompensationLaw) -> CPart:
+    own = CPart(
+        tables=(
+            Table("gain", law.gain_v_per_um, "Inverse of the low-frequency gain matrix [V/um]."),
+            Table("base", law.base_v, "Voltage at the start, counted from the working point [V]."),
+            *_counted(law.range),
+        )
+    )
+    return own + _range(law.range)
+
+
+@c_law_of.register
+def _(law: InverseMultiplicativeLaw) -> CPart:
+    start = law.rest()
+    own = CPart(
+        sizes=(Size("PASSES", law.iterations, "of the law in a sample"),),
+        tables=(
+            Table("gain", law.gain_v_per_um, "Gain K [V/um]."),
+            Table("POLE", law.pole, "Pole of the filter; 0: a delay of one sample."),
+            *_counted(law.range),
+        ),
+        start={"held": start.memory_v},
+    )
+    return c_moving_block_of(law.hysteresis, start.plays) + own + _range(law.range) + _origin(law.origin_um)
+
+
+@c_law_of.register
+def _(law: DecoupledInverseLaw) -> CPart:
+    start = law.rest()
+    own = CPart(
+        tables=(
+            Table("STILL", STILL_V, "A step below this is no movement [V]."),
+            Table("jump", law.jump_v, "Smallest thresholds, by which the drive jumps at a turn [V]."),
+            *_counted(law.range),
+        ),
+        start={"turned": start.last_v, "direction": start.direction},
+    )
+    return c_block_of(law.inverse, start.plays) + own + _range(law.range) + _origin(law.origin_um)
+
+
+@c_law_of.register
+def _(law: ExactInverseLaw) -> CPart:
+    return c_inverse_of(law, law.rest()) + _range(law.range) + _origin(law.origin_um)
+
+
+@singledispatch
+def c_inverse_of(law: StaticInverse[Any], start: Any) -> CPart:
+    """Exact inverse of a static block, on which other laws build.
+
+    Raises
+    ------
+    InputError : there is no template for the inverse of this kind of hysteresis
+    """
+    raise InputError("export", f"{type(law).__name__} has no C code")
+
+
+@c_inverse_of.register
+def _(law: ExactInverseLaw, start: Any) -> CPart:
+    """The walk over the pieces: the table of ``exact.pieces`` by its names."""
+    m, bank, table = law.n_inputs, law.square.bank, law.design_table()
+    about = table[pieces.HERE, :, pieces.ABOUT]
+    segments = bank.r.shape[1] + 2
+    held = table[pieces.HERE, law.n_outputs :, pieces.NOW, pieces.Y]
+    sums = [table[pieces.GRID, :, : segments - 1, at : at + m] for at in (pieces.SLOPE, pieces.SLOPE + m)]
+    return CPart(
+        sizes=(
+            Size("SEGMENTS", segments, "segments that an input can have"),
+            Size("PIECES", exact_kernel.most_pieces(table), "pieces after which a walk is given up"),
+        ),
+        tables=(
+            Table("FARTHEST", np.inf, "Where a piece ends that has no end."),
+            Table("STILL", float(about[0, pieces.STILL]), "A step below this is no movement [V]."),
+            Table("SINGULAR", pieces.SINGULAR, "Pivot, relative, at which a matrix is singular."),
+            Table("POOR", pieces.POOR, "Condition from which the aim must be corrected."),
+            Table("threshold", bank.r, "Thresholds behind the smallest plays [V]: input, operator."),
+            Table("slope", sums[0], "Summed weights of the first j operators [um/V]: input, j, row."),
+            Table("moment", sums[1], "The same sums of weight times threshold [um]: input, j, row."),
+            Table("play", about[:, pieces.PLAY], "Smallest threshold of each input [V]."),
+            Table("low", about[:, pieces.LOW], "Least q that falls [V]."),
+            Table("high", about[:, pieces.HIGH], "Largest q that rises [V]."),
+            Table("soft", about[:, pieces.SOFT], "Movement over which the jump at a turn is spread [V]."),
+            Table("pull", about[:, pieces.GAIN : pieces.GAIN + m], "What an input moves each row [um/V]."),
+        ),
+        start={"hand": [_hand(start, k) for k in range(m)]},
+        values={"segments": segments, "held": held.tolist()},
+    )
+
+
+def _hand(start: Any, k: int) -> dict[str, Any]:
+    """Memory of one input."""
+    stack = [
+        {
+            "end": int(row[pieces.END]),
+            "x": row[pieces.X],
+            "d": row[pieces.D],
+            "below": row[pieces.BELOW :],
+        }
+        for row in start.stack[k]
+    ]
+    count, wanted, ramp = start.hand[k, [pieces.COUNT, pieces.WANTED, pieces.RAMP]]
+    return {"count": int(count), "stack": stack, "wanted": wanted, "ramp": ramp}
+
+
+@c_law_of.register
+def _(law: HammersteinInverseLaw) -> CPart:
+    start, inverse = law.rest(), law.linear
+    n, modes, raw = len(inverse.block.A), len(inverse.A), len(law.taps) - 1
+    known = inverse.reach_samples
+    tables = [Table("tap", inverse.taps, "Taps of the inverse dynamics: sample ahead, output, path.")]
+    if raw:
+        tables.append(Table("filter", law.taps, "Taps of the reference filter."))
+    if modes:
+        tables += [
+            Table("mode", inverse.A, "Modes of the inverse dynamics, from the past."),
+            Table("mode_in", inverse.B, "What they take of the path."),
+            Table("mode_out", inverse.C, "What they give."),
+        ]
+    if n:
+        tables += [
+            Table("GONE", exact_kernel.GONE, "Distance of the linear block that is none."),
+            Table("block", law.recovery.a, "State matrix of the linear block."),
+            Table("block_in", law.recovery.b, "What it takes of the hysteresis."),
+            Table("recovery", law.recovery.gain, "Gain that brings it back to its path."),
+        ]
+    states = {"raw": start.raw, "known": start.filtered, "modes": start.modes, "away": start.away}
+    ahead = CPart(
+        sizes=(
+            Size("RAW", raw, "references that the filter needs beside the newest"),
+            Size("KNOWN", known, "samples of the path that are kept beside the newest"),
+            Size("TAPS", len(inverse.taps), "of the inverse dynamics"),
+            Size("MODES", modes, "of the inverse dynamics"),
+            Size("STATES", n, "of the linear block"),
+        ),
+        tables=tuple(tables),
+        indices=(Table("ahead", inverse.ahead, "Samples after which each output first hears of its input."),),
+        start={name: value for name, value in states.items() if value.size},
+        values={"n_raw": raw, "n_known": known, "n_modes": modes, "n_states": n},
+    )
+    return ahead + c_inverse_of(law.exact, start.exact) + _range(law.range) + _origin(law.origin_um)
+
+
+@c_law_of.register
+def _(law: ForwardModel) -> CPart:
+    limits = law.range
+    part = c_block_of(law.model.hysteresis, law.rest().hysteresis) + linear_part(law.block)
+    if has := bool(limits.working_point_v.any()):
+        part += CPart(tables=(_working_point(limits),))
+    return part + CPart(values={"has_working_point": has})

@@ -1,0 +1,257 @@
+"""The two files of C of a law, and what they cost."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.blocks import Law
+from hammerstein.escaping import clean
+from hammerstein.export.c_blocks import CPart, Table
+from hammerstein.export.c_laws import c_law_of
+from hammerstein.export.compiling import FLAGS, Library, Shape
+from hammerstein.export.forward import ForwardModel
+from hammerstein.export.literals import identifier, in_single_precision, initializer
+from hammerstein.export.measured import Measured
+from hammerstein.export.operations import Code, Cost
+from hammerstein.export.request import MODEL, Request
+from hammerstein.model import HammersteinModel
+from hammerstein.quantities import POSITION_UM, VOLTAGE_V
+
+Array = NDArray[np.float64]
+
+INWARDS = {"low": 1.0, "lowest_v": 1.0, "high": -1.0, "highest_v": -1.0}
+"""Ends of the range: in single precision they are rounded to its inside."""
+
+
+@dataclass(frozen=True, eq=False)
+class CCode:
+    """A law as C.
+
+    Parameters
+    ----------
+    request : what was asked for
+    model : the model
+    block : the law as it was designed, or the model as a block
+    """
+
+    request: Request
+    model: HammersteinModel
+    block: Law[Any] | ForwardModel
+
+    @property
+    def name(self) -> str:
+        """Name of the law in C, and of its files."""
+        return f"{identifier(self.model.name)}_{self.request.law}"
+
+    @property
+    def real(self) -> str:
+        """Type in which everything is computed."""
+        return "float" if self.request.float32 else "double"
+
+    @property
+    def is_model(self) -> bool:
+        """Whether this is the actuator itself: volts go in, positions come out."""
+        return self.request.law == MODEL
+
+    @cached_property
+    def shape(self) -> Shape:
+        """How it is called."""
+        m, p = self.block.n_inputs, self.block.n_outputs
+        return Shape(self.name, self.real, *((m, p) if self.is_model else (p, m)))
+
+    @cached_property
+    def cost(self) -> Cost:
+        """Bytes, and operations of a step at most."""
+        return self._parsed.cost()
+
+    @cached_property
+    def _parsed(self) -> Code:
+        return Code(self.name, self.header(), self.source(None))
+
+    def counting(self) -> str:
+        """Give the same code in one file, counting its operations."""
+        return self._parsed.counting()
+
+    def library(
+        self, counting: bool = False, command: str | None = None, flags: Sequence[str] = FLAGS
+    ) -> Library:
+        """Compile it here and load it; see ``Library``."""
+        text = self.counting() if counting else self.in_one_file()
+        return Library(self.shape, text, self.cost.state_bytes, counting, command, flags)
+
+    def in_one_file(self) -> str:
+        """Header and source, one after the other."""
+        return self.header() + self.source(None).replace(f'#include "{self.name}.h"\n', "")
+
+    def header(self) -> str:
+        """Text of the header."""
+        return self._rendered("law.h.jinja", None)
+
+    def source(self, measured: Measured | None) -> str:
+        """Text of the source; what was measured stands at its top."""
+        return self._rendered("law.c.jinja", measured)
+
+    def context(self) -> dict[str, Any]:
+        """Names that all templates know."""
+        m, p = self.block.n_inputs, self.block.n_outputs
+        entering, leaving = ("drive_v", "position_um") if self.is_model else ("reference_um", "drive_v")
+        return {
+            "name": self.name,
+            "law": self.request.law,
+            "real": self.real,
+            "title": self.title(),
+            "entering": entering,
+            "leaving": leaving,
+            "reads": "Voltages [V]" if self.is_model else "A reference [um]",
+            "gives": "positions [um]" if self.is_model else "voltages [V]",
+            "n_inputs": m,
+            "n_outputs": p,
+            "n_entering": self.shape.entering,
+            "n_leaving": self.shape.leaving,
+            "sample_time": f"{self.request.sample_time_s:g} s",
+            "bound": repr(VOLTAGE_V.high if self.is_model else POSITION_UM.high),
+            "step_comment": self._step_comment(),
+        }
+
+    def title(self) -> str:
+        """Say what it is in a line."""
+        what = "the model itself" if self.is_model else f"law {self.request.law}"
+        return f"{what} of {clean(self.model.name)}"
+
+    def _step_comment(self) -> str:
+        if self.is_model:
+            return "One sample: voltages as they are sent, and the positions of the actuator."
+        ahead = self.block.preview_samples
+        late = f" for the reference {ahead} samples ago" if ahead else ""
+        return f"One sample: the reference counts from the start; the voltages{late}, as they are sent."
+
+    def _rendered(self, template: str, measured: Measured | None) -> str:
+        part = self._part
+        text = (
+            environment()
+            .get_template(template)
+            .render(
+                **self.context(),
+                **part.values,
+                sizes=part.sizes,
+                tables=[_Written(table, self.real) for table in part.tables],
+                indices=[_Written(table, self.real) for table in part.indices],
+                at_start=initializer({**part.start, "last": self._last()}),
+                about=[] if measured is None else self._about(measured),
+                helpers=("most",) if self.is_model else ("least", "most"),
+            )
+        )
+        return in_single_precision(text) if self.request.float32 else text
+
+    @cached_property
+    def _part(self) -> CPart:
+        return c_law_of(self.block)
+
+    def _last(self) -> Array:
+        """What stands at the output before the first sample."""
+        return np.zeros(self.block.n_outputs) if self.is_model else self.block.range.start_v
+
+    # ---- what stands at the top ----
+
+    def _about(self, measured: Measured) -> list[str]:
+        lines: list[str] = []
+        for text in (*self.statements(), self._cost_words(measured), *self._precision(measured)):
+            lines += [*textwrap.wrap(clean(text).replace("*/", "* /").replace("/*", "/ *"), 104), ""]
+        return lines[:-1]
+
+    def statements(self) -> list[str]:
+        """Say what it was made from, and what must hold."""
+        request, limits = self.request, self.block.range
+        options = "".join(f", {name} = {value}" for name, value in sorted(request.options.items()))
+        said = [
+            f"Made from {request.source}, digest {self.model.digest()}: law {request.law}{options}, "
+            f"sample time {request.sample_time_s:g} s.",
+            f"Verdict: {_verdict(self.model)}",
+        ]
+        if isinstance(self.block, ForwardModel):
+            return [*said, self.block.statement()]
+        start = ", ".join(f"{u:.6g} V" for u in limits.start_v)
+        said.append(
+            f"The drive stays within {limits.words(self.model.inputs)}. Before the first sample the actuator "
+            f"stands at {start}, from where the reference counts."
+        )
+        if ahead := self.block.preview_samples:
+            said.append(
+                f"What leaves at sample k is the drive for the reference of sample k - {ahead}: call step "
+                f"{ahead} times with the path before the first drive is due, or take its delay of "
+                f"{ahead * request.sample_time_s:.3g} s."
+            )
+        return [*said, text] if (text := self.block.statement()) else said
+
+    def _cost_words(self, measured: Measured) -> str:
+        cost = self.cost
+        found = "no C compiler was there to search for the worst"
+        if measured.operations is not None:
+            found = f"the most that was found in {measured.samples} adverse samples is {measured.operations}"
+        return (
+            f"A step takes at most {cost.operations} operations (arithmetic, comparisons, assignments; "
+            f"proved by counting through this file, where every loop counts to a constant); {found}. "
+            f"RAM: {cost.state_bytes} bytes for each law, and the stack of a few calls. "
+            f"ROM: {cost.constant_bytes} bytes of tables, and the code."
+        )
+
+    def _precision(self, measured: Measured) -> list[str]:
+        if self.request.float32:
+            return [
+                "Everything is computed in single precision. Against double precision the output differs by "
+                f"{measured.loss_rms:.2g} {self._unit} rms, {measured.loss_max:.2g} {self._unit} at most "
+                "over golden.csv."
+            ]
+        return [
+            "The numbers are those of hammerstein's own step to the last bit, with -ffp-contract=off; fused "
+            "multiply-adds change the last digits."
+        ]
+
+    @property
+    def _unit(self) -> str:
+        return "um" if self.is_model else "V"
+
+
+class _Written:
+    """A table as text; ends of the range are rounded inwards in single precision."""
+
+    def __init__(self, table: Table, real: str):
+        values = np.asarray(table.values)
+        if real == "float" and table.name in INWARDS:
+            single = values.astype(np.float32)
+            outside = INWARDS[table.name] * (single.astype(np.float64) - values) < 0.0
+            way = np.float32(INWARDS[table.name] * np.inf)
+            values = np.where(outside, np.nextafter(single, way), single).astype(np.float64)
+        self.name, self.what, self.shape = table.name, table.what, table.shape
+        self.text = initializer(values if values.shape else values.item())
+
+
+def _verdict(model: HammersteinModel) -> str:
+    """What its identification says of the model."""
+    verdict = model.verdict
+    if verdict is None:
+        return "none; the model file does not say how it was found."
+    if verdict.flagged:
+        return "FLAGGED by its fit report: " + "; ".join(verdict.statements or ("see there",)) + "."
+    held = "judged by a record held back" if verdict.held_out else "no record was held back to judge it"
+    return f"{verdict.sentence or 'not flagged'} ({held})."
+
+
+def environment() -> Any:
+    """Templates of the export."""
+    import jinja2
+
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("hammerstein.export"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )

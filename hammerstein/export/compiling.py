@@ -1,0 +1,124 @@
+"""The C compiler of this machine, and exported code as a library of this process."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import InputError, InternalError
+
+Array = NDArray[np.float64]
+
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
+RUN = """
+void run({name} *law, const {real} *in, {real} *out, int32_t samples, int64_t *most)
+{{
+  for (int32_t t = 0; t < samples; t++) {{
+    {before}
+    (void){name}_step(law, in + t * {entering}, out + t * {leaving});
+    {after}
+  }}
+}}
+"""
+
+
+def compiler() -> str | None:
+    """Command of the C compiler: ``CC``, cc, gcc or clang; None if there is none."""
+    named = os.environ.get("CC", "").split()
+    candidates = [*named[:1], "cc", "gcc", "clang"]
+    return next((found for name in candidates if (found := shutil.which(name))), None)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How a law is called: its name, its kind of numbers, how many go in and come out."""
+
+    name: str
+    real: str
+    entering: int
+    leaving: int
+
+
+class Library:
+    """Exported code, compiled and loaded, until the block is left.
+
+    Parameters
+    ----------
+    shape : how the law is called
+    code : its C in one file
+    state_bytes : of its structure
+    counting : whether the code counts its operations
+    command, flags : compiler and its options
+    """
+
+    def __init__(
+        self,
+        shape: Shape,
+        code: str,
+        state_bytes: int,
+        counting: bool = False,
+        command: str | None = None,
+        flags: Sequence[str] = FLAGS,
+    ):
+        self.shape, self._bytes = shape, state_bytes
+        self._folder = tempfile.TemporaryDirectory(prefix="hammerstein-")
+        before, after = ("operations = 0;", "*most = operations > *most ? operations : *most;")
+        if not counting:
+            before, after = "", "(void)most;"
+        names = {"name": shape.name, "real": shape.real, "before": before, "after": after}
+        driver = RUN.format(entering=shape.entering, leaving=shape.leaving, **names)
+        source = Path(self._folder.name) / "law.c"
+        source.write_text(code + driver, encoding="utf-8")
+        place = source.with_suffix(".so")
+        build([str(source), "-shared", "-fPIC", "-o", str(place)], flags, command)
+        self._library: Any = ctypes.CDLL(str(place))
+
+    def __enter__(self) -> Library:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._folder.cleanup()
+
+    def rest(self) -> Any:
+        """Memory of a law at its start."""
+        law = ctypes.create_string_buffer(self._bytes + 8)
+        getattr(self._library, f"{self.shape.name}_init")(law)
+        return law
+
+    def respond(self, entering: Array, law: Any = None) -> tuple[Array, int]:
+        """What leaves (axis, sample), and the most operations of a step if they are counted."""
+        law = law or self.rest()
+        kind = np.float64 if self.shape.real == "double" else np.float32
+        into = np.ascontiguousarray(entering.T, dtype=kind)
+        out = np.empty((into.shape[0], self.shape.leaving), dtype=kind)
+        most = ctypes.c_int64(0)
+        samples = ctypes.c_int32(into.shape[0])
+        pointers = (ctypes.c_void_p(a.ctypes.data) for a in (into, out))
+        self._library.run(law, *pointers, samples, ctypes.byref(most))
+        return np.asarray(out.T, dtype=np.float64), most.value
+
+
+def build(arguments: Sequence[str], flags: Sequence[str] = FLAGS, command: str | None = None) -> None:
+    """Call the C compiler, or another one by its command.
+
+    Raises
+    ------
+    InputError : there is none
+    InternalError : it refuses our code
+    """
+    command = command or compiler()
+    if command is None:
+        raise InputError("C compiler", "cc, gcc or clang is needed here; install one, or name it in CC")
+    done = subprocess.run([command, *flags, *arguments], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise InternalError(f"{command} refuses the exported code: {done.stderr.strip()[:2000]}")

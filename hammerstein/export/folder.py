@@ -1,0 +1,172 @@
+"""The folder of an export: the code, what shows that it is right, and what made it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from hammerstein.errors import InputError, ToleranceError
+from hammerstein.export.code import CCode, environment
+from hammerstein.export.compiling import compiler
+from hammerstein.export.golden import SAMPLES, adverse, entering
+from hammerstein.export.measured import Measured
+from hammerstein.export.request import Request
+from hammerstein.files import read_limited
+from hammerstein.model import HammersteinModel
+from hammerstein.storage.manifest import Owner
+from hammerstein.storage.staging import staged
+from hammerstein.validation import mistakes_of
+
+Array = NDArray[np.float64]
+
+MODEL_FILE, REQUEST_FILE = "model.json", "export.json"
+EXPORT = Owner("export", sign=(REQUEST_FILE, '"hammerstein-export/1"'))
+ALWAYS = (REQUEST_FILE, MODEL_FILE, "README.md", "Makefile", "golden.csv", "selftest.c")
+SEARCHED = 100_000
+
+
+class ExportFile(BaseModel):
+    """What made an export, and what was measured then."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    request: Request
+    measured: Measured
+
+
+def files_of(code: CCode, measured: Measured | None = None) -> dict[str, str]:
+    """Every file of an export, by its name.
+
+    Parameters
+    ----------
+    code : what is exported
+    measured : figures of an earlier export; measured now, where there is a C compiler, if not given
+
+    Raises
+    ------
+    InputError : there is no C code for it, or single precision without a C compiler
+    """
+    request, model = code.request, code.model
+    signal = entering(code.block, model, SAMPLES)
+    answer = code.block.respond(signal)[0]
+    found = measured if measured is not None else measure(code, signal, answer)
+    template = environment().get_template
+    context = code.context() | {
+        "request": request,
+        "model_name": model.name,
+        "statements": code.statements(),
+        "cost": code.cost,
+        "measured": found,
+        "rows": signal.shape[1],
+        "columns": _columns(code),
+        "file_name": code.name,
+    }
+    return {
+        f"{code.name}.h": code.header(),
+        f"{code.name}.c": code.source(found),
+        "golden.csv": _golden(code, signal, answer),
+        "selftest.c": template("selftest.c.jinja").render(context),
+        "Makefile": template("Makefile.jinja").render(context),
+        "README.md": template("README.md.jinja").render(context),
+        MODEL_FILE: model.to_json(),
+        REQUEST_FILE: _json(ExportFile(request=request, measured=found)),
+    }
+
+
+def measure(code: CCode, signal: Array, answer: Array) -> Measured:
+    """Search for the most operations of a step, and find the loss of single precision.
+
+    Raises InputError for single precision where there is no C compiler.
+    """
+    if compiler() is None:
+        if code.request.float32:
+            raise InputError(
+                "--float32", "needs a C compiler, to measure what it loses; install one, or set CC"
+            )
+        return Measured()
+    with code.library(counting=True) as library:
+        most = library.respond(adverse(code.block, code.model, SEARCHED))[1]
+        lost = np.abs(library.respond(signal)[0] - answer)
+    loss = {}
+    if code.request.float32:
+        loss = {"loss_rms": float(np.sqrt(np.mean(lost**2))), "loss_max": float(lost.max())}
+    return Measured(operations=most, samples=SEARCHED, **loss)
+
+
+@dataclass(frozen=True)
+class Written:
+    """What was written: names of the files, what a person must know, and files that were kept aside."""
+
+    files: tuple[str, ...]
+    statements: tuple[str, ...]
+    kept: tuple[Path, ...]
+
+
+def write_export(request: Request, model: HammersteinModel, folder: Path) -> Written:
+    """Write an export; all of its files, or none."""
+    code = CCode(request, model, request.block(model))
+    files = files_of(code)
+    with staged(folder, EXPORT) as stage:
+        for name, content in files.items():
+            stage.write(name, content)
+    return Written(tuple(files), tuple(code.statements()), stage.kept)
+
+
+def check_export(folder: Path) -> list[str]:
+    """Make an export again from what lies beside it; gives the names of its files.
+
+    Raises
+    ------
+    InputError : the folder holds no export
+    ToleranceError : a file differs from what is made now
+    """
+    place = folder / REQUEST_FILE
+    try:
+        export = ExportFile.model_validate_json(read_limited(place, "file of an export"))
+    except ValidationError as error:
+        raise InputError(str(place), mistakes_of(error, ExportFile)) from None
+    model = HammersteinModel.load(folder / MODEL_FILE)
+    files = files_of(CCode(export.request, model, export.request.block(model)), export.measured)
+    differing = [said for name, text in files.items() if (said := _difference(folder / name, text))]
+    if differing:
+        raise ToleranceError(f"{folder}: differs from what its model gives now\n" + "\n".join(differing))
+    return sorted(files)
+
+
+def _difference(path: Path, text: str) -> str:
+    """Say in which line a file differs; empty if it does not."""
+    if not path.is_file():
+        return f"  {path.name} is missing"
+    there = path.read_bytes().decode("utf-8", errors="replace").splitlines()
+    if there == text.splitlines():
+        return ""
+    pairs = enumerate(zip_longest(there, text.splitlines()), start=1)
+    first = next(n for n, (a, b) in pairs if a != b)
+    return f"  {path.name} from line {first} on"
+
+
+def _columns(code: CCode) -> list[str]:
+    """Names of the columns of golden.csv."""
+    model = code.model
+    volts, places = [f"drive_{name}_v" for name in model.inputs], model.outputs
+    if code.is_model:
+        return [*volts, *(f"position_{name}_um" for name in places)]
+    return [*(f"reference_{name}_um" for name in places), *volts]
+
+
+def _golden(code: CCode, signal: Array, answer: Array) -> str:
+    head = ",".join(column.replace(",", " ") for column in _columns(code))
+    rows = (",".join(map(repr, row)) for row in np.vstack([signal, answer]).T.tolist())
+    return "\n".join([head, *rows]) + "\n"
+
+
+def _json(export: ExportFile) -> str:
+    content: Any = export.model_dump(mode="json", exclude_none=True)
+    return json.dumps(content, indent=1, sort_keys=True) + "\n"

@@ -1,0 +1,72 @@
+"""What is to be exported: a model, a law with its options, and what the drive may do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from hammerstein.blocks import Controller, Law
+from hammerstein.compensators.drive_file import Terms, allowed_range, compensator_of, refuse_flagged
+from hammerstein.errors import InputError
+from hammerstein.export.forward import ForwardModel
+from hammerstein.model import HammersteinModel
+from hammerstein.quantities import Offset, Plain, SampleTime
+
+FORMAT = "hammerstein-export/1"
+MODEL = "model"
+"""As a law: the actuator itself."""
+
+
+class Request(BaseModel):
+    """An export as its file keeps it, beside a copy of the model."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    format: Literal["hammerstein-export/1"] = "hammerstein-export/1"
+    source: str = Field(description="name of the model file")
+    law: str
+    options: dict[str, Plain] = Field(default_factory=dict, description="of the law, as in a scenario")
+    range_v: tuple[Offset, ...] | None = Field(default=None, description="voltages that may be used")
+    start_v: tuple[Offset, ...] | None = Field(default=None, description="voltage before the first sample")
+    conditioned: bool = False
+    accept_flagged: bool = False
+    sample_time_s: SampleTime
+    float32: bool = False
+
+    def terms(self) -> Terms:
+        """What a person allows the drive to do."""
+        return Terms(self.range_v, self.start_v, self.conditioned, accept_flagged=self.accept_flagged)
+
+    def block(self, model: HammersteinModel) -> Law[Any] | ForwardModel:
+        """The law, designed, or the model itself as a block.
+
+        Raises
+        ------
+        InputError : options that do not fit, a range that is not finite, or a law that reads the sensor
+        SimulationError : a law that cannot work
+        IdentificationError : a model that its own fit report flags
+        """
+        refuse_flagged(model, self.source, self.terms())
+        limits = allowed_range(model, self.terms())
+        if self.law == MODEL:
+            if self.options:
+                raise InputError("--law model", f"takes no options; {', '.join(sorted(self.options))} is one")
+            return ForwardModel(model, limits, self.sample_time_s)
+        law = compensator_of(self.law, self.options).design(model, limits, self.sample_time_s)
+        if isinstance(law, Controller):
+            raise InputError(
+                "--law", f"{self.law} needs the sensor's readings; only sensorless laws are exported"
+            )
+        return law
+
+
+def request_of(
+    path: str, law: str, sample_time_s: float | None, **given: object
+) -> tuple[Request, HammersteinModel]:
+    """Request for a model file or a packaged actuator; its drive's sample time if none is given."""
+    model = HammersteinModel.load(path)
+    time_s = sample_time_s if sample_time_s is not None else model.instruments.drive.sample_time_s
+    fields = {"source": Path(path).name, "law": law, "sample_time_s": time_s, **given}
+    return Request.model_validate(fields), model

@@ -1,0 +1,95 @@
+"""All play operators of a model side by side, as the kernels want them, and their memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.hysteresis.pair import Array, Pair
+
+Counts = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class PlayState:
+    """Memory of a Prandtl-Ishlinskii model: the stack of segments of each input (see ``kernels``).
+
+    Made by ``PrandtlIshlinskii.rest``, ``.state_of`` or by a run; its arrays are not written to.
+
+    count : (m,) height of each stack; end, x, d : (m, operator+1); below : (m, operator+1, p)
+    """
+
+    count: Counts
+    end: Counts
+    x: Array
+    d: Array
+    below: Array
+
+    def copy(self) -> PlayState:
+        """Give an independent copy."""
+        return PlayState(*(array.copy() for array in self._arrays()))
+
+    def _arrays(self) -> tuple[Any, ...]:
+        return self.count, self.end, self.x, self.d, self.below
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain lists that JSON keeps to the last bit."""
+        names = ("count", "end", "x", "d", "below")
+        return {name: array.tolist() for name, array in zip(names, self._arrays(), strict=True)}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> PlayState:
+        """Restore what ``as_dict`` saved."""
+        count, end = (np.array(data[name], dtype=np.int64) for name in ("count", "end"))
+        x, d, below = (np.array(data[name], dtype=np.float64) for name in ("x", "d", "below"))
+        return cls(count, end, x, d, below)
+
+
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """All operators of every input on one threshold grid an input, as the kernels want them.
+
+    n : (m,) operators of each input
+    r : (m, n_max) thresholds [V], filled up with infinity
+    w : (m, n_max, p) weights [um/V], zero where an output lacks the operator
+    slope, moment : (m, n_max+1, p) partial sums of w and of w r
+    lines : (m, n_max+1, 2 p) the two side by side
+    guide, scale : (m, levels), (m,) where the search for a threshold begins, see ``kernels``
+    """
+
+    n: Counts
+    r: Array
+    w: Array
+    slope: Array
+    moment: Array
+    lines: Array
+    guide: Counts
+    scale: Array
+
+    @classmethod
+    def of(cls, pairs: Sequence[Sequence[Pair]]) -> Bank:
+        """Merge the pairs (output, input) onto one grid an input."""
+        from hammerstein.hysteresis.play_kernels import search_guide
+
+        p, m = len(pairs), len(pairs[0])
+        grids = [np.unique(np.concatenate([pairs[o][k].thresholds_v for o in range(p)])) for k in range(m)]
+        n = np.array([len(grid) for grid in grids], dtype=np.int64)
+        r = np.full((m, max(1, int(n.max()))), np.inf)
+        w = np.zeros((*r.shape, p))
+        for k, grid in enumerate(grids):
+            r[k, : len(grid)] = grid
+            for o in range(p):
+                pair = pairs[o][k]
+                w[k, np.searchsorted(grid, pair.thresholds_v), o] = pair.weights_um_per_v
+        slope, moment = np.zeros((2, m, r.shape[1] + 1, p))
+        np.cumsum(w, axis=1, out=slope[:, 1:])
+        np.cumsum(w * np.where(np.isfinite(r), r, 0.0)[:, :, None], axis=1, out=moment[:, 1:])
+        lines = np.concatenate([slope, moment], axis=2)
+        guide, scale = search_guide(r, n)
+        for array in (n, r, w, slope, moment, lines, guide, scale):
+            array.flags.writeable = False
+        return cls(n, r, w, slope, moment, lines, guide, scale)

@@ -1,0 +1,231 @@
+"""What every kind of hysteresis is: what simulation, reports, feedback and uncertainty need of one."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVar, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict
+
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.hysteresis.pair import Array, WeightCovariance
+from hammerstein.plugins import Family
+
+if TYPE_CHECKING:
+    from hammerstein.interop.block_system import BlockSystem
+
+SWEEP_SAMPLES = 200
+"""Samples of one way of a loop that is driven to see how far it reaches."""
+
+SLOPES_KEPT = 8
+"""Of so many slopes along a loop one is looked at."""
+
+
+class Memory(Protocol):
+    """What a block remembers between two samples; JSON keeps it to the last bit."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain lists and numbers."""
+        ...
+
+
+S = TypeVar("S", bound=Memory)
+
+
+class Hysteresis(ABC, Generic[S]):
+    """A frozen value from m voltages, counted from the working point, to p displacements.
+
+    Each output is linear in weights, whatever their operators are:
+
+        v_l[k] = sum over i of  w_li  (operator i of the voltages until k)
+
+    To add a kind, derive from this class, give it a file form (``HysteresisFile``) and register that.
+    What only some kinds have is an ability of its own, such as ``Sloped``; who needs one asks for it.
+    """
+
+    kind: ClassVar[str]
+
+    @property
+    @abstractmethod
+    def n_inputs(self) -> int:
+        """Number m of inputs."""
+
+    @property
+    @abstractmethod
+    def n_outputs(self) -> int:
+        """Number p of outputs."""
+
+    @property
+    @abstractmethod
+    def operators(self) -> tuple[tuple[int, ...], ...]:
+        """Number of weights of every pair (output, input)."""
+
+    @abstractmethod
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.describe()})"
+
+    def on_grid(self, sample_time_s: float) -> Hysteresis[S]:
+        """Give the block on a sample grid; one that does not depend on the rate is the same on all."""
+        return self
+
+    @abstractmethod
+    def rest(self) -> S:
+        """Memory of an actuator that was never driven."""
+
+    @abstractmethod
+    def restore(self, data: dict[str, Any]) -> S:
+        """Memory from what its ``as_dict`` gave."""
+
+    @abstractmethod
+    def _respond(self, u_v: Array, start: S) -> tuple[Array, S]:
+        """Outputs (p, N) for checked voltages (m, N), and the memory after them; ``start`` is kept."""
+
+    def respond(self, u_v: ArrayLike, start: S | None = None) -> tuple[Array, S]:
+        """Outputs for a whole signal.
+
+        A signal too long for the computer's memory is worked off in blocks, each from the state after the
+        one before; the numbers are those of one piece to the last bit.
+
+        Parameters
+        ----------
+        u_v : (input, sample) voltages, counted from the working point [V], finite
+        start : memory before the first sample; at rest if not given
+
+        Returns
+        -------
+        v_um : (output, sample) outputs [um]
+        state : memory after the last sample
+
+        Raises
+        ------
+        InputError : wrong number of inputs
+        SimulationError : a voltage that is not finite
+        """
+        u = np.ascontiguousarray(np.atleast_2d(np.asarray(u_v, dtype=np.float64)))
+        if u.ndim != 2 or u.shape[0] != self.n_inputs:
+            raise InputError("voltage", f"has shape {u.shape}; the model wants ({self.n_inputs}, samples)")
+        return self._respond(u, self.rest() if start is None else start)
+
+    def step(self, u_v: ArrayLike, state: S) -> tuple[Array, S]:
+        """Outputs (output,) [um] for one sample (input,) [V], and the memory after it.
+
+        Equal to ``respond`` to the last bit.
+        """
+        y, after = self.respond(np.reshape(np.asarray(u_v, dtype=np.float64), (-1, 1)), state)
+        return y[:, 0], after
+
+    def amplitude(self, amplitude_v: ArrayLike) -> Array:
+        """Half heights of the settled loops (output, input) [um] for a voltage amplitude [V].
+
+        amplitude_v : of all inputs, or of each of them (m,)
+        """
+        sizes = np.broadcast_to(np.asarray(amplitude_v, dtype=np.float64), self.n_inputs)
+        swings = [self._swept(k, -size, size)[:, -2 * SWEEP_SAMPLES :] for k, size in enumerate(sizes)]
+        return 0.5 * np.stack([np.ptp(swing, axis=1) for swing in swings], axis=1)
+
+    def gain(self, amplitude_v: float) -> Array:
+        """Gain matrix (output, input) [um/V] of the settled loops at a voltage amplitude [V]."""
+        return self.amplitude(amplitude_v) / amplitude_v
+
+    def extremes(self, low_v: Array, high_v: Array) -> tuple[Array, Array]:
+        """Least and largest position (p,) [um] from rest between voltages (m,), one of each input [V]."""
+        if not (np.isfinite(low_v).all() and np.isfinite(high_v).all()):
+            return np.full(self.n_outputs, -np.inf), np.full(self.n_outputs, np.inf)
+        paths = [self._swept(k, low, high) for k, (low, high) in enumerate(zip(low_v, high_v, strict=True))]
+        return (
+            np.sum([path.min(axis=1) for path in paths], axis=0),
+            np.sum([path.max(axis=1) for path in paths], axis=0),
+        )
+
+    def swept_slopes(self, k: int, amplitude_v: float) -> Array:
+        """Slopes (number, output) [um/V] along the settled loop of input k, sample by sample."""
+        settled = self._swept(k, -amplitude_v, amplitude_v)[:, -2 * SWEEP_SAMPLES :]
+        ways = np.repeat([1.0, -1.0], SWEEP_SAMPLES)[1:] * 2.0 * amplitude_v / SWEEP_SAMPLES
+        return np.asarray((np.diff(settled, axis=1) / ways).T[::SLOPES_KEPT])
+
+    def _swept(self, k: int, low_v: float, high_v: float) -> Array:
+        """Outputs (p, N) while input k goes from rest to both ends of a range, and to both again."""
+        ends = [0.0, high_v, low_v, high_v, low_v]
+        u = np.zeros((self.n_inputs, 4 * SWEEP_SAMPLES + 1))
+        u[k] = np.interp(np.arange(u.shape[1]) / SWEEP_SAMPLES, np.arange(len(ends)), ends)
+        return self.respond(u)[0]
+
+    @property
+    @abstractmethod
+    def weights(self) -> tuple[Array, ...]:
+        """Weights of each output, pair after pair in the order of the inputs [um/V]."""
+
+    @abstractmethod
+    def with_weights(self, weights: Sequence[ArrayLike]) -> Self:
+        """Give the same operators with other weights, whose errors are not known."""
+
+    @property
+    @abstractmethod
+    def weight_covariance(self) -> tuple[WeightCovariance, ...] | None:
+        """Covariance of the weights of each output, where it is known."""
+
+    @abstractmethod
+    def file(self) -> HysteresisFile:
+        """Give its form in a model file."""
+
+    def to_iosys(self, sample_time_s: float, name: str = "hysteresis") -> BlockSystem:
+        """Give the block as a discrete ``control.NonlinearIOSystem``, ``drive_v[k]`` to ``hysteresis_um[o]``.
+
+        Raises InputError for a sample time that is not above zero.
+        """
+        from hammerstein.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+
+        require_grid(None, sample_time_s, "hysteresis")
+        here = self.on_grid(sample_time_s)
+        block = Stepwise(here.rest(), here.step, lambda state: state.as_dict(), here.restore)
+        wires = signals("drive_v", self.n_inputs), signals("hysteresis_um", self.n_outputs)
+        return BlockSystem(block, *wires, sample_time_s, name)
+
+
+@runtime_checkable
+class Sloped(Protocol):
+    """The ability of a kind whose outputs move on straight lines: it knows all slopes of an input."""
+
+    @property
+    def n_inputs(self) -> int:
+        """Number m of inputs."""
+        ...
+
+    def slope_columns(self, k: int) -> Array:
+        """Slopes (number, output) [um/V] that input k can have while it moves."""
+        ...
+
+
+def slopes_of(hysteresis: Hysteresis[Any], k: int, amplitude_v: float) -> Array:
+    """Slopes (number, output) [um/V] of input k: all of them, or those of a loop that is driven [V]."""
+    if isinstance(hysteresis, Sloped):
+        return hysteresis.slope_columns(k)
+    return hysteresis.swept_slopes(k, amplitude_v)
+
+
+class HysteresisFile(BaseModel, ABC):
+    """One kind of hysteresis in a model file, told by its ``kind``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    if TYPE_CHECKING:  # a field of every kind
+        kind: str
+
+    @abstractmethod
+    def hysteresis(self) -> Hysteresis[Any]:
+        """Give the hysteresis this describes; InputError where it is none."""
+
+
+HYSTERESIS: Family[HysteresisFile] = Family(HysteresisFile, "kind")  # type: ignore[type-abstract]
+
+
+def refuse_not_finite(u_v: Array) -> None:
+    """Raise SimulationError with the place of the first voltage (m, N) that is not finite."""
+    axis, sample = (int(i[0]) for i in np.nonzero(~np.isfinite(u_v)))
+    raise SimulationError(f"voltage of input {axis + 1} is not finite at sample {sample}")

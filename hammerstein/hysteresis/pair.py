@@ -1,0 +1,161 @@
+"""Play operators: one, a bank of them with weights, and how well the weights are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hammerstein.errors import InputError, Mistake
+
+Array = NDArray[np.float64]
+
+
+def frozen(values: ArrayLike) -> Array:
+    """Copy of some numbers that nobody can write to."""
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array
+
+
+def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
+    """Outputs of a bank of play (backlash) operators driven by one voltage.
+
+        p[k] = max(u[k] - r, min(u[k] + r, p[k-1]))          (paper, eq. 1)
+
+    Parameters
+    ----------
+    u : (sample,) input [V]
+    r : (operator,) thresholds [V], not negative
+    start : (operator,) outputs before the first sample [V]; zero if not given
+
+    Returns
+    -------
+    (operator, sample) outputs [V]
+
+    Examples
+    --------
+    >>> play([0.0, 2.0, 1.0, -2.0], [0.5])
+    array([[ 0. ,  1.5,  1.5, -1.5]])
+    """
+    from hammerstein.hysteresis.play_kernels import play_bank
+
+    thresholds = np.atleast_1d(np.asarray(r, dtype=np.float64))
+    plays = np.zeros(len(thresholds)) if start is None else np.array(start, dtype=np.float64)
+    outputs = np.empty((len(thresholds), np.size(u)))
+    play_bank(np.ascontiguousarray(u, dtype=np.float64), thresholds, plays, outputs)
+    return outputs
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """What one output hears of one input: a bank of play operators.
+
+    A linear gain is a bank with the single threshold 0, for a play of threshold 0 passes its input
+    unchanged; an absent pair is an empty bank (paper, definition 3.1).
+
+    Parameters
+    ----------
+    thresholds_v : (operator,) thresholds [V], not negative, strictly increasing
+    weights_um_per_v : (operator,) weights [um/V], of either sign
+    weight_errors_um_per_v : (operator,) standard errors of the weights [um/V], if they are known
+
+    Raises
+    ------
+    InputError : non-finite, negative or unsorted thresholds, or lengths that differ
+
+    Examples
+    --------
+    >>> Pair([0.0, 1.0], [2.0, 1.0]).slopes
+    array([2., 3.])
+    """
+
+    thresholds_v: Array
+    weights_um_per_v: Array
+    weight_errors_um_per_v: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "thresholds_v", frozen(self.thresholds_v))
+        object.__setattr__(self, "weights_um_per_v", frozen(self.weights_um_per_v))
+        if self.weight_errors_um_per_v is not None:
+            object.__setattr__(self, "weight_errors_um_per_v", frozen(self.weight_errors_um_per_v))
+        mistakes = list(self._mistakes())
+        if mistakes:
+            raise InputError("Prandtl-Ishlinskii pair", mistakes)
+
+    def _mistakes(self) -> Iterable[Mistake]:
+        r, w, errors = self.thresholds_v, self.weights_um_per_v, self.weight_errors_um_per_v
+        if r.ndim != 1 or w.shape != r.shape:
+            yield Mistake("weights_um_per_v", f"has shape {w.shape}, the thresholds {r.shape}; give one each")
+        if errors is not None and errors.shape != w.shape:
+            yield Mistake("weight_errors_um_per_v", f"has shape {errors.shape}, the weights {w.shape}")
+        if not np.isfinite(r).all():
+            yield Mistake("thresholds_v", "holds a value that is not finite")
+        elif (r < 0).any():
+            yield Mistake("thresholds_v", f"holds a negative value, {r.min():g} V; thresholds are 0 or more")
+        elif r.ndim == 1 and (np.diff(r) <= 0).any():
+            yield Mistake("thresholds_v", "is not strictly increasing; sort it and merge equal thresholds")
+        if not np.isfinite(w).all():
+            yield Mistake("weights_um_per_v", "holds a value that is not finite")
+
+    @classmethod
+    def linear(cls, gain_um_per_v: float) -> Pair:
+        """Pass the input times a gain [um/V]."""
+        return cls(frozen([0.0]), frozen([gain_um_per_v]))
+
+    @classmethod
+    def absent(cls) -> Pair:
+        """Hear nothing of the input."""
+        return cls(frozen([]), frozen([]))
+
+    def __repr__(self) -> str:
+        r, w = self.thresholds_v, self.weights_um_per_v
+        if not len(r):
+            return "Pair(absent)"
+        thresholds = f"thresholds {r[0]:.4g} to {r[-1]:.4g} V"
+        return f"Pair({len(r)} operators, {thresholds}, summed weight {w.sum():.4g} um/V)"
+
+    @property
+    def slopes(self) -> Array:
+        """Partial sums of the weights (operator,) [um/V]: the slope while operators 1..j move."""
+        return np.cumsum(self.weights_um_per_v)
+
+    def amplitude(self, amplitude_v: float) -> float:
+        """Half height of the settled loop [um]: sum of w (A - r) over the thresholds below A."""
+        r, w = self.thresholds_v, self.weights_um_per_v
+        return float(w @ np.maximum(amplitude_v - r, 0.0))
+
+    def loop_area(self, amplitude_v: float) -> float:
+        """Area of the settled loop [um V]: 4 sum of w r (A - r) over the thresholds below A."""
+        r, w = self.thresholds_v, self.weights_um_per_v
+        return float(4.0 * (w * r) @ np.maximum(amplitude_v - r, 0.0))
+
+    def rising_branch(self, u_v: ArrayLike, amplitude_v: float) -> Array:
+        """Rise above the lower tip of the settled loop [um]: sum of w max(0, u + A - 2 r)."""
+        r, w = self.thresholds_v, self.weights_um_per_v
+        rise = np.subtract.outer(np.asarray(u_v) + amplitude_v, 2.0 * r)
+        return np.asarray(np.maximum(rise, 0.0) @ w)
+
+
+@dataclass(frozen=True, eq=False)
+class WeightCovariance:
+    """How the errors of all weights of one output hang together: their covariance L L^T.
+
+    factor_um_per_v : (weight, weight) lower triangle L [um/V]; pair after pair in the order of the inputs
+    slopes_at_bound : slopes that the fit held at a bound; their weights vary with the others alone
+    """
+
+    factor_um_per_v: Array
+    slopes_at_bound: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "factor_um_per_v", frozen(self.factor_um_per_v))
+        if not np.isfinite(self.factor_um_per_v).all():
+            raise InputError("weight_covariance", "holds a value that is not finite")
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (weight, weight) [um^2/V^2]."""
+        return np.asarray(self.factor_um_per_v @ self.factor_um_per_v.T)

@@ -1,0 +1,135 @@
+"""Numbers of a baseline and of a run in one plot, with what is allowed between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hammerstein.regression.baseline import Key, Numbers, words_of
+from hammerstein.regression.compare import all_tolerances, deviation, limit, tolerance_of
+from hammerstein.reporting.figures.style import (
+    COLOURS,
+    PALE,
+    WIDTH_IN,
+    Array,
+    few_ticks,
+    legend_above,
+    letter,
+    new_figure,
+    plain,
+    plain_numbers,
+    styled,
+)
+from hammerstein.reporting.figures.sweep import LOGARITHMIC_FROM
+from hammerstein.scenario.scenario import Tolerance
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST_COURSES = 3
+SWEPT = {"frequency_hz": "frequency [Hz]", "amplitude_um": "amplitude [um]", "amplitude_v": "amplitude [V]"}
+LEAST_ALLOWED = 1e-300
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """One number of one row, over the values of a sweep.
+
+    x, accepted, now, allowed : (point,)
+    """
+
+    label: str
+    x_label: str
+    x: Array
+    accepted: Array
+    now: Array
+    moved: Array
+    allowed: Array
+
+    @property
+    def excess(self) -> float:
+        """Largest deviation in units of what is allowed."""
+        return float(np.max(np.abs(self.moved) / np.maximum(self.allowed, LEAST_ALLOWED)))
+
+
+def courses_of(
+    metric: str, accepted: Numbers, now: Numbers, tolerances: Mapping[str, Tolerance]
+) -> list[Course]:
+    """Courses of a number that both sides have, the one that moved most first."""
+    both = [key for key in accepted if metric in accepted[key] and metric in now.get(key, {})]
+    swept = next((name for name in SWEPT if len({dict(key).get(name) for key in both}) > 1), None)
+    groups: dict[Key, list[Key]] = {}
+    for key in both:
+        groups.setdefault(tuple(item for item in key if item[0] != swept), []).append(key)
+    tolerance = tolerance_of(metric, all_tolerances(tolerances))
+    found = []
+    for rest, keys in groups.items():
+        x = [float(dict(key).get(swept, 0.0)) if swept else float(n) for n, key in enumerate(keys, start=1)]
+        order = np.argsort(x, kind="stable")
+        values = [(accepted[keys[i]][metric], now[keys[i]][metric]) for i in order]
+        found.append(
+            Course(
+                words_of(rest),
+                SWEPT[swept] if swept else "row",
+                np.array(x)[order],
+                np.array([before for before, _ in values]),
+                np.array([after for _, after in values]),
+                np.array([deviation(metric, after, before) for before, after in values]),
+                np.array([limit(before, tolerance) for before, _ in values]),
+            )
+        )
+    return sorted(found, key=lambda course: -course.excess)
+
+
+def moved_figure(courses: Sequence[Course], metric: str) -> Figure:
+    """Old curve, tolerance and new curve (a), and the change in units of what is allowed (b).
+
+    Parameters
+    ----------
+    courses : of one number; the first few are drawn
+    metric : name of the number, with its unit
+    """
+    shown = courses[:MOST_COURSES]
+    with styled():
+        figure = new_figure(1.1 + 0.35 * WIDTH_IN + 0.2 * len(shown))
+        left, right = figure.subplots(1, 2)
+        entries: dict[str, Artist] = {}
+        for number, course in enumerate(shown):
+            entries[plain(course.label)] = _draw(left, right, course, COLOURS[number])
+        (entries["baseline, with what it may move"],) = left.plot(
+            [], [], color=PALE, linewidth=4.0, alpha=0.6
+        )
+        right.axhspan(-1.0, 1.0, color=PALE, alpha=0.3, linewidth=0.0)
+        _scale(left, shown)
+        if max(course.excess for course in shown) > 10.0:
+            right.set_yscale("symlog", linthresh=1.0)
+        for axes, label in ((left, plain(metric)), (right, "change / allowed change")):
+            axes.set(xlabel=shown[0].x_label, ylabel=label)
+            if axes.get_yscale() == "linear":
+                few_ticks(axes)
+        letter(left, 0)
+        letter(right, 1, "the grey band is allowed")
+        legend_above(figure, entries)
+    return figure
+
+
+def _draw(left: Axes, right: Axes, course: Course, colour: str) -> Artist:
+    left.plot(course.x, course.accepted, color=PALE, linewidth=4.0, alpha=0.6)
+    low, high = course.accepted - course.allowed, course.accepted + course.allowed
+    left.fill_between(course.x, low, high, color=PALE, alpha=0.4, linewidth=0.0)
+    style: dict[str, Any] = {"color": colour, "marker": "o", "markersize": 3.0, "linewidth": 1.0}
+    right.plot(course.x, course.moved / np.maximum(course.allowed, LEAST_ALLOWED), **style)
+    (line,) = left.plot(course.x, course.now, **style)
+    return line
+
+
+def _scale(axes: Axes, courses: Sequence[Course]) -> None:
+    values = np.concatenate([np.concatenate([course.accepted, course.now]) for course in courses])
+    if values.min() > 0.0 and values.max() >= LOGARITHMIC_FROM * values.min():
+        axes.set_yscale("log")
+        plain_numbers(axes.yaxis)

@@ -1,0 +1,56 @@
+"""What a check found as a page for a browser: verdicts, and old and new curves where there are any."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from hammerstein.files import Content
+from hammerstein.regression.compare import Kind
+from hammerstein.regression.result import CheckResult, ScenarioCheck
+from hammerstein.reporting.html.markup import MOST_DRAWING_BYTES, rendered
+from hammerstein.reporting.html.vector import Drawn, pictures
+
+CONTENT = Content("page of a check", sign='content="hammerstein check"')
+FIRST_SHOWN = ("rms_um", "gain", "height_um", "max_um", "value")
+MOST_METRICS = 2
+MOST_FIGURES = 30
+
+
+def check_page(result: CheckResult) -> str:
+    """HTML page of a check; equal results give equal bytes."""
+    wanted = [(check, metric) for check in result.checks for metric in _metrics(check)]
+    # those that fail first: a page holds only so many
+    wanted = sorted(wanted, key=lambda item: item[0].passed)[:MOST_FIGURES]
+    files: dict[str, bytes] = {}
+    titles: dict[str, str] = {}
+    for number, (check, metric) in enumerate(wanted):
+        files |= _files(check, metric, f"{number}")
+        titles[f"{number}"] = f"{check.name}: {metric}, baseline and now"
+    drawn: dict[str, list[Drawn]] = {check.name: [] for check in result.checks}
+    drawings = pictures(files, titles, MOST_DRAWING_BYTES)
+    for (check, metric), (name, title), drawing in zip(wanted, titles.items(), drawings, strict=True):
+        drawn[check.name].append(Drawn(f"{check.name}-{metric}-{name}", title, "", drawing))
+    return rendered("check.html.jinja", result=result, drawn=drawn, folder=result.baseline_folder)
+
+
+def _metrics(check: ScenarioCheck) -> Iterator[str]:
+    """Numbers that are drawn: those that moved most, otherwise the first that the scenario has."""
+    if not check.accepted:
+        return
+    moved = [finding for finding in check.findings if finding.kind is Kind.MOVED]
+    moved.sort(key=lambda finding: -finding.excess)
+    names = list(dict.fromkeys(finding.metric for finding in moved))[:MOST_METRICS]
+    if names:
+        yield from names
+        return
+    here = {name for numbers in check.accepted.values() for name in numbers}
+    both = here & {name for numbers in check.now.values() for name in numbers}
+    yield from [name for name in (*FIRST_SHOWN, *sorted(both)) if name in both][:1]
+
+
+def _files(check: ScenarioCheck, metric: str, name: str) -> dict[str, bytes]:
+    from hammerstein.reporting.figures.moved import courses_of, moved_figure
+    from hammerstein.reporting.figures.write import images
+
+    courses = courses_of(metric, check.accepted, check.now, check.tolerances)
+    return {f"{name}.{kind}": content for kind, content in images(moved_figure(courses, metric)).items()}

@@ -1,0 +1,46 @@
+"""The account of an identification as a page for a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import PurePath
+
+from hammerstein.identification.fit import KIND_NAMES, Fit
+from hammerstein.model import HammersteinModel
+from hammerstein.reporting.fit_page import CAPTIONS, fit_body, fit_json
+from hammerstein.reporting.html.markup import MOST_DRAWING_BYTES, link_to, page_of, rendered
+from hammerstein.reporting.html.vector import Drawn, pictures
+
+TITLES = {
+    "loops": "Loops",
+    "residual": "What the models leave",
+    "operators": "Error against the number of operators",
+    "response": "Gain over frequency",
+}
+
+
+def fit_html(model: HammersteinModel, fit: Fit, files: Mapping[str, bytes]) -> str:
+    """HTML page of a fit; equal fits give equal bytes.
+
+    Parameters
+    ----------
+    model, fit : what ``identify`` gave
+    files : bytes of its figures by name, each as SVG and as PNG; none gives a page without figures
+    """
+    here = {PurePath(name).stem for name in files}
+    names = [name for name in TITLES if name in here] + sorted(here - set(TITLES))
+    titles = {name: TITLES.get(name, name) for name in names}
+    drawings = pictures(files, titles, MOST_DRAWING_BYTES)
+    records = [PurePath(record.source).name for record in fit.records]
+    return rendered(
+        "fit.html.jinja",
+        name=model.name,
+        answer=[fit.verdict],
+        facts=[KIND_NAMES[fit.kind], f"records: {', '.join(records)}"],
+        figures=[
+            Drawn(name, title, CAPTIONS.get(name, ""), drawing)
+            for (name, title), drawing in zip(titles.items(), drawings, strict=True)
+        ],
+        body=page_of(fit_body(model, fit)),
+        links=[link_to("fit.json", fit_json(model, fit), "application/json")],
+    )

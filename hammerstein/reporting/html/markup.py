@@ -1,0 +1,110 @@
+"""What all pages share: the template, what is escaped in it, and files that a page carries along."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from markupsafe import Markup
+
+from hammerstein.escaping import clean
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from markdown_it import MarkdownIt
+
+LARGEST_LINK_BYTES = 200_000
+"""A larger file is linked where it lies beside the page, not carried along."""
+MOST_DRAWING_BYTES = 1_000_000
+"""Of all drawings of a page together; with text and tables it stays below 1.5 MB."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """A file that belongs to a page.
+
+    name : of the file beside the page; href : that, or all of it
+    """
+
+    name: str
+    href: str
+
+
+def link_to(name: str, content: str, media_type: str) -> Link:
+    """Link that holds the whole file where it is small, so that it comes along with the page."""
+    data = content.encode("utf-8")
+    if len(data) > LARGEST_LINK_BYTES:
+        return Link(name, name)
+    return Link(name, f"data:{media_type};charset=utf-8;base64,{base64.b64encode(data).decode('ascii')}")
+
+
+def rendered(template: str, **content: Any) -> str:
+    """Fill a template; every text in it is escaped, and what a terminal would obey is made visible."""
+    return environment().get_template(template).render(**content)
+
+
+@cache
+def environment() -> Environment:
+    """Templates of the pages."""
+    import jinja2
+
+    found = jinja2.Environment(
+        loader=jinja2.PackageLoader("hammerstein"),
+        undefined=jinja2.StrictUndefined,
+        autoescape=True,
+        finalize=_shown,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    found.filters |= {"line": line_of, "slug": _slug}
+    found.globals |= {"style": _own_file(found, "page.css"), "script": _own_file(found, "page.js")}
+    return found
+
+
+def _own_file(found: Environment, name: str) -> Markup:
+    assert found.loader is not None
+    return Markup(found.loader.get_source(found, name)[0])  # of this package
+
+
+def _shown(value: Any) -> Any:
+    return clean(value) if type(value) is str else value
+
+
+def _slug(text: str) -> str:
+    return "-".join("".join(c if c.isalnum() else " " for c in text.lower()).split())
+
+
+def line_of(text: str) -> Markup:
+    """One line of our Markdown as HTML; what it holds of strangers was escaped when it was written.
+
+    >>> line_of("a *b* `c` <script>")
+    Markup('a <em>b</em> <code>c</code> &lt;script&gt;')
+    """
+    return Markup(_reader().renderInline(clean(text)))  # the reader escapes HTML
+
+
+def page_of(text: str) -> Markup:
+    """Markdown of ours as HTML, its tables as those of the templates."""
+    return Markup(_reader().render(text))
+
+
+@cache
+def _reader() -> MarkdownIt:
+    from markdown_it import MarkdownIt
+
+    reader = MarkdownIt("commonmark", {"html": False}).enable("table")
+    reader.add_render_rule("table_open", _table_open)
+    reader.add_render_rule("table_close", _table_close)
+    return reader
+
+
+def _table_open(*_: object) -> str:
+    scroll = '<div class="scroll" tabindex="0" role="region" aria-label="table">'
+    return f'{scroll}<table class="sortable numbers">'
+
+
+def _table_close(*_: object) -> str:
+    return "</table></div>"

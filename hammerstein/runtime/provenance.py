@@ -1,0 +1,73 @@
+"""What computes: the sources of the package and of plug-ins, the versions of the libraries, the processor.
+
+Where all of it is the same, the same input gives the same bits, and a result may be kept.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import sys
+from collections.abc import Iterable
+from functools import cache
+from importlib import metadata
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1]
+LIBRARIES = (
+    *("bokeh", "control", "jinja2", "markdown-it-py", "markupsafe", "matplotlib", "numba", "numpy", "pandas"),
+    *("pillow", "pydantic", "scipy"),
+)
+SOURCES = ("*.py", "*.json", "*.jinja", "*.css", "*.js")
+
+
+@cache
+def computed_by() -> str:
+    """Hash of the package's sources, of the libraries' versions, of Python and of the type of processor.
+
+    Where another package plugs in, every installed version counts, and the sources of that package.
+    """
+    digest = hashlib.sha256()
+    words = [sys.version, sys.platform, platform.machine(), _processor()]
+    words += [f"{name} {_version(name)}" for name in LIBRARIES]
+    digest.update("\n".join([*words, *_plugged_in()]).encode())
+    files = [path for kind in SOURCES for path in PACKAGE.rglob(kind)]
+    for path in sorted(files):
+        digest.update(f"\n{path.relative_to(PACKAGE)}\n".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "?"
+
+
+def _processor() -> str:
+    """Type of the processor: compiled loops and linear algebra choose their instructions by it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return platform.processor()
+    kept = {
+        line.partition(":")[0].strip(): line for line in lines if line.startswith(("model name", "flags"))
+    }
+    return " ".join(kept.values()) or platform.processor()
+
+
+def _plugged_in() -> Iterable[str]:
+    """Installed versions, and sources of what plugs in; nothing where nothing does."""
+    entries = entry_points(group="hammerstein.blocks")
+    if not entries:
+        return
+    yield from sorted(f"{found.name} {found.version}" for found in metadata.distributions())
+    for top in sorted({entry.module.partition(".")[0] for entry in entries}):
+        spec = find_spec(top)
+        origin = Path(spec.origin) if spec is not None and spec.origin else None
+        if origin is not None:
+            files = origin.parent.rglob("*.py") if spec and spec.submodule_search_locations else [origin]
+            yield from (f"{file} {hashlib.sha256(file.read_bytes()).hexdigest()}" for file in sorted(files))

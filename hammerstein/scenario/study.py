@@ -1,0 +1,86 @@
+"""Other values of any numeric key of a scenario: lists of them, or samples between limits."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from hammerstein.quantities import Draws, Figure, Seed
+
+MOST_VALUES = 1_000_000
+TOGETHER = 1024  # samples of a Sobol sequence that are made at once
+
+Values = Annotated[tuple[Figure, ...], Field(min_length=1, max_length=MOST_VALUES)]
+
+
+class Study(BaseModel):
+    """Runs of a scenario with other values of some keys, such as ``instruments.sensor.noise_um``.
+
+    ``product`` is every combination of the values, ``zip`` the first values together, then the second ones.
+    ``random`` and ``sobol`` take so many ``samples`` between the two values of each key.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    how: Literal["product", "zip", "random", "sobol"] = "product"
+    samples: Draws | None = Field(
+        default=None, description="of random and sobol; of the latter a power of two"
+    )
+    seed: Seed = 1
+    values: dict[str, Values] = Field(
+        min_length=1, description='by key, such as "compensators[1].gain"; its two limits for samples'
+    )
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        lengths = {key: len(values) for key, values in self.values.items()}
+        if self.how in ("random", "sobol"):
+            if self.samples is None:
+                raise ValueError(f"how = {self.how!r} needs samples")
+            if bad := [
+                key for key, values in self.values.items() if len(values) != 2 or values[0] >= values[1]
+            ]:
+                raise ValueError(f"{bad[0]} needs its two limits, the lower one first")
+            if self.how == "sobol" and self.samples & (self.samples - 1):
+                near = 2 ** round(math.log2(self.samples))
+                raise ValueError(f"samples must be a power of two for sobol; {near} is near")
+        elif self.samples is not None:
+            raise ValueError(f"samples are those of random and sobol, not of {self.how}")
+        elif self.how == "zip" and len(set(lengths.values())) != 1:
+            told = ", ".join(f"{key} {length}" for key, length in lengths.items())
+            raise ValueError(f"zip wants as many values of each key: {told}")
+        return self
+
+    def count(self) -> int:
+        """How many runs there are."""
+        if self.samples is not None:
+            return self.samples
+        lengths = [len(values) for values in self.values.values()]
+        return lengths[0] if self.how == "zip" else math.prod(lengths)
+
+    def points(self) -> Iterator[dict[str, float]]:
+        """Values of every run by key, one after the other; only a few are in the memory at a time."""
+        keys, lists = list(self.values), list(self.values.values())
+        if self.how in ("random", "sobol"):
+            for place in self._places(len(keys)):
+                ends = zip(keys, lists, place, strict=True)
+                yield {key: low + (high - low) * at for key, (low, high), at in ends}
+            return
+        for found in itertools.product(*lists) if self.how == "product" else zip(*lists, strict=True):
+            yield dict(zip(keys, found, strict=True))
+
+    def _places(self, size: int) -> Iterator[list[float]]:
+        """Samples in the unit cube."""
+        import numpy as np
+        from scipy.stats import qmc
+
+        assert self.samples is not None
+        generator = np.random.default_rng(self.seed)
+        sampler = qmc.Sobol(size, rng=generator) if self.how == "sobol" else None
+        for first in range(0, self.samples, TOGETHER):
+            count = min(TOGETHER, self.samples - first)
+            yield from (sampler.random(count) if sampler else generator.random((count, size))).tolist()

@@ -1,0 +1,119 @@
+"""Models and laws whose C code is tested: of every law, and of what makes each of them different."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StateSpaceDynamics, StaticDynamics
+from hammerstein.export.code import CCode
+from hammerstein.export.request import Request
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.instruments import Drive, Instruments
+from hammerstein.model import HammersteinModel
+from hammerstein.voltages import Voltages
+
+T = 50e-6
+
+
+def duo_bimorph():
+    return HammersteinModel.load("duo_bimorph")
+
+
+def stage(working_point_v=0.0, smallest_v=0.4):
+    """One axis from 0 to 120 V, with creep and an input delay of two samples."""
+    pair = Pair([smallest_v, 8.0, 20.0, 45.0], [0.4, 0.2, 0.15, 0.1])
+    creep = (CreepMode(gain=0.05, time_constant_s=0.3),)
+    axis = AxesDynamics(
+        axes=(Axis(resonance_hz=180.0, damping_ratio=0.05, creep=creep),), input_delay_s=2 * T
+    )
+    return HammersteinModel(
+        "one stage",
+        PrandtlIshlinskii([[pair]]),
+        axis,
+        60.0,
+        ("u",),
+        ("x",),
+        instruments=Instruments(drive=Drive(range_v=(0.0, 120.0))),
+        voltages=Voltages.of([working_point_v], [0.0], [120.0]),
+    )
+
+
+def three_inputs():
+    """Three inputs, two outputs, every pair with thresholds of its own; one pair is absent."""
+    rng = np.random.default_rng(5)
+    grids = [np.array([0.0, 1.0, 3.0]), np.array([0.2, 0.9, 2.0, 6.0]), np.array([0.0, 5.0])]
+    rows = [
+        [Pair(grid, sign * rng.uniform(0.5, 1.5, len(grid))) for grid, sign in zip(grids, signs, strict=True)]
+        for signs in ((1.0, 0.05, 0.4), (0.05, 1.0, 0.4))
+    ]
+    rows[0][1] = Pair.absent()
+    a = [[0.5, 0.1, 0.0], [0.0, 0.4, 0.0], [0.0, 0.1, 0.3]]
+    dynamics = StateSpaceDynamics(
+        A=a, B=[[0.4, 0.0], [0.0, 0.6], [0.1, 0.0]], C=[[1.0, 0.0, 0.1], [0.0, 1.0, 0.0]],
+        D=[[0.0, 0.0], [0.0, 0.0]], sample_time_s=T,
+    )  # fmt: skip
+    return HammersteinModel(
+        "three in, two out", PrandtlIshlinskii(rows), dynamics, 10.0, tuple("abc"), tuple("xy")
+    )
+
+
+def static(model):
+    return replace(model, dynamics=StaticDynamics(n_outputs=model.hysteresis.n_outputs))
+
+
+@dataclass(frozen=True)
+class Export:
+    """A case by its name: model, law, and fields of the request."""
+
+    name: str
+    model: HammersteinModel
+    law: str
+    given: dict = field(default_factory=dict)
+
+    def request(self, **more):
+        return Request(source="model.json", law=self.law, sample_time_s=T, **self.given | more)
+
+    def code(self, **more):
+        request = self.request(**more)
+        return CCode(request, self.model, request.block(self.model))
+
+
+def _cases():
+    two, one = duo_bimorph(), stage()
+    for law in (
+        "none",
+        "inverse_multiplicative",
+        "decoupled_inverse",
+        "exact_inverse",
+        "hammerstein_inverse",
+        "model",
+    ):
+        yield Export(law, two, law)
+    yield Export("filtered", two, "hammerstein_inverse", {"options": {"filter_hz": 900.0}})
+    yield Export("late", two, "hammerstein_inverse", {"options": {"preview_s": 0.0, "filter_hz": 2000.0}})
+    yield Export("softened", two, "exact_inverse", {"options": {"softening_v": 0.5}})
+    several = {"iterations": 3, "filter_s": 2e-4}
+    yield Export("passes", two, "inverse_multiplicative", {"options": several, "range_v": (-8.0, 9.0)})
+    begun = {"start_v": (30.0,), "conditioned": True}
+    for law in (
+        "none",
+        "inverse_multiplicative",
+        "decoupled_inverse",
+        "exact_inverse",
+        "hammerstein_inverse",
+    ):
+        yield Export(f"started {law}", one, law, begun)
+    yield Export("delayed model", one, "model")
+    yield Export("away from rest", stage(working_point_v=40.0), "exact_inverse", {"start_v": (40.0,)})
+    yield Export("model away from rest", stage(working_point_v=40.0), "model")
+    for law in ("exact_inverse", "none", "model", "hammerstein_inverse"):
+        yield Export(f"three inputs {law}", three_inputs(), law)
+    yield Export("static", static(two), "hammerstein_inverse")
+
+
+CASES = tuple(_cases())
+NAMES = [case.name for case in CASES]
+
+
+def case(name):
+    return CASES[NAMES.index(name)]

@@ -1,0 +1,311 @@
+"""Exported C gives the numbers of Python's own step, at a cost that is proved."""
+
+import json
+import re
+import shutil
+import subprocess
+from functools import cache
+
+import numpy as np
+import pytest
+from export_cases import CASES, NAMES, case
+from hypothesis import HealthCheck, given, settings, strategies as st, target
+
+from hammerstein.commands.cli import main
+from hammerstein.errors import InputError, InternalError, SimulationError, ToleranceError
+from hammerstein.export.compiling import FLAGS, compiler
+from hammerstein.export.folder import REQUEST_FILE, check_export, files_of, write_export
+from hammerstein.export.golden import adverse
+from hammerstein.export.operations import Code
+
+MILLION = 1_000_000
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
+
+
+@cache
+def compiled(name):
+    """A case and its code, compiled once."""
+    code = case(name).code()
+    return code, code.library()
+
+
+def _same_bits(a, b):
+    return a.shape == b.shape and (a.view(np.int64) == b.view(np.int64)).all()
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", NAMES)
+def test_every_bit_is_that_of_python(name):
+    code, library = compiled(name)
+    signal = adverse(code.block, code.model, 40_000)
+    assert _same_bits(library.respond(signal)[0], code.block.respond(signal)[0])
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("name", "samples"), [("exact_inverse", MILLION), ("hammerstein_inverse", 100_000), ("model", 100_000)]
+)
+def test_every_optimisation_of_every_compiler_gives_the_same_bits(name, samples):
+    found = [command for command in ("gcc", "clang") if shutil.which(command)]
+    if not found:
+        pytest.skip("neither gcc nor clang is here")
+    code = case(name).code()
+    signal = adverse(code.block, code.model, samples)
+    wanted = code.block.respond(signal)[0]
+    for command in found:
+        for level in ("-O0", "-O1", "-O2", "-O3"):
+            flags = ("-std=c99", level, "-ffp-contract=off")
+            with code.library(command=command, flags=flags) as library:
+                assert _same_bits(library.respond(signal)[0], wanted), (command, level)
+
+
+@needs_compiler
+def test_the_comparison_notices_another_number():
+    """Code for another range."""
+    code, _ = compiled("exact_inverse")
+    signal = adverse(code.block, code.model, 4000)
+    wanted = code.block.respond(signal)[0]
+    other = case("exact_inverse").code(range_v=(-9.0, 10.0))
+    with other.library() as library:
+        assert not _same_bits(library.respond(signal)[0], wanted)
+
+
+@needs_compiler
+def test_a_run_in_pieces_is_a_run():
+    """The structure holds all memory: steps from where it stands give the numbers of one go."""
+    code, library = compiled("filtered")
+    signal = adverse(code.block, code.model, 4000)
+    law = library.rest()
+    parts = [library.respond(part, law)[0] for part in np.array_split(signal, 7, axis=1)]
+    assert _same_bits(np.hstack(parts), library.respond(signal)[0])
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", [export.name for export in CASES if export.law != "model"])
+def test_the_voltages_stay_in_the_range(name):
+    code, library = compiled(name)
+    limits = code.block.range
+    wild = 1e3 * adverse(code.block, code.model, 4000)
+    drive = library.respond(wild)[0]
+    assert (drive >= limits.low_v[:, None]).all()
+    assert (drive <= limits.high_v[:, None]).all()
+
+
+@needs_compiler
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 2e9])
+def test_a_number_that_is_none_changes_nothing(bad):
+    code, library = compiled("exact_inverse")
+    signal = adverse(code.block, code.model, 300)
+    spoilt = np.insert(signal, 150, [bad, 1.0], axis=1)
+    plain, with_bad = library.respond(signal)[0], library.respond(spoilt)[0]
+    assert _same_bits(np.delete(with_bad, 150, axis=1), plain)
+    assert (with_bad[:, 150] == with_bad[:, 149]).all()
+
+
+# ---- what a step costs ----
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "name", ["exact_inverse", "inverse_multiplicative", "three inputs exact_inverse", "model"]
+)
+def test_no_signal_costs_more_than_the_bound(name, record_property):
+    """Adverse signals, looked for by their cost."""
+    code = case(name).code()
+    scale = np.abs(adverse(code.block, code.model, 2000)).max(axis=1)
+    worst = [0]
+    with code.library(counting=True) as library:
+
+        @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+        @given(st.lists(st.tuples(*[st.integers(-50, 50)] * len(scale)), min_size=1, max_size=60))
+        def search(levels):
+            signal = scale[:, None] * np.array(levels, dtype=float).T / 40.0
+            operations = library.respond(signal)[1]
+            target(float(operations))
+            worst[0] = max(worst[0], operations)
+            assert operations <= code.cost.operations
+
+        search()
+    record_property("worst step", worst[0])
+    assert worst[0] > 0
+
+
+@needs_compiler
+def test_counting_changes_no_number():
+    code, plain = compiled("exact_inverse")
+    signal = adverse(code.block, code.model, 4000)
+    with code.library(counting=True) as counting:
+        drive, operations = counting.respond(signal)
+        assert _same_bits(drive, plain.respond(signal)[0])
+    assert 100 < operations <= code.cost.operations
+
+
+def test_operations_are_counted_as_they_are_written():
+    """A step of three turns of two operations, and a branch of which the dearer one counts."""
+    header = "typedef struct { double a; int32_t n; } law;"
+    step = """
+    void law_step(law *l, double x)
+    {
+      for (int32_t i = 0; i < 3; i++) { l->a = l->a + x; }
+      if (x > 0.0) { l->a = x; } else { l->a = x * x; }
+    }"""
+    # declaration 1, comparison 4, counter 3 x 2, body 3 x 2, comparison 1, dearer branch 2
+    cost = Code("law", header, step).cost()
+    assert (cost.operations, cost.state_bytes) == (1 + 4 + 6 + 6 + 1 + 2, 16)
+
+
+@pytest.mark.parametrize(
+    ("body", "word"),
+    [
+        ("while (x > 0.0) { x = x - 1.0; }", "While"),
+        ("law_step(l, x);", "calls itself"),
+        ("x = sin(x);", "sin is not in the file"),
+        ("for (int32_t i = 0; i < l->n; i++) { x = 1.0; }", "end is no constant"),
+        ("for (int32_t i = 0; i < 3; i++) { i = 0; }", "no bound"),
+    ],
+)
+def test_code_without_a_bound_is_refused(body, word):
+    header = "typedef struct { double a; int32_t n; } law;"
+    with pytest.raises(InternalError, match=word):
+        Code("law", header, f"void law_step(law *l, double x) {{ {body} }}").cost()
+
+
+@needs_compiler
+def test_the_bytes_are_those_of_the_compiler(tmp_path):
+    """Numbers of every size are aligned as the compiler does it."""
+    for name in ("exact_inverse", "filtered", "three inputs model"):
+        code = case(name).code()
+        (tmp_path / "law.c").write_text(
+            code.in_one_file()
+            + f'#include <stdio.h>\nint main(void) {{ printf("%zu", sizeof({code.name})); return 0; }}\n'
+        )
+        subprocess.run([compiler(), "law.c", "-o", "law"], cwd=tmp_path, check=True)
+        said = subprocess.run([tmp_path / "law"], capture_output=True, text=True, check=True).stdout
+        assert int(said) == code.cost.state_bytes
+
+
+# ---- the folder ----
+
+
+@pytest.fixture
+def folder(tmp_path):
+    export = case("exact_inverse")
+    write_export(export.request(), export.model, tmp_path / "out")
+    return tmp_path / "out"
+
+
+@needs_compiler
+def test_the_folder_tests_itself(folder):
+    done = subprocess.run(["make", "check"], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "warning" not in done.stderr
+    golden = (folder / "golden.csv").read_text()
+    last = golden.rstrip().rpartition(",")
+    (folder / "golden.csv").write_text(f"{last[0]},{float(last[2]) + 1e-12!r}\n")
+    assert subprocess.run(["make", "check"], cwd=folder, capture_output=True, check=False).returncode != 0
+
+
+def test_the_makefile_has_five_lines_and_the_readme_one_screen(folder):
+    assert len((folder / "Makefile").read_text().splitlines()) == 5
+    assert len((folder / "README.md").read_text().splitlines()) < 50
+
+
+def test_no_allocation_and_no_mathematical_library(folder):
+    source = (folder / "duo_bimorph_exact_inverse.c").read_text()
+    assert set(re.findall(r"#include (\S+)", source)) == {'"duo_bimorph_exact_inverse.h"'}
+    assert set(re.findall(r"#include (\S+)", (folder / "duo_bimorph_exact_inverse.h").read_text())) == {
+        "<stdint.h>"
+    }
+    assert not re.search(r"malloc|calloc|free\(|goto|while", re.sub(r"/\*.*?\*/", "", source, flags=re.S))
+
+
+def test_an_export_is_made_again_and_compared(folder):
+    assert len(check_export(folder)) == 8
+    source = folder / "duo_bimorph_exact_inverse.c"
+    source.write_text(source.read_text().replace("threshold[2][15]", "threshold[2][16]"))
+    with pytest.raises(ToleranceError, match=r"duo_bimorph_exact_inverse.c from line \d+ on"):
+        check_export(folder)
+    source.unlink()
+    with pytest.raises(ToleranceError, match="is missing"):
+        check_export(folder)
+
+
+def test_an_export_of_a_changed_model_differs(folder):
+    model = json.loads((folder / "model.json").read_text())
+    model["hysteresis"]["pairs"][0][0]["weights_um_per_v"][0] *= 1.0 + 1e-9
+    (folder / "model.json").write_text(json.dumps(model))
+    with pytest.raises(ToleranceError, match=r"golden\.csv"):
+        check_export(folder)
+
+
+@needs_compiler
+def test_single_precision_says_what_it_loses(tmp_path):
+    export = case("exact_inverse")
+    write_export(export.request(float32=True), export.model, tmp_path)
+    source = (tmp_path / "duo_bimorph_exact_inverse.c").read_text()
+    code = re.sub(r"/\*.*?\*/", "", source, flags=re.S)
+    constants = list(re.finditer(r"\d+\.\d*(?:e[-+]?\d+)?|\d+e[-+]?\d+", code))
+    assert constants
+    assert all(code[found.end()] == "f" for found in constants)  # none in double precision is left
+    measured = json.loads((tmp_path / REQUEST_FILE).read_text())["measured"]
+    assert 1e-8 < measured["loss_rms"] <= measured["loss_max"] < 1e-3
+    assert f"{measured['loss_max']:.2g} V at most" in " ".join(source.split())
+    done = subprocess.run(["make", "check"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_single_precision_without_a_compiler_is_refused(monkeypatch):
+    monkeypatch.setattr("hammerstein.export.folder.compiler", lambda: None)
+    with pytest.raises(InputError, match="needs a C compiler"):
+        files_of(case("none").code(float32=True))
+    said = files_of(case("none").code())["duo_bimorph_none.c"]
+    assert "no C compiler was there" in said
+
+
+def test_what_cannot_be_exported_is_refused():
+    export = case("exact_inverse")
+    for law, word in (("feedback", "readings"), ("nonesuch", "nonesuch")):
+        with pytest.raises(InputError, match=word):
+            export.request().model_copy(update={"law": law}).block(export.model)
+    with pytest.raises(InputError, match="takes no options"):
+        export.request(options={"softening_v": 1.0}).model_copy(update={"law": "model"}).block(export.model)
+    request = export.request(options={"gain": "identity"}).model_copy(
+        update={"law": "inverse_multiplicative"}
+    )
+    with pytest.raises(SimulationError, match="does not converge"):
+        request.block(export.model)
+
+
+def test_a_kind_of_hysteresis_without_code_is_refused_by_name():
+    from hammerstein.export import c_block_of
+
+    class Bouc:
+        kind = "bouc_wen"
+
+    with pytest.raises(InputError, match="bouc_wen"):
+        c_block_of(Bouc(), None)
+
+
+def _call(*arguments):
+    with pytest.raises(SystemExit) as caught:
+        main(list(arguments))
+    return caught.value.code or 0
+
+
+def test_the_command(tmp_path, capsys):
+    out = str(tmp_path / "out")
+    law = ("--law", "hammerstein_inverse", "--preview", "0", "--range=-9,9", "--sample-time", "1e-4")
+    assert _call("export", "duo_bimorph", *law, "--out", out) == 0
+    assert "1e-04 s" in capsys.readouterr().out.replace("0.0001 s", "1e-04 s")
+    assert _call("export", "--check", out) == 0
+    (tmp_path / "out" / "README.md").write_text("other\n")
+    assert _call("export", "--check", out) == 1
+    assert "README.md" in capsys.readouterr().err
+    for wrong in (["export"], ["export", "duo_bimorph"], ["export", "--check", str(tmp_path / "nowhere")]):
+        assert _call(*wrong) == 2
+    assert _call("export", "duo_bimorph", "--format", "rust", "--out", out) == 2
+
+
+def test_flags_say_no_fused_multiply_adds():
+    assert "-ffp-contract=off" in FLAGS

@@ -1,0 +1,191 @@
+"""Many values of any numeric key: lists, zips, samples; rows as they come."""
+
+import itertools
+import tracemalloc
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import qmc
+
+from hammerstein.commands.cli import main
+from hammerstein.errors import InputError
+from hammerstein.experiment import study
+from hammerstein.experiment.run import run, simulate
+from hammerstein.scenario import Scenario
+from hammerstein.scenario.study import Study
+
+SCENARIO = {
+    "question": "?",
+    "actuator": "duo_bimorph",
+    "reference": {"kind": "sine", "amplitude_um": 10.0, "frequency_hz": 200.0, "axis": 1},
+    "compensators": [
+        {"label": "paper", "law": "inverse_multiplicative", "model": "duo_bimorph", "iterations": 2}
+    ],
+}
+NOISE, SIZE, PASSES = "instruments.sensor.noise_um", "reference.amplitude_um", "compensators[1].iterations"
+
+
+def found(values, **more):
+    scenario = Scenario.model_validate(SCENARIO | {"study": {"values": values} | more})
+    return list(study.sampled(scenario, "s"))
+
+
+def test_every_combination_or_one_after_the_other():
+    values = {SIZE: [5.0, 10.0], NOISE: [0.0, 0.1, 0.2]}
+    told = [tuple(one.point.values()) for one in found(values)]
+    assert told == list(itertools.product(*values.values()))
+    zipped = [tuple(one.point.values()) for one in found({SIZE: [5.0, 10.0], NOISE: [0.0, 0.1]}, how="zip")]
+    assert zipped == [(5.0, 0.0), (10.0, 0.1)]
+
+
+def test_a_run_of_a_study_is_the_run_with_that_value():
+    (one,) = found({SIZE: [7.0], NOISE: [0.25], PASSES: [3]})
+    scenario = SCENARIO | {
+        "reference": SCENARIO["reference"] | {"amplitude_um": 7.0},
+        "instruments": {"sensor": {"noise_um": 0.25}},
+        "compensators": [SCENARIO["compensators"][0] | {"iterations": 3}],
+    }
+    assert one.rows == run(scenario).rows
+
+
+def test_samples_fill_the_box_and_do_not_depend_on_how_many_are_taken():
+    values = {SIZE: (5.0, 10.0), NOISE: (0.0, 0.4)}
+    for how in ("random", "sobol"):
+        few, many = (Study(how=how, samples=n, values=values) for n in (16, 4096))
+        points = np.array([list(point.values()) for point in many.points()])
+        np.testing.assert_array_equal(points[:16], [list(point.values()) for point in few.points()])
+        assert len(points) == many.count() == 4096
+        inside = (points - [5.0, 0.0]) / [5.0, 0.4]
+        assert inside.min() >= 0.0
+        assert inside.max() <= 1.0
+        gap = qmc.discrepancy(inside)
+        assert gap < (1e-6 if how == "sobol" else 1e-3)
+
+
+def test_whole_numbers_stay_whole():
+    samples = found({PASSES: [1.0, 5.0]}, how="random", samples=6)
+    numbers = [one.point[PASSES] for one in samples]
+    assert all(isinstance(number, int) for number in numbers)
+    assert all(1 <= number <= 5 for number in numbers)
+    assert all(one.rows for one in samples)
+
+
+def test_what_cannot_be_run_is_told_and_the_others_go_on():
+    one, far, last = found({SIZE: [5.0, 500.0, 6.0]})
+    assert one.rows
+    assert last.rows
+    assert not far.rows
+    assert "reaches" in far.error
+
+
+@pytest.mark.parametrize(
+    "key", ["reference.kind", "nothing", "compensators[2].gain", "reference.radus_um", "a[", ""]
+)
+def test_a_key_that_is_no_number_is_refused(key):
+    with pytest.raises(InputError, match=r"study\.values"):
+        found({key: [1.0]})
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"how": "sobol", "values": {SIZE: (1.0, 2.0)}}, "needs samples"),
+        ({"how": "sobol", "samples": 100, "values": {SIZE: (1.0, 2.0)}}, "128 is near"),
+        ({"how": "random", "samples": 9, "values": {SIZE: (2.0, 1.0)}}, "two limits"),
+        ({"how": "zip", "values": {SIZE: (1.0, 2.0), NOISE: (1.0,)}}, "as many values"),
+        ({"samples": 9, "values": {SIZE: (1.0,)}}, "samples are those of"),
+    ],
+)
+def test_a_study_that_makes_no_sense_says_why(table, said):
+    with pytest.raises(ValueError, match=said):
+        Study.model_validate(table)
+
+
+def test_points_are_made_as_they_are_wanted():
+    many = Study(how="sobol", samples=2**20, values={SIZE: (5.0, 10.0), NOISE: (0.0, 0.4)})
+    points = many.points()
+    next(points)
+    tracemalloc.start()
+    try:
+        for _ in range(20_000):
+            next(points)
+        assert tracemalloc.get_traced_memory()[1] < 2e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_zip_of_the_signals_own_keys():
+    scenario = SCENARIO | {
+        "sweep": {"combine": "zip", "frequency_hz": [100.0, 200.0], "amplitude_um": [5.0, 10.0]}
+    }
+    cases = {(row.frequency_hz, row.amplitude_um) for row in run(scenario).rows}
+    assert cases == {(100.0, 5.0), (200.0, 10.0)}
+    assert abs(simulate(scenario, frequency_hz=200.0).reference_um).max() == pytest.approx(10.0)
+    scenario["sweep"] = scenario["sweep"] | {"amplitude_um": [5.0]}
+    with pytest.raises(InputError, match="as many values of each key: frequency_hz 2, amplitude_um 1"):
+        run(scenario)
+
+
+TEXT = """
+question = "?"
+actuator = "duo_bimorph"
+[reference]
+kind = "sine"
+amplitude_um = 10
+frequency_hz = 200
+axis = 1
+[[compensators]]
+label = "none"
+law = "none"
+model = "duo_bimorph"
+[study]
+how = "sobol"
+samples = 8
+values = { "reference.amplitude_um" = [5, 200], "instruments.sensor.noise_um" = [0, 0.1] }
+"""
+
+
+def called(*arguments):
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    return end.value.code or 0
+
+
+def test_the_table_is_the_same_as_csv_and_parquet_and_after_an_interruption(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("pyarrow")
+    monkeypatch.setenv("HAMMERSTEIN_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("HAMMERSTEIN_CACHE_MB", "100")
+    (tmp_path / "s.toml").write_text(TEXT)
+    files = [tmp_path / "1.csv", tmp_path / "2.parquet", tmp_path / "3.csv"]
+    count, real = [], study.run
+
+    def counted(*arguments):
+        count.append(arguments)
+        if len(count) == 6:
+            raise ZeroDivisionError
+        return real(*arguments)
+
+    monkeypatch.setattr(study, "run", counted)
+    assert called("sweep", tmp_path / "s.toml", "--out", files[0]) == 70
+    assert not files[0].exists()
+    assert called("sweep", tmp_path / "s.toml", "--out", files[0]) == 0
+    refused = capsys.readouterr().err
+    table = pd.read_csv(files[0])
+    failed = table.error.notna().sum()
+    assert f"{failed} of 8 runs were not possible" in refused
+    assert len(count) <= 8 + 1 + failed
+    assert called("sweep", tmp_path / "s.toml", "--out", files[1]) == 0
+    assert called("sweep", tmp_path / "s.toml", "--out", files[2], "--jobs", "2", "--fresh") == 0
+    assert files[0].read_bytes() == files[2].read_bytes()
+    other = pd.read_parquet(files[1])
+    assert list(other) == list(table)
+    assert other.rms_um.equals(table.rms_um)
+    assert sorted(table["sample"].unique()) == list(range(1, 9))
+
+
+def test_a_dry_run_says_how_much_it_is(tmp_path, capsys):
+    (tmp_path / "s.toml").write_text(TEXT.replace("= 8", "= 65536"))
+    assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--dry-run") == 0
+    assert "65536 runs of sobol values" in capsys.readouterr().err
+    assert not (tmp_path / "o.csv").exists()
