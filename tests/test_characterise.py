@@ -8,6 +8,7 @@ from hammerstein.actuators.build import with_thresholds
 from hammerstein.dynamics import discretise
 from hammerstein.errors import IdentificationError
 from hammerstein.experiment.simulated_identification import identify_by_experiment
+from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec
@@ -102,3 +103,40 @@ def test_a_delay_is_not_taken_for_hysteresis_between_coarse_thresholds():
     assert model.dynamics.input_delay_s == 0.0
     for found, true in zip(model.dynamics.axes, plant.model.dynamics.axes, strict=True):
         assert found.resonance_hz == pytest.approx(true.resonance_hz, rel=3e-3)
+
+
+def test_the_loop_is_taken_when_it_has_settled(monkeypatch):
+    """The resonance of 280 Hz and damping 0.12 rings by exp(-211 t); the experiment waits 50 ms at least."""
+    plant, taken = _plant("duo_bimorph", instruments=Instruments.ideal()), []
+
+    def kept(u_v, y_um, operators):
+        taken.append(y_um)
+        return closed_form(u_v, y_um, operators)
+
+    monkeypatch.setattr("hammerstein.experiment.simulated_identification.closed_form", kept)
+    monkeypatch.setenv("HAMMERSTEIN_CACHE", "")
+    identify_by_experiment(plant, ClosedFormSpec(frequency_hz=200, settle_cycles=1, measured_cycles=1), 1)
+    voltage = np.zeros((2, 6000))
+    voltage[0] = 10.0 * np.sin(2.0 * np.pi * 200.0 * T * np.arange(6000))
+    last_cycle = plant.respond(voltage, 1).position_um[:, -100:]
+    np.testing.assert_allclose(taken[0], last_cycle, atol=1e-3 * np.ptp(last_cycle[0]))
+
+
+def test_every_input_is_driven_with_the_full_amplitude(monkeypatch):
+    """Sines of 10 V, then a multisine whose peaks come near them."""
+    seen = []
+
+    def kept(records, *_, **__):
+        seen.extend(records)
+        raise IdentificationError("enough")
+
+    monkeypatch.setattr("hammerstein.identification.identify.identify", kept)
+    monkeypatch.setenv("HAMMERSTEIN_CACHE", "")
+    with pytest.raises(IdentificationError, match="enough"):
+        identify_by_experiment(_plant("duo_bimorph", instruments=Instruments.ideal()), JOINT, 1)
+    assert len(seen) == 2
+    for k, record in enumerate(seen):
+        sine, noise = np.split(record.u_v[k][20:], 2)
+        assert np.abs(sine).max() == pytest.approx(10.0, rel=1e-3)
+        assert 6.0 < np.abs(noise).max() <= 10.0
+        assert not record.u_v[1 - k].any()

@@ -99,6 +99,15 @@ def test_a_factor_that_is_not_enough_and_none_at_all():
     assert verdicts([claim.model_copy(update={"calibrated": True})], rows, _changed())[0].changes == ()
 
 
+def test_the_first_actuator_answers():
+    claim = _claim({"at_most": 4.0}, paper=4.0)
+    (verdict,) = verdicts([claim], {"own": ROWS, "other": (_row(2.0, 200),)})
+    assert [answer.agrees for answer in verdict.answers] == [False, True]
+    assert not verdict.agrees
+    assert verdict.ratio == 2.0
+    assert verdict.as_dict()["verdict"] == "not met"
+
+
 def test_cut_voltages_are_told_beside_the_claim():
     row = Row("a", "x", "x", 200.0, figures={"rms_um": 1.0, "saturated_samples": 12})
     (verdict,) = verdicts([_claim({"at_most": 2.0})], {"plant": (row,)})

@@ -121,8 +121,10 @@ def test_refuses_another_sample_time_and_a_broken_delay():
     block = discretise(_axes(), T)
     with pytest.raises(InputError, match="sample time"):
         block.respond(np.zeros((2, 5)), sample_time_s=1e-3)
-    with pytest.raises(InputError, match="whole number"):
-        discretise(_axes().model_copy(update={"input_delay_s": 1.5 * T}), T)
+    for samples in (1.5, 2.001):
+        with pytest.raises(InputError, match="whole number"):
+            discretise(_axes().model_copy(update={"input_delay_s": samples * T}), T)
+    discretise(_axes().model_copy(update={"input_delay_s": (2.0 + 1e-9) * T}), T)  # rounding of 2 T
     discrete = StateSpaceDynamics(A=((0.5,),), B=((1.0,),), C=((1.0,),), D=((0.0,),), sample_time_s=1e-3)
     with pytest.raises(InputError, match="identified at"):
         discretise(discrete, T)

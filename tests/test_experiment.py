@@ -8,9 +8,12 @@ import theory as table
 import theory_linear as theory
 
 from hammerstein.errors import InputError, SimulationError
+from hammerstein.experiment.measure import _sensor_lag
+from hammerstein.experiment.prepare import prepare
 from hammerstein.experiment.run import run, simulate, simulate_in_stretches
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.instruments import Instruments
+from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.scenario.scenario import Measure
@@ -215,6 +218,16 @@ def test_the_lag_of_the_sensor_is_told_from_the_error_of_the_actuator():
     assert float(text.split("its reading on x is ")[1].split()[0]) == pytest.approx(lag, rel=0.05)
     prompt = {**content, "instruments": {"sensor": {"bandwidth_hz": float("inf")}}}
     assert not [t for t in run(Scenario.model_validate(prompt)).statements if "lags" in t]
+
+
+@pytest.mark.parametrize(("reading", "told"), [(1.9, False), (2.1, True), (15.0, True)])
+def test_a_sensor_lags_where_the_reading_is_off_twice_as_far_as_the_position(reading, told):
+    content = {
+        "reference": {"kind": "sine", "amplitude_um": 20.0, "frequency_hz": 100.0, "axis": 1},
+        "compensators": [{"label": "inverse", "law": "exact_inverse", "model": "duo_bimorph"}],
+    }
+    row = Row("inverse", "x", "x", 100.0, figures={"rms_um": reading, "rms_true_um": 1.0})
+    assert bool(_sensor_lag(prepare(_scenario(actuator="duo_bimorph", **content)), [row])) == told
 
 
 LONG = {"measure": {"settle_cycles": 3, "measured_cycles": 4}}

@@ -111,6 +111,34 @@ def test_integral_gain_of_a_lone_resonance_is_twice_damping_times_frequency_over
     assert gains.derivative_s[0] == 0.0
 
 
+def test_the_greatest_slope_of_the_hysteresis_limits_the_gains():
+    """Its slopes are 4 to 7 um/V: the loop is fastest, and its sensitivity largest, at 7."""
+    model = _model(resonances=(280.0,))
+    gains = FeedbackController(model, 10.0, T, 2000.0).gains
+    kp, ki = gains.proportional[0], gains.integral_per_s[0]
+    r, w_um_per_v = np.array([0.05, 0.4, 2.0, 5.0]), np.array([4.0, 0.5, 1.0, 1.5])
+    gain = w_um_per_v @ (10.0 - r) / 10.0
+    w, lag = 2.0 * np.pi * 280.0, 2.0 * np.pi * 2000.0
+    s, z = control.tf("s"), control.tf([1, 0], [1], T)
+    plant = control.c2d(w**2 / (s**2 + 0.24 * w * s + w**2) * lag / (s + lag), T, "zoh")
+    on_circle = np.exp(2j * np.pi * np.geomspace(0.1, 9999.0, 4000) * T)
+    peaks = []
+    for slope in np.cumsum(w_um_per_v):
+        loop = (ki * T * z / (z - 1) + kp) * plant / z * slope / gain
+        sensitivity = control.feedback(1, control.minreal(loop, verbose=False))
+        assert np.abs(sensitivity.poles()).max() < 1.0
+        peaks.append(np.abs(sensitivity(on_circle)).max())
+    assert peaks[0] < peaks[-1]
+    assert 1.4 < peaks[-1] < 1.6 * 1.01
+
+
+def test_saturated_is_where_more_is_asked_than_the_drive_gives(law, model):
+    run = _run(law, model, _path(radius=62.0, frequency_hz=50.0), QUIET)
+    np.testing.assert_array_equal(run.saturated, np.abs(run.requested_v) > 10.0)
+    assert run.saturated.any()
+    assert np.abs(run.requested_v).max() < 20.0
+
+
 @pytest.mark.parametrize("derivative", [False, True])
 def test_computed_gains_keep_the_sensitivity(derivative):
     """Sensitivity and poles of the closed loop, from python-control alone."""

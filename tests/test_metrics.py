@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -97,3 +99,64 @@ def test_a_claim_on_a_metric_that_is_not_there_names_the_nearest():
     drive = {"kind": "sine", "amplitude_v": 1.0, "frequency_hz": 50.0}
     with pytest.raises(hammerstein.InputError, match="did you mean rms_um"):
         hammerstein.run({"question": "?", "drive": drive, "claims": [claim]})
+
+
+def test_the_radius_is_larger_outside_and_smaller_inside():
+    reference = 50 * np.stack([np.cos(2 * np.pi * f * t), np.sin(2 * np.pi * f * t)])
+    np.testing.assert_allclose(metrics.radial(reference, 1.02 * reference), 1.0, rtol=1e-9)
+    np.testing.assert_allclose(metrics.radial(reference, 0.98 * reference), -1.0, rtol=1e-9)
+
+
+def test_a_loop_is_opened_in_the_middle_of_its_input():
+    """Opening 4 cos(phi) (1 + 0.8 sin(phi)) at the input 10 sin(phi): it grows to one side."""
+    phase = 2 * np.pi * f * t
+    (figures,) = metrics.loop_figures(
+        u, 3 * np.sin(phase) + 2 * np.cos(phase) * (1 + 0.8 * np.sin(phase)), f, T, 2, 40
+    )
+    assert figures.width_um == pytest.approx(4.0, rel=2e-3)
+
+
+@pytest.mark.parametrize(("harmonics", "height"), [(40, 2.0 * 1.2), (8, 2.0)])
+def test_harmonics_up_to_the_sensors_bandwidth_are_kept(harmonics, height):
+    """At its peak the ninth harmonic adds to the first."""
+    phase = 2 * np.pi * f * t
+    (figures,) = metrics.loop_figures(u, np.sin(phase) + 0.2 * np.sin(9 * phase), f, T, 2, harmonics)
+    assert figures.height_um == pytest.approx(height, rel=2e-3)
+
+
+def test_every_figure_is_of_the_wire_it_names():
+    """A reading 3 and 4 um off on the two axes, a position 0.6 and 0.8 um off, both outwards at (30, 40)."""
+    reference = np.array([[30.0, 0.0], [40.0, 0.0]])
+    off = np.array([[1.0, 0.0], [1.0, 0.0]])
+    measured = metrics.Measured(
+        sample_time_s=T,
+        reading_um=reference + np.array([[3.0], [4.0]]) * off,
+        position_um=reference + np.array([[0.6], [0.8]]) * off,
+        saturated=np.array([[False, False], [True, False]]),
+        target_reading_um=reference,
+        target_position_um=reference,
+        reference_um=reference,
+        cycle_samples=1,
+    )
+    half = np.sqrt(0.5)  # one of two samples is off
+    expected = {
+        "rms_um": [3.0 * half, 4.0 * half],
+        "max_um": [3.0, 4.0],
+        "rms_true_um": [0.6 * half, 0.8 * half],
+        "max_true_um": [0.6, 0.8],
+        "euclidean_rms_um": [5.0 * half] * 2,
+        "euclidean_max_um": [5.0] * 2,
+        "euclidean_rms_true_um": [1.0 * half] * 2,
+        "euclidean_max_true_um": [1.0] * 2,
+        "radial_max_um": [5.0] * 2,
+        "radial_max_true_um": [1.0] * 2,
+        "epsilon_max_um": [np.sqrt(77.0**2 - 70.0**2)] * 2,
+        "drift_true_um": [-0.6, -0.8],
+        "saturated_samples": [1, 1],
+    }
+    for name, values in expected.items():
+        assert metrics.METRICS[name].values(measured) == pytest.approx(values), name
+    whole = metrics.METRICS["euclidean_max_unsaturated_um"]
+    assert whole.values(measured) == [None, None]  # 10 ms after a cut voltage nothing counts
+    calm = replace(measured, saturated=np.zeros((2, 2), dtype=bool))
+    assert whole.values(calm) == pytest.approx([1.0] * 2)

@@ -60,6 +60,21 @@ def test_reach_is_what_the_inverse_just_reaches():
         assert np.abs(law.drive_for(1.001 * np.outer(tip, wave))).max() == 10.0
 
 
+def test_all_corners_of_what_is_reached_together_are_reached():
+    """Both couplings are positive: it is the corner where the axes go opposite ways that asks for most."""
+    model = _table()
+    law = ExactInverseLaw(model, 10.0)
+    wave = np.sin(2.0 * np.pi * np.arange(1000) / 200)
+    size = reach(model, 10.0).together_um[:, 1]
+    drives = {
+        (scale, sign): np.abs(law.drive_for(scale * np.outer(size * [1.0, sign], wave))).max()
+        for scale in (0.999, 1.001)
+        for sign in (1.0, -1.0)
+    }
+    assert max(drives[0.999, sign] for sign in (1.0, -1.0)) < 10.0
+    assert max(drives[1.001, sign] for sign in (1.0, -1.0)) == 10.0
+
+
 def test_without_limit_the_reach_has_none():
     assert np.isinf(reach(_table(), np.inf).alone_um).all()
 

@@ -48,6 +48,7 @@ def test_multisine_has_its_lines_and_keeps_its_amplitude():
     lines = np.abs(np.fft.rfft(values, axis=1)) > 1.0
     assert np.nonzero(lines[0])[0].tolist() == list(range(1, 11))
     assert np.abs(values).max() <= 8.0
+    np.testing.assert_allclose(np.sqrt(np.mean(values**2, axis=1)), 8.0 / 3.0, rtol=1e-9)
     assert (values[0] != values[1]).any()
 
 

@@ -2,8 +2,11 @@ import numpy as np
 import pytest
 
 from hammerstein.errors import InputError
+from hammerstein.experiment.draws import Figures, drawn_metrics
 from hammerstein.experiment.run import run
+from hammerstein.experiment.uncertainty_bands import _bands
 from hammerstein.instruments import Instruments
+from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.uncertainty import Uncertainty
@@ -66,6 +69,16 @@ def test_nothing_uncertain_leaves_the_position_as_it_is():
     for band in report.bands:
         if band.metric == "rms_true_um":
             assert band.p5_um == band.p95_um == pytest.approx(nominal[band.measured_axis], rel=1e-12)
+        elif band.metric == "rms_um":
+            assert band.p5_um < band.p95_um  # each draw has another noise of the sensor
+
+
+def test_a_band_holds_nine_tenths_of_the_draws():
+    values = np.full((101, 1, len(drawn_metrics())), np.nan)
+    values[:, 0, drawn_metrics().index("rms_um")] = np.arange(101.0)
+    row = (Row("a", "x", "x", 50.0),)
+    (band,) = _bands(Figures(row, values))
+    assert (band.p5_um, band.median_um, band.p95_um) == (5.0, 50.0, 95.0)
 
 
 def test_bands_depend_neither_on_jobs_nor_on_the_run():

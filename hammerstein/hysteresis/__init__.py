@@ -4,11 +4,13 @@ To add a kind to the package, write it in a file of its own and name it here.
 """
 
 from hammerstein.hysteresis.bank import Bank, PlayState
+from hammerstein.hysteresis.covariance import ThresholdCovariance
 from hammerstein.hysteresis.kind import (
     HYSTERESIS,
     Hysteresis,
     HysteresisFile,
     Memory,
+    Normals,
     Sloped,
     slopes_of,
 )
@@ -21,10 +23,12 @@ __all__ = [
     "Hysteresis",
     "HysteresisFile",
     "Memory",
+    "Normals",
     "Pair",
     "PlayState",
     "PrandtlIshlinskii",
     "Sloped",
+    "ThresholdCovariance",
     "WeightCovariance",
     "play",
     "slopes_of",

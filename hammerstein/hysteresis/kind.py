@@ -32,6 +32,13 @@ class Memory(Protocol):
         ...
 
 
+class Normals(Protocol):
+    """Whatever gives standard normal numbers, one after the other."""
+
+    def standard_normal(self, size: Any = None) -> Any:
+        """One number, or an array."""
+
+
 S = TypeVar("S", bound=Memory)
 
 
@@ -169,6 +176,30 @@ class Hysteresis(ABC, Generic[S]):
     @abstractmethod
     def weight_covariance(self) -> tuple[WeightCovariance, ...] | None:
         """Covariance of the weights of each output, where it is known."""
+
+    @property
+    def weight_errors(self) -> tuple[Array, ...] | None:
+        """Standard errors of the weights of each output [um/V], where they are known."""
+        if self.weight_covariance is None:
+            return None
+        return tuple(np.linalg.norm(known.factor_um_per_v, axis=1) for known in self.weight_covariance)
+
+    @property
+    def n_shared_errors(self) -> int:
+        """How many normal numbers ``drawn`` takes before those of the weights: for what outputs share."""
+        return 0
+
+    def drawn(self, generator: Normals) -> Self:
+        """Give another block, as far from this one as the covariance of its weights tells.
+
+        Raises InputError where it is not known.
+        """
+        if self.weight_covariance is None:
+            raise InputError("hysteresis", "does not say how the errors of its weights hang together")
+        known = zip(self.weights, self.weight_covariance, strict=True)
+        return self.with_weights(
+            [own + c.factor_um_per_v @ generator.standard_normal(len(own)) for own, c in known]
+        )
 
     @abstractmethod
     def file(self) -> HysteresisFile:

@@ -13,9 +13,10 @@ from pydantic import Field
 
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.bank import Bank, PlayState
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
+from hammerstein.hysteresis.covariance import ThresholdCovariance, refuse_other_sizes
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, Normals, refuse_not_finite
 from hammerstein.hysteresis.pair import Array, Pair, WeightCovariance, frozen
-from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile
+from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, ThresholdCovarianceFile
 
 if TYPE_CHECKING:
     from hammerstein.interop.limit_cycles import HysteresisNonlinearity
@@ -34,6 +35,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
     ----------
     pairs : (output, input) nested sequence of ``Pair``
     weight_covariance : (output,) covariance of the weights, where it is known
+    threshold_covariance : that of the thresholds, where they were fitted
 
     Raises
     ------
@@ -51,6 +53,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
 
     pairs: tuple[tuple[Pair, ...], ...] = field()
     weight_covariance: tuple[WeightCovariance, ...] | None = None
+    threshold_covariance: ThresholdCovariance | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pairs", tuple(tuple(row) for row in self.pairs))
@@ -59,10 +62,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
             raise InputError("Prandtl-Ishlinskii model", "every output needs one pair for every input")
         if not any(len(pair.thresholds_v) for row in self.pairs for pair in row):
             raise InputError("Prandtl-Ishlinskii model", "all pairs are absent; give at least one operator")
-        if self.weight_covariance is not None:
-            weights = [sum(len(pair.thresholds_v) for pair in row) for row in self.pairs]
-            if [known.factor_um_per_v.shape for known in self.weight_covariance] != [(n, n) for n in weights]:
-                raise InputError("weight_covariance", f"must have one factor an output, of {weights} rows")
+        refuse_other_sizes(self.operators, self.weight_covariance, self.threshold_covariance)
 
     def describe(self) -> str:
         """Say in a few words what it is."""
@@ -202,6 +202,33 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
             rows.append(tuple(Pair(pair.thresholds_v, part) for pair, part in zip(row, parts, strict=True)))
         return PrandtlIshlinskii(tuple(rows))
 
+    @property
+    def weight_errors(self) -> tuple[Array, ...] | None:
+        """Standard errors of the weights of each output [um/V], beside fitted thresholds if there are any."""
+        alone, places = super().weight_errors, self.threshold_covariance
+        if alone is None or places is None:
+            return alone
+        moved = [np.linalg.norm(m @ places.factor_v, axis=1) for m in places.following_um_per_v2]
+        return tuple(np.hypot(own, follow) for own, follow in zip(alone, moved, strict=True))
+
+    @property
+    def n_shared_errors(self) -> int:
+        """Number of fitted thresholds, which are drawn first."""
+        return 0 if self.threshold_covariance is None else len(self.threshold_covariance.factor_v)
+
+    def drawn(self, generator: Normals) -> PrandtlIshlinskii:
+        """Give another block, as far from this one as the errors of thresholds and weights tell."""
+        places = self.threshold_covariance
+        if places is None:
+            return super().drawn(generator)
+        moved = places.factor_v @ generator.standard_normal(len(places.factor_v))
+        other, rows = super().drawn(generator), []
+        for row, follow, counts in zip(other.pairs, places.following_um_per_v2, self.operators, strict=True):
+            ends = np.cumsum(counts)[:-1]
+            parts = zip(row, np.split(moved, ends), np.split(follow @ moved, ends), strict=True)
+            rows.append(tuple(pair.moved(by_v, change) for pair, by_v, change in parts))
+        return PrandtlIshlinskii(tuple(rows))
+
     def file(self) -> PrandtlIshlinskiiFile:
         """Give its form in a model file."""
         return PrandtlIshlinskiiFile.of(self)
@@ -251,18 +278,24 @@ class PrandtlIshlinskiiFile(HysteresisFile):
     kind: Literal["prandtl_ishlinskii"] = "prandtl_ishlinskii"
     pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
     weight_covariance: tuple[CovarianceFile, ...] | None = None
+    threshold_covariance: ThresholdCovarianceFile | None = None
 
     def hysteresis(self) -> PrandtlIshlinskii:
         """Give the hysteresis this describes."""
         pairs = tuple(tuple(pair.pair() for pair in row) for row in self.pairs)
-        known = self.weight_covariance
-        return PrandtlIshlinskii(pairs, None if known is None else tuple(one.covariance() for one in known))
+        weights, thresholds = self.weight_covariance, self.threshold_covariance
+        return PrandtlIshlinskii(
+            pairs,
+            None if weights is None else tuple(one.covariance() for one in weights),
+            None if thresholds is None else thresholds.covariance(),
+        )
 
     @classmethod
     def of(cls, hysteresis: PrandtlIshlinskii) -> PrandtlIshlinskiiFile:
         """Describe a hysteresis."""
-        known = hysteresis.weight_covariance
+        weights, thresholds = hysteresis.weight_covariance, hysteresis.threshold_covariance
         return cls(
             pairs=tuple(tuple(PairFile.of(pair) for pair in row) for row in hysteresis.pairs),
-            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
+            weight_covariance=None if weights is None else tuple(map(CovarianceFile.of, weights)),
+            threshold_covariance=None if thresholds is None else ThresholdCovarianceFile.of(thresholds),
         )

@@ -54,6 +54,7 @@ from hammerstein.identification.static.static_block import (
     solve_static,
     static_moments,
 )
+from hammerstein.identification.static.threshold_errors import with_threshold_errors
 from hammerstein.identification.static.threshold_search import ThresholdTask
 from hammerstein.identification.verdict import FELT, axis_identified, creep_identified, invertibility_of
 from hammerstein.records.record import Record
@@ -127,12 +128,14 @@ class Task:
 class Blocks:
     """A static block under several methods, behind one and the same linear block.
 
-    ``chosen`` is by the method that was asked for; ``free`` and ``one_sign`` serve for comparison.
+    ``chosen`` is by the method that was asked for; ``free`` and ``one_sign`` serve for comparison; ``fitted``
+    says whether the thresholds were.
     """
 
     chosen: StaticFit
     free: StaticFit
     one_sign: StaticFit | None
+    fitted: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +199,7 @@ def _finished(task: Task, built: Built) -> Built:
     late = late_static(replace(task, thresholds_v=thresholds_v))
     if late.delay_samples != task.delay_samples:
         task, thresholds_v = late, _fitted(late, thresholds_v, dynamics)
-    blocks = static_blocks(task, thresholds_v, dynamics, task.settings.method)
+    blocks = _of_fitted(task, thresholds_v, dynamics)
     begun = built.best.blocks
     if not gained(begun.chosen, blocks.chosen) or _lost_inverse(task, begun, blocks):
         return replace(built, notes=(KEPT,) if task.settings.partition == "fitted" else ())
@@ -334,7 +337,7 @@ def _behind_fitted(
     there = with_checked_delay(replace(task, thresholds_v=thresholds_v), guess)
     late = replace(task, delay_samples=there.delay_samples)
     near = _axes(late, thresholds_v, there, 1).axes
-    trial = static_blocks(late, thresholds_v, dynamics_of(near), task.settings.method)
+    trial = _of_fitted(late, thresholds_v, dynamics_of(near))
     return (late, near, trial) if gained(blocks.chosen, trial.chosen) else (task, axes, blocks)
 
 
@@ -424,6 +427,7 @@ def _grown(
         if all(new is old for new, old in zip(found, axes, strict=True)):
             continue
         trial = static_blocks(task, _thresholds_of(blocks), dynamics_of(found), settings.method)
+        trial = replace(trial, fitted=blocks.fitted)
         with_it = Found(task.candidate(trial.chosen.hysteresis, dynamics_of(found)), trial, found)
         name = {"lag": "a low-pass", "creep": "a creep mode"}[step]
         if np.any(trial.chosen.rms_um <= (1.0 - FELT) * blocks.chosen.rms_um):
@@ -466,7 +470,7 @@ def _thresholds_and_axes(
     task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: Blocks
 ) -> tuple[tuple[AxisFit, ...], Blocks]:
     """Axes and static block with thresholds and axes fitted in turn; as they were if nothing is gained."""
-    settings, free, every = task.settings, 1 + task.outputs, thinning(task.records)
+    free, every = 1 + task.outputs, thinning(task.records)
     best: tuple[tuple[AxisFit, ...], Blocks] | None = None
     near, thresholds_v, idle = axes, _thresholds_of(blocks), 0
     need = 1.0 if every == 1 else WORTHWHILE * 2.0 * task.outputs * blocks.chosen.samples
@@ -480,7 +484,7 @@ def _thresholds_and_axes(
         near = _axes(task, thresholds_v, replace(guess, parameters=begin), every).axes
         if not any(axis_identified(axis) for axis in near):
             break
-        trial = static_blocks(task, thresholds_v, dynamics_of(near), settings.method)
+        trial = _of_fitted(task, thresholds_v, dynamics_of(near))
         least = criterion(best[1].chosen, free) if best else math.inf
         worse = criterion(trial.chosen, free) >= least - need or _lost_inverse(task, blocks, trial)
         idle = idle + 1 if worse else 0
@@ -494,7 +498,12 @@ def _thresholds_and_axes(
     found = _thresholds_of(best[1])
     begin = tuple(axis_parameters(fit.axis)[1] for fit in best[0])
     whole = _axes(task, found, replace(guess, parameters=begin), 1).axes
-    return whole, static_blocks(task, found, dynamics_of(whole), settings.method)
+    return whole, _of_fitted(task, found, dynamics_of(whole))
+
+
+def _of_fitted(task: Task, thresholds_v: Thresholds, dynamics: AxesDynamics | StaticDynamics) -> Blocks:
+    """Weights of thresholds that were fitted."""
+    return replace(static_blocks(task, thresholds_v, dynamics, task.settings.method), fitted=True)
 
 
 def _lost_inverse(task: Task, start: Blocks, found: Blocks) -> bool:
@@ -515,11 +524,27 @@ def _fitted(
     rounds: int = MOST_ROUNDS,
 ) -> list[list[Array]]:
     """Thresholds fitted in front of given dynamics, the same for all outputs."""
-    fitting = ThresholdTask(
-        task.records, task.starts, task.delay_samples, task.paths(dynamics), thinning(task.records)
-    )
+    fitting = _fitting(task, dynamics, thinning(task.records))
     row = list(fit_thresholds(fitting, thresholds_v[0], rounds))
     return [row] * task.outputs
+
+
+def with_errors(task: Task, found: Found) -> Found:
+    """Give a model the errors of its thresholds, if they were fitted."""
+    if not found.blocks.fitted:
+        return found
+    dynamics = found.candidate.dynamics
+    late = replace(task, delay_samples=round(dynamics.input_delay_s / task.records[0].sample_time_s))
+    chosen = with_threshold_errors(_fitting(late, dynamics), found.blocks.chosen)
+    candidate = replace(found.candidate, hysteresis=chosen.hysteresis)
+    return replace(found, candidate=candidate, blocks=replace(found.blocks, chosen=chosen))
+
+
+def _fitting(
+    task: Task, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics, every: int = 1
+) -> ThresholdTask:
+    """What stays fixed while thresholds are fitted in front of given dynamics."""
+    return ThresholdTask(task.records, task.starts, task.delay_samples, task.paths(dynamics), every)
 
 
 def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:

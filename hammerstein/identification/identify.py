@@ -22,6 +22,7 @@ from hammerstein.identification.candidates import (
     build_static,
     late_static,
     with_checked_delay,
+    with_errors,
 )
 from hammerstein.identification.choice import Trial, chosen, crossed_squares, judged_squares, parameters_of
 from hammerstein.identification.excitation import answers, excitation_statements, refuse_noise, refuse_one_way
@@ -196,7 +197,7 @@ def _kept(
     i = chosen(trials)
     _, kind, found = named[i]
     marked = tuple(replace(trial, kept=k == i) for k, trial in enumerate(trials))
-    return replace(built, kind=kind, found={**built.found, kind: found}), marked
+    return replace(built, kind=kind, found={**built.found, kind: with_errors(task, found)}), marked
 
 
 def _ready(records: Sequence[Record]) -> tuple[Record, ...]:
@@ -330,10 +331,16 @@ def _static_delay(
         return settings.delay_samples or 0
     tell("searching the delay")
     few, begun = shortened(records, starts, CURVE_SAMPLES)
-    thresholds_v = settings.thresholds(few, DELAY_OPERATORS)
+    thresholds_v = _fine(settings).thresholds(few, DELAY_OPERATORS)
     return late_static(
         Task(few, begun, thresholds_v, settings.delay_samples or 0, settings, tell)
     ).delay_samples
+
+
+def _fine(settings: Settings) -> Settings:
+    """Settings with so many operators that a delay does not stand in for thresholds that are missing."""
+    few = isinstance(settings.operators, int) and settings.operators < DELAY_OPERATORS
+    return replace(settings, operators=DELAY_OPERATORS) if few else settings
 
 
 def _build(task: Task, guesses: Sequence[FirstGuess]) -> Built:
@@ -430,7 +437,24 @@ def _unknown(task: Task, built: Built, answer: Array) -> list[str]:
         for o, k in built.best.blocks.chosen.open
     ]
     axes = axis_statements(record.outputs, built.axes) if built.axes else []
-    return [*axes, *sums, *excitation_statements(task.records, answer)]
+    return [*axes, *sums, *_open_places(task, built), *excitation_statements(task.records, answer)]
+
+
+def _open_places(task: Task, built: Built) -> list[str]:
+    """Fitted thresholds whose place the records leave open."""
+    block = built.best.blocks.chosen.hysteresis
+    if block.threshold_covariance is None:
+        return []
+    grids = [pair.thresholds_v for pair in block.pairs[0]]
+    places = [(name, r) for name, grid in zip(task.records[0].inputs, grids, strict=True) for r in grid]
+    found: dict[str, list[str]] = {}
+    for i in block.threshold_covariance.open:
+        found.setdefault(places[i][0], []).append(f"{places[i][1]:.3g}")
+    return [
+        f"the place of {len(own)} of the thresholds of input {name} ({', '.join(own)} V): its standard error "
+        "is more than half of the way to a neighbour. The errors of the others hold with these where they are"
+        for name, own in found.items()
+    ]
 
 
 def _offsets(best: Candidate, task: Task) -> Array:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.escaping import markdown
-from hammerstein.hysteresis import slopes_of
+from hammerstein.hysteresis import PrandtlIshlinskii, slopes_of
 from hammerstein.identification.choice import Trial
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.score import Score
@@ -77,6 +77,7 @@ def fit_body(model: HammersteinModel, fit: Fit) -> str:
             ("pair", "operators", "gain [um/V]", "slopes [um/V]", "largest standard error [um/V]"),
             _pairs(model, fit),
         ),
+        *_thresholds(model, fit),
         *(["## Dynamics", *_dynamics(model, fit)] if fit.kind == "hammerstein" else []),
     ]
     return "\n\n".join(parts)
@@ -158,8 +159,8 @@ def _facts(model: HammersteinModel, fit: Fit) -> Iterator[tuple[str, str]]:
 def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[list[str]]:
     hysteresis, gains = model.hysteresis, model.hysteresis.gain(model.amplitude_v)
     for o, (name, counts) in enumerate(zip(fit.outputs, hysteresis.operators, strict=True)):
-        known, ends = hysteresis.weight_covariance, np.cumsum(counts)
-        errors = None if known is None else np.sqrt(np.diagonal(known[o].covariance))
+        known, ends = hysteresis.weight_errors, np.cumsum(counts)
+        errors = None if known is None else known[o]
         for k, (input_, count) in enumerate(zip(fit.inputs, counts, strict=True)):
             if not count:
                 continue
@@ -171,6 +172,23 @@ def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[list[str]]:
                 f"{slopes.min():.4g} to {slopes.max():.4g}",
                 "not known" if errors is None else f"{errors[ends[k] - count : ends[k]].max():.2g}",
             ]
+
+
+def _thresholds(model: HammersteinModel, fit: Fit) -> Iterator[str]:
+    """Fitted thresholds with their standard errors."""
+    block = model.hysteresis
+    if not isinstance(block, PrandtlIshlinskii) or block.threshold_covariance is None:
+        return
+    known = block.threshold_covariance
+    yield "## Thresholds"
+    first, rows = 0, []
+    for name, pair in zip(fit.inputs, block.pairs[0], strict=True):
+        for i, r in enumerate(pair.thresholds_v, start=first):
+            error = "held" if i in known.open or r == 0.0 else f"{known.errors_v[i]:.1g}"
+            rows.append([markdown(name), f"{r:.4g}", error])
+        first += len(pair.thresholds_v)
+    yield _table(("input", "threshold [V]", "standard error [V]"), rows)
+    yield "Errors of thresholds and weights together, for given dynamics; 0 is an end, open places are held."
 
 
 def _dynamics(model: HammersteinModel, fit: Fit) -> Iterator[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,19 +12,12 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from hammerstein.dynamics import AxesDynamics, Axis, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import Hysteresis
+from hammerstein.hysteresis import Hysteresis, Normals
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import BaseSamples, Deviation, Draws, Seed
 
 Array = NDArray[np.float64]
-
-
-class Normals(Protocol):
-    """Whatever gives standard normal numbers, one after the other."""
-
-    def standard_normal(self, size: Any = None) -> Any:
-        """One number, or an array."""
 
 
 class _Given:
@@ -52,7 +45,8 @@ class Uncertainty(BaseModel):
 
     Frequencies, dampings, creep gains and noise are multiplied by exp(s g), g standard normal, so that they
     stay positive. Each weight gets s |w| g added; or the weights of an output together get L g, with the
-    factor L of their covariance, for the errors of neighbouring weights cancel.
+    factor L of their covariance, for the errors of neighbouring weights cancel; fitted thresholds are drawn
+    with them.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -98,7 +92,9 @@ class Uncertainty(BaseModel):
 
     def parameters(self, model: HammersteinModel) -> tuple[Parameter, ...]:
         """What is drawn, in this order; errors of weights that hang together are one parameter."""
-        found = [
+        shared = model.hysteresis.n_shared_errors if isinstance(self.weights, str) else 0
+        found = [Parameter("thresholds", shared, True)] if shared else []
+        found += [
             Parameter(f"weights of {name}", len(weights), bool(self.weights))
             for name, weights in zip(model.outputs, model.hysteresis.weights, strict=True)
         ]
@@ -152,19 +148,14 @@ def _factor(relative: float, generator: Normals) -> float:
 
 
 def _weights_drawn(hysteresis: Hysteresis[Any], relative: float | str, generator: Normals) -> Hysteresis[Any]:
-    known = hysteresis.weight_covariance
-    if isinstance(relative, str) and known is None:
+    if not isinstance(relative, str):
+        return hysteresis.with_weights(
+            [own + relative * np.abs(own) * generator.standard_normal(len(own)) for own in hysteresis.weights]
+        )
+    if hysteresis.weight_covariance is None:
         raise InputError(
             "uncertainty.weights",
             "the actuator's model does not say how the errors of its weights hang together; identify it "
             "again, or give a relative deviation",
         )
-    drawn = []
-    for output, weights in enumerate(hysteresis.weights):
-        normal = generator.standard_normal(len(weights))
-        if isinstance(relative, str):
-            assert known is not None
-            drawn.append(weights + known[output].factor_um_per_v @ normal)
-        else:
-            drawn.append(weights + relative * np.abs(weights) * normal)
-    return hysteresis.with_weights(drawn)
+    return hysteresis.drawn(generator)

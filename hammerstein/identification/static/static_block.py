@@ -13,6 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, WeightCovariance
+from hammerstein.hysteresis.covariance import triangle
 from hammerstein.identification.static.normal_equations import (
     Bounds,
     Moments,
@@ -343,19 +344,10 @@ def pairs_of(
     """
     differences = _differences(layout.parts[o])
     weights = differences @ slopes
-    factor = _triangle(differences @ spread)
+    factor = triangle(differences @ spread)
     errors = np.sqrt(np.sum(factor**2, axis=1))
     pairs = (Pair(r, weights[part], errors[part]) for r, part in zip(row, layout.parts[o], strict=True))
     return tuple(pairs), WeightCovariance(factor, at_bound)
-
-
-def _triangle(spread: Array) -> Array:
-    """Lower triangle L (n, n) with L L^T = S S^T for a matrix S (n, k), its diagonal not negative."""
-    n = len(spread)
-    factor = np.zeros((n, n))
-    upper = np.asarray(np.linalg.qr(spread.T, mode="r"))
-    factor[:, : len(upper)] = upper.T
-    return factor * np.where(np.diag(factor) < 0.0, -1.0, 1.0)
 
 
 def _offsets(layout: Layout, moments: Sequence[Moments], solutions: Sequence[Solution]) -> Array:

@@ -1,0 +1,52 @@
+"""How far a model is off: against numbers that stand on paper."""
+
+import numpy as np
+import pytest
+
+from hammerstein.dynamics import StaticDynamics
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.identification.linear.delay import shortest_delay
+from hammerstein.identification.score import Candidate, score
+from hammerstein.identification.static.fitted_thresholds import gained
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import StaticFit
+from hammerstein.records.record import Record
+
+
+def test_errors_are_in_parts_of_range_and_of_power():
+    """A line of 3 um/V from -2 to 2 V, and readings that lie 0.5 um above and below in turn."""
+    u = np.linspace(-2.0, 2.0, 401)
+    off = 0.5 * np.resize([1.0, -1.0], 401)
+    model = Candidate(PrandtlIshlinskii([[Pair.linear(3.0)]]), StaticDynamics(n_outputs=1))
+    y = 3.0 * u + off
+    found = score(model, [Record([u], [y + 7.0], 1e-3)], [Start("rest")])
+    assert found.rms_um == pytest.approx((0.5,), rel=1e-4)
+    assert found.nrmse_percent == pytest.approx((100.0 * 0.5 / np.ptp(y),), rel=1e-4)
+    assert found.output_percent == pytest.approx((100.0 * 0.5 / np.std(y),), rel=1e-4)
+    assert found.mean_percent == found.nrmse_percent[0]
+
+
+def _fit(rms_um, thresholds, samples=1000):
+    pair = Pair(np.arange(thresholds) / 10.0, np.ones(thresholds))
+    return StaticFit(PrandtlIshlinskii([[pair]]), np.zeros((1, 1)), np.array([rms_um]), samples, (), ())
+
+
+@pytest.mark.parametrize(
+    ("start", "fitted", "gain"),
+    [
+        # 2 N ln(start / fitted) against the free numbers more, ln N = 6.9 each (Schwarz)
+        (_fit(1.0, 1), _fit(0.99, 1), True),  # 20.1 against 6.9
+        (_fit(1.0, 1), _fit(0.998, 1), False),  # 4.0 against 6.9
+        (_fit(1.0, 4), _fit(0.99, 4), False),  # 20.1 against 27.6
+        (_fit(1.0, 4), _fit(1.002, 2), False),  # -4.0 against 0
+        (_fit(1.0, 4), _fit(1.0, 1), True),  # 0 against -13.8
+        (_fit(0.9, 4), _fit(1.0, 4), False),
+    ],
+)
+def test_fitted_thresholds_must_earn_their_number(start, fitted, gain):
+    assert gained(start, fitted) == gain
+
+
+@pytest.mark.parametrize(("less", "delay"), [(0.005, 0), (0.02, 1), (0.05, 1)])
+def test_a_longer_delay_must_take_a_percent_away(less, delay):
+    assert shortest_delay(np.array([[1.0], [1.0 - less], [1.0]])) == delay
