@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import made_up
 import numpy as np
 
+from hammerstein.errors import HammersteinError
 from hammerstein.identification.identify import identify
 from hammerstein.identification.recorded import counted
 from hammerstein.identification.score import score
@@ -14,8 +15,35 @@ from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.history import judged_starts
 from hammerstein.records.record import Record
 
-COMPENSATE = False
-"""Whether drives are played on the true actuator: needs drives in absolute voltages."""
+# Drives played on the true actuator -------------------------------------------------------------------------
+
+
+def played_um(made, model, hz, cycles=3):
+    """Rms error (output,) of a slow path in the middle of the reach, played on the true actuator [um].
+
+    The actuator is driven to both ends of its range first, as ``--conditioned`` asks. None where the model
+    refuses: it is flagged, or says that it cannot follow.
+    """
+    middle = [0.5 * (made.low_v + made.high_v)] * made.inputs
+    samples = round(cycles * made.rate_hz / hz)
+    asked = {"start_v": middle, "conditioned": True}
+    try:
+        still = model.compensate(np.zeros((made.outputs, samples)), law="exact_inverse", **asked)
+        reach = np.array(still.reach.together_um)
+        t = np.arange(samples) / made.rate_hz
+        soft = np.minimum(t * hz, 1.0) ** 2 * (3.0 - 2.0 * np.minimum(t * hz, 1.0))
+        turns = 2.0 * np.pi * hz * t + 0.5 * np.pi * np.arange(made.outputs)[:, None]
+        size = 0.5 * np.abs(reach).min(axis=1, keepdims=True)
+        drive_v = model.compensate(size * soft * np.sin(turns), **asked).drive_v
+    except HammersteinError:
+        return None
+    assert (drive_v >= made.low_v - 1e-9).all()
+    assert (drive_v <= made.high_v + 1e-9).all()
+    before = np.array([[made.high_v, made.low_v, middle[0]]] * made.inputs)
+    held = np.repeat(np.array(middle)[:, None], round(0.2 * made.rate_hz), axis=1)
+    position = made.position_um(np.hstack([held, drive_v]), before)[:, held.shape[1] - 1 :]
+    error = position[:, 1:] - position[:, :1] - size * soft * np.sin(turns)
+    return np.sqrt(np.mean(error**2, axis=1))
 
 
 # Twenty stages ----------------------------------------------------------------------------------------------
@@ -64,10 +92,18 @@ class StageOutcome:
     resonance_errors: tuple[float | None, ...]
     said_unknown: tuple[bool, ...]
     kind: str
+    circle_um: tuple[float, ...] | None
 
     @property
     def followed(self):
         return all(rms <= allowed for rms, allowed in zip(self.rms_um, self.allowed_um, strict=True))
+
+    @property
+    def drawn(self):
+        """Whether a circle of 40 Hz on the true stage is off by at most three times what is allowed."""
+        if self.circle_um is None:
+            return False
+        return all(rms <= 3.0 * allowed for rms, allowed in zip(self.circle_um, self.allowed_um, strict=True))
 
     @property
     def resonances_fine(self):
@@ -80,7 +116,8 @@ class StageOutcome:
 def try_stage(seed):
     made, generator = random_stage(seed), np.random.default_rng([10, seed])
     fitted, held = stage_records(made, generator)
-    _, fit = identify(fitted, Settings(), validation=[held])
+    model, fit = identify(fitted, Settings(), validation=[held])
+    circle = played_um(made, model, 40.0, 8)
     span = np.ptp(held.y_um, axis=1)
     errors, said = [], []
     for o, true_hz in enumerate(made.resonances_hz):
@@ -95,6 +132,7 @@ def try_stage(seed):
         tuple(errors),
         tuple(said),
         fit.kind,
+        None if circle is None else tuple(circle.tolist()),
     )
 
 
@@ -145,10 +183,17 @@ class ActuatorOutcome:
     kind: str
     kept_percent: float
     least_simpler_percent: float
+    played_um: float | None
+    allowed_um: float
 
     @property
     def ratio(self):
         return self.kept_percent / self.least_simpler_percent
+
+    @property
+    def played(self):
+        """Whether the drive leaves at most three times the error held back, and noise; None if refused."""
+        return None if self.played_um is None else self.played_um <= self.allowed_um
 
 
 def try_actuator(seed):
@@ -163,10 +208,19 @@ def try_actuator(seed):
         record(made, one, g, name, past) for one, name, past in zip(u, "fhu", before, strict=True)
     )
     second = record(made, made_up.wander(made, g, 0.6), g, "s", before[0])
-    _, fit = identify([fitted, second], Settings(), validation=[held])
+    model, fit = identify([fitted, second], Settings(), validation=[held])
+    played = played_um(made, model, 5.0)
+    allowed = 3.0 * fit.validation[fit.kind].rms_um[0] + made.noise_um
     kept, unseen = fit.candidates[fit.kind], counted(unseen)
     starts = judged_starts([unseen], kept.predict, 0.0)
     errors = {kind: score(c, [unseen], starts).mean_percent for kind, c in fit.candidates.items()}
     order = ("linear", "static_hysteresis", "linear_dynamics", "hammerstein")
     simpler = [errors[k] for k in order[: order.index(fit.kind)] if k in errors] or [errors[fit.kind]]
-    return ActuatorOutcome(seed, fit.kind, errors[fit.kind], min(simpler))
+    return ActuatorOutcome(
+        seed,
+        fit.kind,
+        errors[fit.kind],
+        min(simpler),
+        None if played is None else float(played[0]),
+        float(allowed),
+    )

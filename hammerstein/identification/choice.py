@@ -43,6 +43,7 @@ class Trial:
     squares : (stretch,) mean squared error of the outputs in parts of their ranges, on each judged stretch;
         infinite where the prediction is not finite or the model unstable
     invertible : whether its main pairs and its linear block can be inverted
+    told : whether the records tell the dynamics that it has; if not, it is only there to compare with
     kept : whether it is the model that is returned
     """
 
@@ -50,6 +51,7 @@ class Trial:
     parameters: int
     squares: Array
     invertible: bool = True
+    told: bool = True
     kept: bool = False
 
     @property
@@ -77,10 +79,11 @@ def chosen(trials: Sequence[Trial]) -> int:
     1
     """
     means = np.array([float(np.mean(trial.squares)) for trial in trials])
-    best = int(np.argmin(means))
+    told = [i for i in range(len(trials)) if trials[i].told]
+    best = min(told, key=lambda i: means[i])
     if not np.isfinite(means[best]):
         return best
-    chance = [i for i in range(len(trials)) if means[i] - means[best] <= _spread(trials[i], trials[best])]
+    chance = [i for i in told if means[i] - means[best] <= _spread(trials[i], trials[best])]
     close = [i for i in chance if means[i] <= MOST_WORSE**2 * means[best]]
     usable = [i for i in close if trials[i].invertible]
     if not usable:

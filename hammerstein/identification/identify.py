@@ -48,6 +48,7 @@ from hammerstein.identification.static.history import (
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import direct_pairs, fit_static, half_swing
 from hammerstein.identification.verdict import (
+    axis_identified,
     axis_statements,
     bound_notes,
     butterfly_flags,
@@ -193,7 +194,8 @@ def _kept(
         told = invertibility_of(
             candidate.hysteresis, candidate.dynamics, swing, record.sample_time_s, record.inputs
         )
-        trials.append(Trial(name, parameters_of(candidate), squares, told[0]))
+        dynamics = not found.axes or any(axis_identified(axis) for axis in found.axes)
+        trials.append(Trial(name, parameters_of(candidate), squares, told[0], dynamics))
     i = chosen(trials)
     _, kind, found = named[i]
     marked = tuple(replace(trial, kept=k == i) for k, trial in enumerate(trials))

@@ -80,7 +80,7 @@ its place: it lowers the error from 7.4 to 0.8 %.
     where = "On records held back" if held_back else "On the fitted records themselves (none was held back)"
     listed = ", ".join(f"{KIND_NAMES[kind]} {error:.3g} %" for kind, error in errors.items())
     sentences = [f"{where}: {listed} of the range."]
-    if "hammerstein" in errors:
+    if {"linear_dynamics", "hammerstein"} <= errors.keys():
         sentences.append(_earns("The hysteresis block", errors["linear_dynamics"], errors["hammerstein"]))
         sentences.append(_earns("The linear dynamics", errors["static_hysteresis"], errors["hammerstein"]))
     else:
