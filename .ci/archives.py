@@ -14,14 +14,23 @@ def main(source: Path, dist: Path) -> None:
     package = {
         path.relative_to(source).as_posix() for path in source.glob("hammerstein/**/*") if path.is_file()
     }
-    version = tomllib.loads((source / "pyproject.toml").read_text())["project"]["version"]
+    settings = tomllib.loads((source / "pyproject.toml").read_text())
+    version = settings["project"]["version"]
+    beside = {  # files of the package that stand elsewhere in the source: their places in both
+        f"{name.replace('.', '/')}/{path.name}": path.relative_to(source).as_posix()
+        for name, folder in settings["tool"]["setuptools"]["package-dir"].items()
+        for pattern in settings["tool"]["setuptools"]["package-data"][name]
+        for path in (source / folder).glob(pattern)
+    }
     name = f"hammerstein_control-{version}"
     with zipfile.ZipFile(dist / f"{name}-py3-none-any.whl") as wheel:
         files = {file.replace(f"{name}.dist-info/licenses/", "") for file in wheel.namelist()}
-    refuse_difference("wheel", package | {"LICENSE"}, {f for f in files if ".dist-info/" not in f})
+    refuse_difference(
+        "wheel", package | set(beside) | {"LICENSE"}, {f for f in files if ".dist-info/" not in f}
+    )
     with tarfile.open(dist / f"{name}.tar.gz") as sdist:
         files = {file.removeprefix(f"{name}/") for file in sdist.getnames()}
-    needed = package | {"pyproject.toml", "README.md", "LICENSE"}
+    needed = package | set(beside.values()) | {"pyproject.toml", "README.md", "LICENSE"}
     refuse_difference("sdist", needed, files & needed)
     print(f"{len(package)} files of the package in each")
 

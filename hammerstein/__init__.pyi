@@ -27,11 +27,15 @@ from .errors import (
 from .experiment.report import Report as Report
 from .experiment.run import run as run, simulate as simulate, simulate_in_stretches as simulate_in_stretches
 from .hysteresis import (
+    Asymmetric as Asymmetric,
+    DeadZones as DeadZones,
     Hysteresis as Hysteresis,
     HysteresisFile as HysteresisFile,
     Pair as Pair,
     PlayState as PlayState,
     PrandtlIshlinskii as PrandtlIshlinskii,
+    RateDependent as RateDependent,
+    RatePlays as RatePlays,
     play as play,
 )
 from .identification.fit import Fit as Fit
@@ -67,5 +71,6 @@ from .signals import (
     Triangle as Triangle,
 )
 from .simulation import Plant as Plant, Response as Response
+from .streaming import Stream as Stream, stream as stream
 
 __version__: str

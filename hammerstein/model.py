@@ -80,9 +80,11 @@ class HammersteinModel(Pictured):
         for name in ("inputs", "outputs"):
             object.__setattr__(self, name, unique(getattr(self, name)))
         mistakes = []
-        if len(self.recorded.working_point_v) != m:
-            given = len(self.recorded.working_point_v)
-            mistakes.append(Mistake("voltages", f"are those of {given} inputs, not of {m}"))
+        rest = self.recorded.working_point_v
+        if len(rest) != m:
+            mistakes.append(Mistake("voltages", f"are those of {len(rest)} inputs, not of {m}"))
+        else:
+            object.__setattr__(self, "hysteresis", self.hysteresis.counted_from(rest))
         if len(self.inputs) != m:
             mistakes.append(Mistake("inputs", f"names {len(self.inputs)} inputs of {m}"))
         if len(self.outputs) != p:

@@ -33,15 +33,16 @@ class Schema:
 
     def place(self, location: Sequence[str | int]) -> Place:
         """Place of a finding of pydantic, whose location also holds the tags of unions."""
-        nodes, path, tag = self._members(self._root), "", ""
+        nodes, path, tag, told = self._members(self._root), "", "", False
         names: tuple[str, ...] = _keys(nodes)
         for i, part in enumerate(location):
             inside = list(self._inside(nodes, part))
-            chosen = _with_tag(nodes, str(part))
+            chosen = [] if told else _with_tag(nodes, str(part))
+            told = False
             if isinstance(part, int):
                 path, nodes = f"{path}[{part + 1}]", inside
             elif chosen and (not inside or i + 1 < len(location)):
-                nodes, tag = chosen, str(part)
+                nodes, tag, told = chosen, str(part), True
             elif inside or (i + 1 == len(location) and part.isidentifier() and part not in _types(nodes)):
                 names, path = _keys(nodes), f"{path}.{part}".lstrip(".")
                 nodes, tag = inside, tag if i + 1 == len(location) else ""
@@ -105,7 +106,7 @@ def _tag(node: Node) -> str:
 
 
 def _with_tag(nodes: Sequence[Node], tag: str) -> list[Node]:
-    return [node for node in nodes if _tag(node) == tag] if len(nodes) > 1 else []
+    return [node for node in nodes if _tag(node) == tag]
 
 
 def _types(nodes: Sequence[Node]) -> set[str]:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import sys
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from functools import cache, partial
@@ -34,6 +36,9 @@ from hammerstein.quantities import (
     Size,
     Wait,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -373,10 +378,7 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     from hammerstein.files import read_limited
 
     text = read_limited(path, what="CSV file")
-    try:
-        frame = pd.read_csv(io.StringIO(text), skipinitialspace=True, comment="#")
-    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        raise InputError(str(path), f"is not a CSV table: {error}") from None
+    frame = _table(text, path)
     if "time_s" not in frame.columns or frame.shape[1] < 2:
         raise InputError(str(path), "needs a header with a column time_s and one column for each axis")
     lines = enumerate(text.splitlines(), start=1)
@@ -386,10 +388,8 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     if len(bad):
         row, column = (int(i) for i in bad[0])
         value = frame.iloc[row, column]
-        raise InputError(
-            str(path),
-            f"row {rows[row]}, column {frame.columns[column]}: {value!s} is not a finite number within 1e9",
-        )
+        what = "is no number" if str(value) == "nan" else f"{value!s} is not a finite number within 1e9"
+        raise InputError(str(path), f"row {rows[row]}, column {frame.columns[column]}: {what}")
     times = frame["time_s"].to_numpy(dtype=float)
     if len(times) < 2:
         raise InputError(str(path), "has a single row; a signal needs at least two")
@@ -398,6 +398,27 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
         raise InputError(str(path), f"row {rows[int(late[0]) + 1]}: time_s does not increase")
     axes = frame.drop(columns="time_s")
     return times, axes.to_numpy(dtype=float).T, [str(name) for name in axes.columns]
+
+
+def _table(text: str, path: Path) -> pd.DataFrame:
+    """Table of a CSV file; InputError where a row has more cells than the header."""
+    import pandas as pd
+
+    # Not as pandas would have it: a cell too many in every row makes the first column an index there.
+    form = {"skipinitialspace": True, "comment": "#", "index_col": False, "low_memory": False}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            return pd.read_csv(io.StringIO(text), **form)  # type: ignore[call-overload,no-any-return]
+    except pd.errors.ParserWarning:
+        what = "its rows have more cells than its header; give every column a name"
+    except pd.errors.EmptyDataError:
+        what = "holds no table"
+    except pd.errors.ParserError as error:
+        cells = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
+        told = "row {1} has {2} cells, and the header {0}".format(*cells.groups()) if cells else str(error)
+        what = f"is not a CSV table: {told.strip()}"
+    raise InputError(str(path), what)
 
 
 def _require_two_axes(n_axes: int, kind: str) -> None:

@@ -189,6 +189,14 @@ class Response(Pictured):
         return replace(first, **whole)
 
 
+class Driven(NamedTuple):
+    """A stretch of voltage (input, sample): asked for [V], given [V], and where the drive's range cut it."""
+
+    requested_v: Array
+    drive_v: Array
+    saturated: NDArray[np.bool_]
+
+
 class PlantState(NamedTuple):
     """Memory of the hysteresis, state (n,) of linear block and sensor, and the generator of the noise."""
 
@@ -234,8 +242,13 @@ class Plant:
 
     def rest(self, seed: list[int]) -> PlantState:
         """Actuator that was never driven, and a sensor at the beginning of its noise."""
-        noise = np.random.default_rng(seed)
-        return PlantState(self.model.hysteresis.rest(), self.block.rest(), noise)
+        memory, linear = self._at_rest
+        return PlantState(memory, linear, np.random.default_rng(seed))
+
+    @cached_property
+    def _at_rest(self) -> tuple[Any, Array]:
+        """Memory of the hysteresis and state of the block, which no response changes."""
+        return self.model.hysteresis.rest(), self.block.rest()
 
     def restore(self, data: dict[str, Any]) -> PlantState:
         """State from what its ``as_dict`` gave."""
@@ -262,10 +275,23 @@ class Plant:
         start : state before the first sample
         reference_um : (output, sample) what was asked for [um], where a law asks for the voltage
         """
+        return self.follow(self.driven(requested_v, reference_um is not None), start, reference_um)
+
+    def driven(self, requested_v: Array, by_law: bool) -> Driven:
+        """What the drive makes of a voltage (input, sample).
+
+        by_law : whether a law asks for it, that stays within the range itself
+        """
         drive_v, saturated = self.instruments.drive.apply(requested_v)
-        if reference_um is not None:
-            # A law stays within the range itself; where it stands at the range, it wanted more.
+        if by_law:  # where it stands at the range, it wanted more
             saturated |= self.range.reached(requested_v) & self._has_left(requested_v)
+        return Driven(requested_v, drive_v, saturated)
+
+    def follow(
+        self, driven: Driven, start: PlantState, reference_um: Array | None = None
+    ) -> tuple[Response, PlantState]:
+        """Response to what has left the drive, and the state after it; see ``carry_on``."""
+        requested_v, drive_v, saturated = driven
         hysteresis_um, memory = self.model.static_response(drive_v, start.memory)
         both_um, linear = self.block.respond(hysteresis_um, start.linear)
         position_um, filtered_um = np.split(both_um, 2)

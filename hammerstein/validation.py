@@ -41,8 +41,7 @@ def mistakes_of(error: ValidationError, model: type[BaseModel] | TypeAdapter[Any
     error : what pydantic found
     model : what was wanted, whose schema says which key belongs where
     """
-    content = model.json_schema() if isinstance(model, TypeAdapter) else model.model_json_schema()
-    schema = Schema(content)
+    schema = _schema_of(model)
     found: dict[str, list[dict[str, Any]]] = {}
     for finding in error.errors():
         if finding["type"] == "too_short" and finding["input"]:
@@ -50,6 +49,21 @@ def mistakes_of(error: ValidationError, model: type[BaseModel] | TypeAdapter[Any
         place = schema.place(_without_mark(finding["loc"]))
         found.setdefault(_where(dict(finding), place), []).append({**finding, "place": place})
     return [_mistake(where, findings, schema) for where, findings in found.items()]
+
+
+_schemas: dict[type[BaseModel], tuple[object, Schema]] = {}
+
+
+def _schema_of(model: type[BaseModel] | TypeAdapter[Any]) -> Schema:
+    """Schema of what was wanted; that of a model is made once, until a plugin changes the model."""
+    if isinstance(model, TypeAdapter):
+        return Schema(model.json_schema())
+    core = model.__pydantic_core_schema__
+    known, schema = _schemas.get(model, (None, None))
+    if schema is None or known is not core:
+        schema = Schema(model.model_json_schema())
+        _schemas[model] = model.__pydantic_core_schema__, schema
+    return schema
 
 
 def suggestion(name: str, names: Iterable[str]) -> str:

@@ -1,6 +1,7 @@
 import os
 import subprocess
 import sys
+from importlib import metadata
 
 import pytest
 
@@ -19,6 +20,28 @@ def test_a_result_is_kept_and_counts_for_its_arguments_only(tmp_path, monkeypatc
     assert [cache.kept(work)("a", 1) for _ in range(3)] == ["a 1"] * 3
     assert cache.kept(work)("a", 2) == "a 2"
     assert calls == [("a", 1), ("a", 2)]
+
+
+@pytest.mark.parametrize("what", ["numpy", "numba", "python"])
+def test_a_result_of_other_versions_does_not_count(tmp_path, monkeypatch, what):
+    monkeypatch.setenv("HAMMERSTEIN_CACHE", str(tmp_path))
+    calls = []
+
+    def work(text):
+        calls.append(text)
+        return text
+
+    cache.kept(work)("a")
+    if what == "python":
+        monkeypatch.setattr(sys, "version", "3.99.0")
+    else:
+        real = metadata.version
+        monkeypatch.setattr(metadata, "version", lambda name: "99" if name == what else real(name))
+    cache._code.cache_clear()
+    cache.kept(work)("a")
+    assert calls == ["a", "a"]
+    monkeypatch.undo()
+    cache._code.cache_clear()
 
 
 def test_it_can_be_switched_off(monkeypatch):

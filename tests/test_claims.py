@@ -202,9 +202,8 @@ def test_the_page_opens_with_what_holds_where_and_puts_calibration_apart(tmp_pat
     write_page([run(content, "one")], tmp_path, tmp_path / "page")
     text = (tmp_path / "page" / "README.md").read_text()
     opening = text.split("\n\n")[1]
-    assert opening.startswith("Of 2 claims hold under `duo_bimorph_static`")
-    assert "1 of 2" in opening
-    assert "under none of them hold C2." in opening
+    assert opening.startswith("Claims that hold, of 2: 1 of 2 that were asked under `duo_bimorph_static`")
+    assert "Under none of them holds C2." in opening
     counted, apart = text.split("The actuators were made to meet these")
     assert "| C3 |" in apart
     assert "| C3 |" not in counted

@@ -78,8 +78,8 @@ def test_partly_out_of_reach_is_refused_unless_asked_for(tmp_path, capsys):
     ("arguments", "message"),
     [
         (("--law", "exact_invers"), "did you mean exact_inverse?"),
-        (("--law", "exact_inverse", "--filter-hz", "100"), "filter_hz"),
-        (("--filter-hz", "-1"), "filter_hz  must be 1e-6 to 1e8, not -1"),
+        (("--law", "exact_inverse", "--filter-hz", "100"), "--filter-hz"),
+        (("--filter-hz", "-1"), "--filter-hz  must be 1e-6 to 1e8, not -1"),
         (("--law", "inverse_multiplicative", "--gain", "big"), "must be auto or identity"),
     ],
 )

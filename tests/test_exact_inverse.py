@@ -245,3 +245,17 @@ def test_a_plateau_moves_nothing():
 def test_softening_below_zero_is_refused():
     with pytest.raises(InputError, match="softening_v"):
         ExactInverseLaw(_table(), 10.0, softening_v=-0.1)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e6])
+def test_the_drive_does_not_depend_on_the_unit_of_length(scale):
+    """Path and weights in another unit: the same voltages."""
+    time_s = 50e-6 * np.arange(2000)
+    path = 30.0 * np.stack([np.sin(400.0 * time_s), np.sin(270.0 * time_s)])
+    drives = [ExactInverseLaw(_scaled(factor), 10.0).drive_for(factor * path) for factor in (1.0, scale)]
+    np.testing.assert_allclose(drives[1], drives[0], atol=1e-6)
+
+
+def _scaled(factor):
+    block = PrandtlIshlinskii.from_arrays(theory.R_V, factor * np.array(theory.W_UM_PER_V))
+    return HammersteinModel("scaled", block, StaticDynamics(n_outputs=2), 10.0, ("u", "v"), ("x", "y"))

@@ -246,6 +246,20 @@ def test_errors_of_an_axis_are_seen_beside_those_of_a_compensator_that_fails() -
     assert any(axes.get_yscale() == "symlog" for axes in figures_of(report)["path"].axes)
 
 
+def test_an_error_of_rounding_neither_fills_an_axis_with_ticks_nor_stretches_it() -> None:
+    """The exact inverse knows the actuator: 1e-14 um beside micrometres."""
+    exact = {"label": "exact", "law": "exact_inverse", "model": "duo_bimorph_static"}
+    ideal = {"bandwidth_hz": "inf", "noise_um": 0, "resolution_um": 0}
+    instruments = {"sensor": ideal, "drive": {"resolution_v": 0}}
+    report = report_of(reference=CIRCLE, compensators=[exact, NONE], instruments=instruments)
+    assert min(row.figures["euclidean_max_true_um"] for row in report.rows) < 1e-10
+    for axes in figures_of(report)["path"].axes:
+        if axes.get_yscale() == "symlog":
+            assert 3 <= len(axes.get_yticks()) <= 5
+        elif axes.get_yscale() == "log":
+            assert axes.get_ylim()[0] > 1e-5 * axes.get_ylim()[1]
+
+
 def test_the_plane_shows_one_frequency_where_the_paths_lie_upon_each_other() -> None:
     swept = report_of(reference=CIRCLE, sweep={"frequency_hz": [50.0, 100.0]}, compensators=[NONE])
     sized = report_of(reference=CIRCLE, sweep={"radius_um": [20.0, 40.0]}, compensators=[NONE])

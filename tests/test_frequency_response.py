@@ -242,3 +242,10 @@ def mirror(level: int, part: str) -> tuple[list[Array], list[Array]]:
         return [np.concatenate([one[..., 0], one[..., 1]]).T for one in np.moveaxis(values, 2, 0)]
 
     return load("u", 1.0), load("y", 1e6)
+
+
+def test_sixteen_segments_are_cut_where_no_length_is_chosen() -> None:
+    """Of N samples, half overlapping: 17 half segments of N/17 each."""
+    u = np.random.default_rng(1).standard_normal((1, 3400))
+    found = frequency_response([u], [2.0 * u], T)
+    np.testing.assert_allclose(np.diff(found.frequency_hz), 1.0 / (400 * T))

@@ -1,4 +1,5 @@
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -213,3 +214,17 @@ def test_refuses_what_is_not_square():
 def test_refuses_a_gain_of_the_wrong_shape(table):
     with pytest.raises(InputError, match="matrix in V/um"):
         InverseMultiplicativeLaw(table, 10.0, T, gain=np.eye(3))
+
+
+@pytest.mark.parametrize("scale", [1e-7, 1e7])
+def test_the_automatic_gain_does_not_depend_on_units(table, scale):
+    """Weights that are so many times larger want a gain that is so many times smaller."""
+    own = PrandtlIshlinskii.from_arrays(theory.R_V, theory.W_UM_PER_V)
+    large = PrandtlIshlinskii.from_arrays(theory.R_V, scale * np.array(theory.W_UM_PER_V))
+    plain, other = (
+        InverseMultiplicativeLaw(replace(table, hysteresis=h), 10.0, T).gain_v_per_um for h in (own, large)
+    )
+    np.testing.assert_allclose(scale * other, plain, rtol=1e-9)
+    flat = PrandtlIshlinskii.from_arrays(np.zeros(1), scale * np.array([[[1.0], [2.0]], [[2.0], [4.0]]]))
+    with pytest.raises(SimulationError, match="singular"):
+        InverseMultiplicativeLaw(replace(table, hysteresis=flat), 10.0, T)

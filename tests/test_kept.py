@@ -14,11 +14,12 @@ import pytest
 
 from hammerstein.commands.cli import main
 from hammerstein.errors import Notice
-from hammerstein.experiment import kept, uncertainty_bands
+from hammerstein.experiment import kept
 from hammerstein.experiment.run import run
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime import store as kept_results
 from hammerstein.runtime.store import DTYPES, Kept, Store, key_of
+from hammerstein.scenario.uncertainty import Uncertainty
 
 SCENARIO = {
     "question": "?",
@@ -190,13 +191,13 @@ def test_other_sources_or_libraries_find_nothing(store, worked_out, monkeypatch)
 
 
 def test_draws_are_kept_in_pieces_whatever_their_number(store, monkeypatch):
-    drawn, real = [], uncertainty_bands._plants
+    drawn, real = [], Uncertainty.draw
 
-    def counted(uncertainty, nominal, numbers):
-        drawn.extend(numbers)
-        return real(uncertainty, nominal, numbers)
+    def counted(self, model, instruments, number):
+        drawn.append(number)
+        return real(self, model, instruments, number)
 
-    monkeypatch.setattr(uncertainty_bands, "_plants", counted)
+    monkeypatch.setattr(Uncertainty, "draw", counted)
     scenario = SCENARIO | {"sweep": {}, "uncertainty": {"draws": 50, "weights": 0.02, "noise": 0.3}}
     first = run(scenario, store=store)
     assert sorted(drawn) == list(range(50))

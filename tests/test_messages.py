@@ -138,3 +138,42 @@ def test_a_model_file_names_the_pair(tmp_path):
     mistakes = {mistake.where: mistake.what for mistake in caught.value.mistakes}
     assert "must be -1e9 to 1e9, not 1e+300" in mistakes["hysteresis.pairs[1][2].weights_um_per_v[3]"]
     assert "did you mean resonance_hz?" in mistakes["dynamics.axes[2].resonance"]
+
+
+@pytest.mark.parametrize(
+    ("change", "where", "what"),
+    [
+        (
+            lambda pairs: pairs[0].pop(),
+            "hysteresis",
+            "pairs must hold one pair for every input of every output",
+        ),
+        (lambda pairs: pairs.pop(), "outputs", "names 2 outputs of 1"),
+    ],
+)
+def test_a_model_file_with_pairs_that_do_not_fit_names_the_key(tmp_path, change, where, what):
+    model = json.loads(HammersteinModel.load("duo_bimorph").to_json())
+    model["hysteresis"].pop("weight_covariance", None)
+    change(model["hysteresis"]["pairs"])
+    with pytest.raises(InputError) as caught:
+        HammersteinModel.from_json(json.dumps(model))
+    assert {m.where: m.what for m in caught.value.mistakes}[where] == what
+
+
+def test_a_mistake_in_an_option_names_the_option(tmp_path, capsys, csv):
+    """``identify --creep-modes 9`` once spoke of creep_modes, of no option and of no file."""
+    from hammerstein.commands.cli import main
+
+    columns = ["--inputs", "u_x", "--outputs", "x", "--rate", "1000", "--out", str(tmp_path / "m.json")]
+    options = ["--creep-modes", "9", "--dynamics", "second_order", "--sensor-bandwidth", "nan"]
+    for more, told in (
+        (options, ("--creep-modes", "must be 0 to 5")),
+        (options, ("--sensor-bandwidth", "must be")),
+        (["--operators", "x"], ("--operators", "'x' is neither a number nor auto")),
+        (["--thresholds", "x"], ("--thresholds", "'x' are no voltages")),
+    ):
+        with pytest.raises(SystemExit) as caught:
+            main(["identify", str(csv()), *columns, *more])
+        said = capsys.readouterr().err
+        assert caught.value.code == 2
+        assert all(words in said for words in told)

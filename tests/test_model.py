@@ -73,7 +73,7 @@ def _written(tmp_path, change):
         (lambda c: c["hysteresis"]["pairs"][0][0].update(thresholds_v=[float("nan"), 0.5]), "1e6, not nan"),
         (lambda c: c["hysteresis"]["pairs"][1][1].update(weights_um_per_v=[1.0, 2.0]), "has shape"),
         (lambda c: c["hysteresis"]["pairs"].pop(), "must have 1 inputs and 1 outputs"),
-        (lambda c: c["hysteresis"]["pairs"][0].pop(), "every output needs one pair"),
+        (lambda c: c["hysteresis"]["pairs"][0].pop(), "must hold one pair for every input of every output"),
         (lambda c: c.update(format="other/2"), "hammerstein-model/2"),
         (lambda c: c["dynamics"].update(kind="axis"), "did you mean axes"),
     ],
@@ -120,9 +120,9 @@ def test_packaged_actuators_are_what_their_command_makes(tmp_path):
     for path in made:
         fresh, packaged = HammersteinModel.load(path), HammersteinModel.load(path.stem)
         assert fresh.dynamics == packaged.dynamics
-        for row, same in zip(fresh.hysteresis.pairs, packaged.hysteresis.pairs, strict=True):
-            for pair, copy in zip(row, same, strict=True):
-                np.testing.assert_allclose(pair.weights_um_per_v, copy.weights_um_per_v, atol=1e-6)
+        assert fresh.hysteresis.describe() == packaged.hysteresis.describe()
+        for weights, same in zip(fresh.hysteresis.weights, packaged.hysteresis.weights, strict=True):
+            np.testing.assert_allclose(weights, same, atol=1e-6)
 
 
 @pytest.mark.parametrize(

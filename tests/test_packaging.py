@@ -34,7 +34,12 @@ def modules() -> list[Path]:
 
 def test_every_package_is_shipped(settings: dict[str, Any]) -> None:
     folders = {path.parent.relative_to(ROOT) for path in modules()}
-    assert {".".join(folder.parts) for folder in folders} == set(settings["tool"]["setuptools"]["packages"])
+    listed = settings["tool"]["setuptools"]
+    elsewhere = listed["package-dir"]  # scenarios and their numbers, which stand beside the package
+    assert {".".join(folder.parts) for folder in folders} == set(listed["packages"]) - set(elsewhere)
+    assert set(elsewhere) <= set(listed["packages"])
+    for name, folder in elsewhere.items():
+        assert [*(ROOT / folder).glob(listed["package-data"][name][0])]
 
 
 def test_every_data_file_is_shipped(settings: dict[str, Any]) -> None:

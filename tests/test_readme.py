@@ -34,6 +34,7 @@ def _commands():
         "hammerstein check",
         "hammerstein run",
         "hammerstein identify",
+        "hammerstein sweep",
     }  # spoken of, not to be typed
     return [c for c in dict.fromkeys(commands) if c.startswith("hammerstein ") and c not in named_only]
 

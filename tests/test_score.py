@@ -6,6 +6,7 @@ import pytest
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.linear.delay import shortest_delay
+from hammerstein.identification.operators import CurvePoint, enough_operators
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.static.fitted_thresholds import gained
 from hammerstein.identification.static.regressors import Start
@@ -50,3 +51,8 @@ def test_fitted_thresholds_must_earn_their_number(start, fitted, gain):
 @pytest.mark.parametrize(("less", "delay"), [(0.005, 0), (0.02, 1), (0.05, 1)])
 def test_a_longer_delay_must_take_a_percent_away(less, delay):
     assert shortest_delay(np.array([[1.0], [1.0 - less], [1.0]])) == delay
+
+
+def test_operators_are_enough_within_two_percent_of_the_least():
+    curve = [CurvePoint(n, (error,)) for n, error in ((4, 0.9), (8, 0.83), (10, 0.815), (15, 0.8))]
+    assert enough_operators(curve) == 10

@@ -78,7 +78,8 @@ def test_file_is_interpolated_and_held(tmp_path):
         ("# note\ntime_s,x\n0,1\n1,\n2,3\n", "row 4, column x"),
         ("time_s,x\n0,1\n2,1\n1,3\n", "row 4: time_s does not increase"),
         ("time_s,x\n0,1\n", "single row"),
-        ("time_s,x\n0,1\n1,2,3,4\n", "not a CSV table"),
+        ("# note\n\ntime_s,x\n0,1\n1,2,3,4\n", "row 5 has 4 cells, and the header 2"),
+        ("time_s,x,y\n0,0,1,1\n1,1,2,1\n2,2,3,1\n", "rows have more cells than its header"),
     ],
 )
 def test_file_mistakes_name_the_row(tmp_path, text, message):
@@ -86,6 +87,13 @@ def test_file_mistakes_name_the_row(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(InputError, match=message):
         read_signal(path)
+
+
+def test_a_comma_at_the_end_of_each_row_is_no_column(tmp_path):
+    path = tmp_path / "path.csv"
+    path.write_text("time_s,x\n0,1,\n1,2,\n2,4,\n")
+    times, values, names = read_signal(path)
+    assert (times.tolist(), values.tolist(), names) == ([0, 1, 2], [[1, 2, 4]], ["x"])
 
 
 def test_circle_needs_two_axes():

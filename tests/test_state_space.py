@@ -13,7 +13,7 @@ from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.linear import weighted_lines
 from hammerstein.identification.linear.frequency_response import FrequencyResponse, frequency_response
-from hammerstein.identification.linear.refinement import _normal_equations, refine, split
+from hammerstein.identification.linear.refinement import _normal_equations, _step, refine, split
 from hammerstein.identification.linear.state_space import fit_state_space, output_error_percent
 from hammerstein.identification.linear.subspace import stable, subspace
 from hammerstein.identification.linear.weighted_lines import Matrices, WeightedLines, weigh
@@ -354,3 +354,25 @@ def mirror(level: int, part: str) -> tuple[list[Array], list[Array]]:
         return [np.concatenate([one[..., 0], one[..., 1]]).T for one in np.moveaxis(values, 2, 0)]
 
     return load("u", 1.0), load("y", 1e6)
+
+
+class Downhill:
+    """Blocks that lower the cost wherever they go, and note how far they were moved."""
+
+    class model:  # noqa: N801 - as the blocks name it
+        A = np.zeros((1, 1))
+
+    def moved(self, step: Array) -> Downhill:
+        self.step = step
+        return self
+
+    def cost(self, lines: object) -> float:
+        return 0.0
+
+
+def test_a_parameter_that_nothing_depends_on_does_not_stop_the_others() -> None:
+    blocks = Downhill()
+    found, cost, _ = _step(None, blocks, np.diag([4.0, 0.0]), np.array([2.0, 0.0]), 1.0, 1e-3)  # type: ignore[arg-type]
+    assert found is blocks
+    assert cost == 0.0
+    np.testing.assert_allclose(blocks.step, [-0.5, 0.0], rtol=2e-3)

@@ -60,3 +60,59 @@ def rising_branch(r, w, amplitude, u):
 def polygon_area(x, y):
     """Area within a closed polygon (shoelace formula), positive whichever way it runs."""
     return abs(0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+
+
+def dead_zone(u, q):
+    """One-sided dead-zone: D_q(u) = max(u - q, 0)."""
+    return np.maximum(np.asarray(u) - q, 0.0)
+
+
+def asymmetric(u, thresholds, weights, breakpoints, bends, rest):
+    """Plays beside one-sided dead-zones, from rest at ``rest`` [V], u as it is sent; lists are [l][j].
+
+    v_l = sum over j of ( sum_i w play(u_j - rest_j; r_i) + sum_q b (D_q(rest_j + s) - D_q(rest_j)) ), where
+    s = play(u_j - rest_j; r) with the smallest threshold r of input j over all outputs, 0 if it has none.
+    """
+    x = np.asarray(u) - np.asarray(rest)[:, None]
+    outputs = prandtl_ishlinskii(x, thresholds, weights)
+    for j in range(len(x)):
+        smallest = min((r for row in thresholds for r in row[j]), default=0.0)
+        s = play(x[j], smallest)
+        for o in range(len(outputs)):
+            for q, b in zip(breakpoints[o][j], bends[o][j], strict=True):
+                outputs[o] += b * (dead_zone(rest[j] + s, q) - dead_zone(rest[j], q))
+    return outputs
+
+
+def asymmetric_branches(r, w, q, b, low, high, u):
+    """Rising and falling branch at u of the settled loop between low and high (smallest r zero, engaged all).
+
+    Up to one constant: plays rise from the lower tip, fall from the upper one, and each dead-zone adds the
+    same to both.
+    """
+    half, middle = 0.5 * (high - low), 0.5 * (high + low)
+    bottom = -loop_amplitude(r, w, half)
+    line = sum(bi * dead_zone(u, qi) for qi, bi in zip(q, b, strict=True))
+    rising = bottom + rising_branch(r, w, half, u - middle) + line
+    falling = -bottom - rising_branch(r, w, half, middle - u) + line
+    return rising, falling
+
+
+def rate_dependent(u, sample_time, thresholds, growth, bandwidth, lam, weights):
+    """Plays whose thresholds grow with the filtered rate until the sample before; lists [j], weights [l][j].
+
+    R_i[k] = r_i + b_i g(rho[k]),  rho[k] = a rho[k-1] + (1 - a) (u[k-1] - u[k-2]) / T,  a = exp(-2 pi f T)
+    """
+    outputs = np.zeros((len(weights), len(u[0])))
+    for j, signal in enumerate(u):
+        a, rho, last, before = np.exp(-2 * np.pi * bandwidth[j] * sample_time), 0.0, 0.0, 0.0
+        plays = np.zeros(len(thresholds[j]))
+        for k, voltage in enumerate(signal):
+            rho = a * rho + (1 - a) * (last - before) / sample_time
+            g = np.log1p(lam[j] * abs(rho)) / lam[j] if lam[j] else abs(rho)
+            reach = np.asarray(thresholds[j]) + np.asarray(growth[j]) * g
+            plays = np.maximum(voltage - reach, np.minimum(voltage + reach, plays))
+            before, last = last, voltage
+            for o in range(len(weights)):
+                outputs[o, k] += np.dot(weights[o][j], plays)
+    return outputs

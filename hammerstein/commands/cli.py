@@ -14,15 +14,15 @@ import typer
 from hammerstein.commands import (
     export as export_command,
     records as record_commands,
+    start,
     study as study_commands,
     terminal,
 )
-from hammerstein.commands.terminal import complain, show, tell
+from hammerstein.commands.terminal import complain, hushed, show, tell, tell_json
 from hammerstein.errors import HammersteinError
 from hammerstein.escaping import clean
 from hammerstein.runtime.cache import folder_of_runs
-from hammerstein.runtime.deadline import ended_in_time
-from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, leave
+from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, ended_in_time, leave
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,17 +37,20 @@ app = typer.Typer(
     name="hammerstein",
     help="Simulate, identify and compensate multi-axis actuators with hysteresis.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-app.command()(record_commands.loops)
-app.command()(record_commands.identify)
-app.command()(record_commands.compensate)
-app.command()(export_command.export)
-app.command()(study_commands.sweep)
+
+def _example(command: str) -> str:
+    """What stands below the options of a command: a line that works in a folder made by ``init``."""
+    return f"\b\nExample: hammerstein {command}"  # \b: not to be broken into several lines
+
+
+COLUMNS = "--inputs u_x,u_y --outputs x,y --time time_s"
+ANSWERS = ("schema", "actuators", "show", "guide")
+"""Commands that print what they are asked for, however quiet they are to be."""
 
 Paths = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Scenario files, or folders of them.")]
 Jobs = Annotated[
@@ -69,11 +72,30 @@ def _say_version(wanted: bool) -> None:
 
 @app.callback()
 def _before(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", is_eager=True, callback=_say_version, help="Print the version.")
     ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print mistakes and warnings alone; --json is printed.")
+    ] = False,
 ) -> None:
     """What stands before a command."""
+    terminal.hush(quiet and context.invoked_subcommand not in ANSWERS)
+
+
+def _register_others() -> None:
+    """Commands that stand in other modules, in the order of a person's work."""
+    records = f"record_x.csv record_y.csv {COLUMNS}"
+    app.command(epilog=_example(f"loops {records}"))(record_commands.loops)
+    app.command(epilog=_example(f"identify {records} --out own.json"))(record_commands.identify)
+    app.command(epilog=_example("compensate stage.json path.csv --out drive.csv"))(record_commands.compensate)
+    app.command(epilog=_example("export stage.json --law exact_inverse --out c_code"))(export_command.export)
+    app.command(epilog=_example("sweep circle.toml --out rows.csv"))(study_commands.sweep)
+    app.command(epilog=_example("play stage.json drive.csv --out played.csv"))(start.play)
+    app.command(epilog=_example("init my_stage"))(start.init)
+    app.command(epilog=_example("show stage.json"))(start.show)
+    app.command(epilog=_example("guide start"))(start.guide)
 
 
 class _Interrupted(BaseException):
@@ -105,7 +127,7 @@ def main(arguments: list[str] | None = None) -> None:
         _answer_interrupts()
         terminal.make_ready()
         _one_thread_a_job()
-        with ended_in_time(lambda: complain(LEFT), INTERRUPTED):
+        with ended_in_time(lambda: complain(LEFT)):
             code = _answered(arguments)
     except _Interrupted:
         complain(LEFT)
@@ -138,7 +160,7 @@ def _answered(arguments: list[str] | None) -> int | str | None:
     return code
 
 
-@app.command()
+@app.command(epilog=_example("run circle.toml"))
 def run(
     paths: Paths,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the reports go.")] = Path("reports"),
@@ -221,7 +243,7 @@ def run(
     if as_json:
         errors = [str(outcome.error) for outcome in outcomes if outcome.error]
         contents = [json.loads(report.to_json()) for report in reports]
-        tell(json.dumps({"reports": contents, "errors": errors}))
+        tell_json({"reports": contents, "errors": errors})
     else:
         if reports:
             show(result_table(reports))
@@ -306,7 +328,7 @@ def _fail_with(outcomes: list[Outcome]) -> None:
         raise typer.Exit(max(error.exit_code for error in errors))
 
 
-@app.command()
+@app.command(epilog=_example("check . --html check.html"))
 def check(
     paths: Paths,
     baseline: Annotated[Path, typer.Option(metavar="DIR", help="Where the baselines are.")] = Path(
@@ -350,19 +372,22 @@ def check(
         write_atomic(markdown, result.markdown())
     if html is not None:
         write_atomic(html, check_page(result))
-    tell(json.dumps(result.as_dict()) if as_json else result.text())
+    if as_json:
+        tell_json(result.as_dict())
+    else:
+        tell(result.text())
     raise typer.Exit(result.exit_code)
 
 
-@app.command()
+@app.command(epilog=_example("schema > scenario.schema.json"))
 def schema() -> None:
     """Print the JSON Schema of scenario files, for editors."""
     from hammerstein.scenario import Scenario
 
-    tell(json.dumps(Scenario.model_json_schema(), indent=1, sort_keys=True))
+    tell_json(Scenario.model_json_schema(), indent=1, sort_keys=True)
 
 
-@app.command()
+@app.command(epilog=_example("actuators"))
 def actuators(as_json: AsJson = False) -> None:
     """List the actuators that come with the package."""
     from hammerstein.commands.tables import actuator_table
@@ -370,12 +395,12 @@ def actuators(as_json: AsJson = False) -> None:
 
     models = [HammersteinModel.load(name) for name in packaged_actuators()]
     if as_json:
-        tell(json.dumps([json.loads(model.to_json()) for model in models]))
+        tell_json([json.loads(model.to_json()) for model in models])
     else:
         show(actuator_table(models))
 
 
-@app.command()
+@app.command(epilog=_example("plot circle.toml"))
 def plot(
     path: Annotated[Path, typer.Argument(help="Scenario file.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the figures go.")] = Path("reports"),
@@ -413,7 +438,7 @@ class _Watch:
         self.bar: Any = None
 
     def __enter__(self) -> _Watch:
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and not hushed():
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -441,3 +466,6 @@ class _Watch:
         if self.bar is not None:
             self.bar.update(self.task, advance=1, description=clean(name))
             self.bar.update(self.inner, visible=False)
+
+
+_register_others()

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from hammerstein.commands.terminal import complain, tell
+from hammerstein.commands.terminal import complain, tell, tell_json
 from hammerstein.commands.volts import volts
 
-FORMATS = ("c",)
+FORMATS = ("c", "fmu")
 
 
 def export(
@@ -19,7 +18,7 @@ def export(
     law: Annotated[
         str, typer.Option(help="As in a scenario, or model: the actuator itself.")
     ] = "exact_inverse",
-    form: Annotated[str, typer.Option("--format", help="c: C99.")] = "c",
+    form: Annotated[str, typer.Option("--format", help="c: C99; fmu: FMI 3.0 around it.")] = "c",
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where the code goes.")] = None,
     check: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Make an export again, and compare.")
@@ -69,6 +68,7 @@ def export(
         "conditioned": conditioned,
         "accept_flagged": accept_flagged,
         "float32": float32,
+        "form": form,
     }
     assert model is not None  # the condition above
     _write(model, law, out, sample_time, request, as_json)
@@ -81,7 +81,7 @@ def _check(folder: Path, as_json: bool) -> None:
     compile_once(complain)
     files = check_export(folder)
     if as_json:
-        tell(json.dumps({"check": str(folder), "files": files}))
+        tell_json({"check": str(folder), "files": files})
     else:
         tell(f"{folder}: all {len(files)} files are what its model gives")
 
@@ -107,7 +107,7 @@ def _write(
     for place in written.kept:
         complain(kept_aside(place))
     if as_json:
-        tell(json.dumps({"export": str(out), "statements": written.statements, "files": written.files}))
+        tell_json({"export": str(out), "statements": written.statements, "files": written.files})
         return
     for text in written.statements:
         tell(text)

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from hammerstein.commands.terminal import complain, show, tell
+from hammerstein.commands.terminal import complain, hushed, show, tell, tell_json
 from hammerstein.commands.volts import volts
 from hammerstein.escaping import clean
 
 if TYPE_CHECKING:
+    from hammerstein.compensators.drive_file import Terms
     from hammerstein.files import Content
     from hammerstein.records.gains import Gain
     from hammerstein.records.record import Record
 
+_OPTIONS = {"sensor_bandwidth_hz": "sensor-bandwidth", "thresholds_v": "thresholds"}
 MOST_NAMED = 3
 """Records whose names make up that of a folder."""
 
@@ -47,7 +50,7 @@ AcceptGain = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 
-def _refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
+def refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
     """Refuse an output that cannot be written, holds something else, or is one of the files that are read."""
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_overwriting, refuse_unwritable
@@ -60,6 +63,23 @@ def _refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
 
 def _columns(words: str) -> list[str]:
     return [word.strip() for word in words.split(",") if word.strip()]
+
+
+@contextmanager
+def _told_by_options(source: str) -> Iterator[None]:
+    """Let the mistakes in what a function was told name the options that told it."""
+    from hammerstein.errors import InputError
+
+    try:
+        yield
+    except InputError as error:
+        if error.source != source:
+            raise
+        mistakes = [
+            m._replace(where=_OPTIONS.get(m.where, m.where.replace("_", "-"))) for m in error.mistakes
+        ]
+        named = [m._replace(where=f"--{m.where}" * bool(m.where)) for m in mistakes]
+        raise InputError("options", named) from None
 
 
 def _reader(
@@ -157,7 +177,7 @@ def loops(
             for source, loops_found in found.items()
             for loop in loops_found
         ]
-        tell(json.dumps({"loops": plain}))
+        tell_json({"loops": plain})
     else:
         show(gains_table(gains))
         show(loops_table(found))
@@ -196,6 +216,12 @@ def identify(
     method: Annotated[
         str, typer.Option(help="invertible, least_squares, nonnegative or closed_form.")
     ] = "invertible",
+    hysteresis: Annotated[
+        str, typer.Option(help="Static block: prandtl_ishlinskii, asymmetric or rate_dependent.")
+    ] = "prandtl_ishlinskii",
+    dead_zones: Annotated[
+        int | None, typer.Option(help="Of each input, with asymmetric; found if not given.")
+    ] = None,
     ridge: Annotated[float, typer.Option(help="Penalty of the weights; 0: none.")] = 0.0,
     dynamics: Annotated[
         str, typer.Option(help="none, lag, second_order, state_space, or auto: what lowers the error.")
@@ -230,20 +256,23 @@ def identify(
     from hammerstein.reporting.fit_page import fit_json
     from hammerstein.storage.staging import prepare
 
-    settings = settings_of(
-        operators=operators,
-        thresholds=thresholds,
-        partition=partition,
-        method=method,
-        ridge=ridge,
-        dynamics=dynamics,
-        order=order,
-        creep_modes=creep_modes,
-        delay_samples=delay_samples,
-        sensor_bandwidth_hz=sensor_bandwidth,
-    )
+    with _told_by_options("identification"):
+        settings = settings_of(
+            operators=operators,
+            thresholds=thresholds,
+            partition=partition,
+            method=method,
+            ridge=ridge,
+            hysteresis=hysteresis,
+            dead_zones=dead_zones,
+            dynamics=dynamics,
+            order=order,
+            creep_modes=creep_modes,
+            delay_samples=delay_samples,
+            sensor_bandwidth_hz=sensor_bandwidth,
+        )
     held = validate or []
-    _refuse_output(out, [*files, *held], CONTENT)
+    refuse_output(out, [*files, *held], CONTENT)
     twice = sorted({str(f) for f in held if f.resolve() in {g.resolve() for g in files}})
     if twice:
         raise InputError(
@@ -263,7 +292,7 @@ def identify(
     for place in write_fit(model, fit, out, folder, figures):
         complain(kept_aside(place))
     if as_json:
-        tell(fit_json(model, fit).rstrip())
+        tell_json(json.loads(fit_json(model, fit)), indent=1, sort_keys=True)
         return
     show(gains_table(gains))
     show(fit_table(fit))
@@ -278,7 +307,7 @@ class _Spinner:
 
     def __enter__(self) -> _Spinner:
         self.status = None
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and not hushed():
             from rich.console import Console
 
             self.status = Console(stderr=True).status("reading")
@@ -295,6 +324,83 @@ class _Spinner:
             from rich.text import Text
 
             self.status.update(Text(clean(what)))
+
+
+class _Table(NamedTuple):
+    """What a person asks of a wave table; no device: the period as a drive file."""
+
+    device: str | None
+    scale: str | None
+    points: int | None
+
+
+def _write_cycle(
+    model: str,
+    path: Path,
+    law: str,
+    options: dict[str, Any],
+    terms: Terms,
+    out: Path,
+    asked: _Table,
+    as_json: bool,
+) -> None:
+    """Write one settled period, as a drive file or as a wave table."""
+    from hammerstein.compensators.cycle import cycle_of, rms
+    from hammerstein.compensators.wave_table import DEVICES, wave_table
+    from hammerstein.errors import InputError
+    from hammerstein.files import write_atomic
+
+    if asked.device is not None and asked.device not in DEVICES:
+        raise InputError("--table", f"{asked.device!r} is not one of {', '.join(DEVICES)}")
+    scale = volts("--table-scale", asked.scale)
+    if scale is not None and (len(scale) > 2 or scale[0] == 0.0):
+        raise InputError("--table-scale", "is FACTOR or FACTOR,OFFSET, the factor not 0")
+    found = cycle_of(model, path, law, options, terms)
+    said, errors = found.statements(), [rms(found.error_um)]
+    text = found.to_csv()
+    if asked.device is not None:
+        pair = None if scale is None else (scale[0], scale[1] if len(scale) == 2 else 0.0)
+        table = wave_table(found, asked.device, pair, asked.points)
+        said, errors, text = table.statements(), list(table.errors_um), table.text()
+    write_atomic(out, text)
+    if as_json:
+        tell(json.dumps({"drive": str(out), "rms_um": errors, "statements": said}))
+        return
+    for words in said:
+        tell(words)
+    tell(f"one period in {out}")
+
+
+def _write_lesson(
+    model: str,
+    path: Path,
+    law: str,
+    options: dict[str, Any],
+    terms: Terms,
+    out: Path,
+    trial: tuple[Path, Path],
+    unsure: str,
+    as_json: bool,
+) -> None:
+    """Write the next drive of a periodic path, from a trial."""
+    from hammerstein.errors import InputError
+    from hammerstein.files import write_atomic
+    from hammerstein.learning.files import learn_from_files
+    from hammerstein.learning.unsure import Unsure
+
+    deviations = volts("--unsure", unsure) or ()
+    if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):
+        raise InputError("--unsure", f"{unsure!r} are not two relative deviations, such as 0.05,0.01")
+    found, taught = learn_from_files(model, path, law, options, trial, Unsure(*deviations), terms)
+    write_atomic(out, found.to_csv())
+    said = [taught.statement(), *found.statements()]
+    if as_json:
+        figures = {"error_rms_um": taught.error_rms_um, "noise_um": taught.noise_um}
+        tell(json.dumps({"drive": str(out), "finished": taught.finished, **figures, "statements": said}))
+        return
+    for words in said:
+        tell(words)
+    tell(f"next period in {out}")
 
 
 def compensate(
@@ -317,6 +423,24 @@ def compensate(
     conditioned: Annotated[
         bool, typer.Option("--conditioned", help="It was driven to HIGH, then LOW, before the start.")
     ] = False,
+    cycle: Annotated[
+        bool,
+        typer.Option("--cycle", help="The path is a period of a periodic one; write one that settled."),
+    ] = False,
+    table: Annotated[
+        str | None, typer.Option(metavar="pi|nv200|csv", help="Write that period as a wave table.")
+    ] = None,
+    table_scale: Annotated[
+        str | None, typer.Option(metavar="FACTOR[,OFFSET]", help="From V to the numbers of the table.")
+    ] = None,
+    table_points: Annotated[int | None, typer.Option(min=2, help="Most points of the table.")] = None,
+    learn: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(metavar="DRIVE MEASURED", help="A trial: write the next drive of the periodic path."),
+    ] = None,
+    unsure: Annotated[
+        str, typer.Option(metavar="W,R", help="Deviations of weights and resonances that --learn counts on.")
+    ] = "0.05,0.01",
     clip: Annotated[bool, typer.Option("--clip", help="Accept a path partly out of reach.")] = False,
     beyond_records: Annotated[
         bool, typer.Option("--beyond-records", help="Accept voltages that were never recorded.")
@@ -336,14 +460,24 @@ def compensate(
     if gain not in (None, "auto", "identity"):
         raise InputError("--gain", f"must be auto or identity, not {gain!r}; a matrix goes into a scenario")
     options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
-    _refuse_output(out, [Path(model), reference], CONTENT)
+    refuse_output(out, [Path(model), reference], CONTENT)
     compile_once(complain)
     ends, begins = volts("--range", range_v), volts("--start", start)
     terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
-    found = compensated(model, reference, law, options, terms)
+    with _told_by_options("compensate"):
+        if learn is not None:
+            _write_lesson(model, reference, law, options, terms, out, learn, unsure, as_json)
+            return
+        if cycle or table is not None:
+            wanted = _Table(table, table_scale, table_points)
+            _write_cycle(model, reference, law, options, terms, out, wanted, as_json)
+            return
+        if table_scale is not None or table_points is not None:
+            raise InputError("--table-scale, --table-points", "belong to --table")
+        found = compensated(model, reference, law, options, terms)
     write_atomic(out, found.to_csv())
     if as_json:
-        tell(json.dumps({"drive": str(out), **found.summary()}))
+        tell_json({"drive": str(out), **found.summary()})
         return
     show(compensation_table(found))
     for text in found.statements():

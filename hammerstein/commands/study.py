@@ -75,7 +75,7 @@ def _announced(scenario: Scenario, jobs: int, always: bool) -> str:
     if not always and seconds <= TOLD_S:
         return ""
     return (
-        f"{count} runs of {scenario.study.how} values, {duration(seconds)} with {jobs} jobs, "
+        f"{count} runs of {scenario.study.how} values, at most {duration(seconds)} with {jobs} jobs, "
         f"{size(jobs * one.bytes)} of memory"
     )
 

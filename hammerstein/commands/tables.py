@@ -15,6 +15,7 @@ from hammerstein.reporting.claims_page import Line
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from hammerstein.commands.playing import Played
     from hammerstein.compensators.drive_file import Compensation
     from hammerstein.experiment.plan import Plan
     from hammerstein.identification.fit import Fit
@@ -156,6 +157,25 @@ def loops_table(found: Mapping[str, Sequence[Loop]]) -> Table:
                 *(f"{number:.4g}" for number in (*numbers, loop.closure_um, loop.drift_um)),
                 "yes" if loop.settled else "no",
             )
+    return table
+
+
+def facts_table(title: str, facts: Iterable[tuple[str, str]]) -> Table:
+    """One line a fact: its name and its text."""
+    table = _table(title, ("", ""))
+    table.show_header = False
+    table.columns[1].min_width = len(title)  # a title is no wider than its table
+    for name, text in facts:
+        table.add_row(name, text)
+    return table
+
+
+def played_table(found: Played) -> Table:
+    """One line for each input and output: how far it goes."""
+    table = _table("Played", ("wire", "name", "", "lowest", "highest"))
+    for word, unit, spans in (("voltage", "V", "inputs"), ("position", "um", "outputs")):
+        for name, (low, high) in found.summary()[spans].items():
+            table.add_row(f"{word} [{unit}]", name, "", f"{low:.5g}", f"{high:.5g}")
     return table
 
 

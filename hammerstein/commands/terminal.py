@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import sys
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from hammerstein.errors import HammersteinError
 from hammerstein.escaping import clean
@@ -16,6 +17,18 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 WIDTH_OF_A_FILE = 160
+_hushed = False
+
+
+def hush(wanted: bool) -> None:
+    """Print no more than mistakes, warnings, and what is asked for as JSON; or everything again."""
+    global _hushed
+    _hushed = wanted
+
+
+def hushed() -> bool:
+    """Whether a person wants to read no more than that."""
+    return _hushed
 
 
 class OutputError(HammersteinError):
@@ -33,9 +46,19 @@ def make_ready() -> None:
 
 
 def tell(text: str) -> None:
-    """Print what was asked for; OutputError if it cannot be written."""
+    """Print for a person; OutputError if it cannot be written."""
+    if not _hushed:
+        _print(clean(text))
+
+
+def tell_json(content: Any, **options: Any) -> None:
+    """Print for a program; OutputError if it cannot be written."""
+    _print(clean(json.dumps(content, **options)))
+
+
+def _print(text: str) -> None:
     try:
-        print(clean(text), flush=True)
+        print(text, flush=True)
     except OSError as error:
         nobody_listens(error)
 
@@ -48,6 +71,8 @@ def complain(text: str) -> None:
 
 def show(table: Table) -> None:
     """Print a table, as wide as the terminal; wide enough for every column where it is a file."""
+    if _hushed:
+        return
     from rich.console import Console
 
     for column in table.columns:

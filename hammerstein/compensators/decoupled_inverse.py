@@ -125,11 +125,13 @@ class DecoupledInverseLaw(Law[InverseState]):
 
     def _respond(self, reference_um: Array, start: InverseState) -> tuple[Array, InverseState]:
         from hammerstein.compensators.kernels import respond_inverse_play
+        from hammerstein.compiled import spans
 
         v, plays = self.inverse.respond(self._from_rest(reference_um), start.plays)
         last, direction = start.last_v.copy(), start.direction.copy()
         drive = np.empty_like(v)
-        respond_inverse_play(v, self.jump_v, *self.range.counted, last, direction, drive)
+        for first, stop in spans(v.shape[1]):
+            respond_inverse_play(v, self.jump_v, *self.range.counted, last, direction, first, stop, drive)
         return drive, InverseState(plays, last, direction)
 
 

@@ -184,7 +184,7 @@ def compensate(
     """
     model, source = HammersteinModel.load(model_path), PurePath(model_path).name
     sample_time_s = model.instruments.drive.sample_time_s
-    time_s, reference, resampled = _on_grid(reference_path, model, sample_time_s)
+    time_s, reference, resampled = read_path(reference_path, model, sample_time_s)
     try:
         found = compensation_of(model, reference, law, options, terms, source)
     except SimulationError as error:
@@ -228,7 +228,7 @@ def compensation_of(
                 f"{error} {volts} {reachable.statement(model.outputs)} {remedy}Or accept it with --clip."
             ) from None
     if not terms.beyond_records:
-        _refuse_beyond(model, held)
+        refuse_beyond(model, held)
     time_s = np.arange(reference.shape[1], dtype=np.float64) * drive.sample_time_s
     return Compensation(model, built, reachable, time_s, reference, held, predicted, False, called)
 
@@ -293,8 +293,11 @@ def _asked_range(model: HammersteinModel, given: tuple[float, ...], m: int) -> A
     return np.asarray(ends, dtype=np.float64)
 
 
-def _refuse_beyond(model: HammersteinModel, drive_v: Array) -> None:
-    """Refuse voltages that the records did not cover."""
+def refuse_beyond(model: HammersteinModel, drive_v: Array) -> None:
+    """Refuse voltages that the records did not cover.
+
+    Raises SimulationError with the range of the records.
+    """
     recorded = model.recorded
     for name, row, low, high in zip(
         model.inputs, drive_v, recorded.lowest_v, recorded.highest_v, strict=True
@@ -342,8 +345,11 @@ def _slower(
     )
 
 
-def _on_grid(path: Path, model: HammersteinModel, sample_time_s: float) -> tuple[Array, Array, bool]:
-    """Times (sample,), reference (output, sample) on the drive's grid, and whether it was resampled."""
+def read_path(path: Path, model: HammersteinModel, sample_time_s: float) -> tuple[Array, Array, bool]:
+    """Times (sample,), reference (output, sample) on the drive's grid, and whether it was resampled.
+
+    Raises InputError for a file that is no such path.
+    """
     times, values, names = read_signal(path)
     if len(values) != len(model.outputs):
         raise InputError(

@@ -180,12 +180,15 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
     ) -> tuple[Array, FeedbackState]:
         """Run the same loop over the samples, compiled."""
         from hammerstein.compensators.kernels import respond_inverse_multiplicative
+        from hammerstein.compiled import spans
 
         plays, memory = _copy_of(start.plays), start.memory_v.copy()
         drive, b = np.empty_like(wanted_um), hysteresis.bank
         options = (self.gain_v_per_um, self.pole, self.iterations, *self.range.counted)
         stack = (plays.count, plays.end, plays.x, plays.d, plays.below)
-        respond_inverse_multiplicative(wanted_um, *options, b.r, b.slope, b.moment, *stack, memory, drive)
+        bank = (b.r, b.slope, b.moment)
+        for first, stop in spans(wanted_um.shape[1], 64 * self.iterations):
+            respond_inverse_multiplicative(wanted_um, *options, *bank, *stack, memory, first, stop, drive)
         return drive, FeedbackState(plays, memory)
 
 

@@ -49,9 +49,12 @@ class NoCompensationLaw(Law[NoMemory]):
 
     def _respond(self, reference_um: Array, start: NoMemory) -> tuple[Array, NoMemory]:
         from hammerstein.compensators.kernels import respond_gain
+        from hammerstein.compiled import spans
 
         drive = np.empty((self.n_inputs, reference_um.shape[1]))
-        respond_gain(reference_um, self.gain_v_per_um, self.base_v, *self.range.counted, drive)
+        law = (self.gain_v_per_um, self.base_v, *self.range.counted)
+        for first, stop in spans(reference_um.shape[1]):
+            respond_gain(reference_um, *law, first, stop, drive)
         return drive, start
 
 

@@ -412,6 +412,7 @@ class LinearBlock:
 
         Raises InputError where ``sample_time_s`` of the signal is not the block's own, or shapes differ.
         """
+        from hammerstein.compiled import spans
         from hammerstein.dynamics.linear_kernel import respond_linear
 
         if sample_time_s is not None and not math.isclose(sample_time_s, self.sample_time_s, rel_tol=1e-9):
@@ -425,7 +426,8 @@ class LinearBlock:
             raise InputError("signal", f"has {v.shape[0]} axes, the block wants {self.n_inputs}")
         x = self.rest() if start is None else np.array(start, dtype=np.float64)
         y = np.empty((self.n_outputs, v.shape[1]))
-        respond_linear(*self.rows, x, v, y)
+        for first, end in spans(v.shape[1], len(self.rows[2])):
+            respond_linear(*self.rows, x, v, first, end, y)
         return y, x
 
     def step(self, v_um: ArrayLike, state: Array) -> tuple[Array, Array]:

@@ -98,16 +98,16 @@ def _rows(
     """Rows target by target, within each of them axis by axis."""
     first = Window.of(setup.scenario, case.signal, response.sample_time_s).first
     axes, key, wanted = setup.plant.model.outputs, _key(setup, case), list(wanted)
-    run = response.after(first)
+    path = response.reference_um if case.axis is None else None
     for target in targets:
         measured = Measured(
-            run.sample_time_s,
-            run.reading_um,
-            run.position_um,
-            run.saturated,
+            response.sample_time_s,
+            response.reading_um[:, first:],
+            response.position_um[:, first:],
+            response.saturated[:, first:],
             None if target is None else target.reading_um[:, first:],
             None if target is None else target.position_um[:, first:],
-            run.reference_um if case.axis is None else None,
+            None if path is None else path[:, first:],
             _whole_cycle(setup, case, response.sample_time_s),
             loops,
             _middle(case, response),

@@ -106,12 +106,11 @@ class SetUp:
         refuse_too_long(window.total, hysteresis.n_inputs, hysteresis.n_outputs)
         values = self._values(case, 0, window.total)
         if scenario.drive is not None:
-            return lambda tested, seed: tested.respond(values, case.seed(seed))
+            return _following(plant, values, None, case)
         law = self.laws[case.label]
         if isinstance(law, Controller):
             return lambda tested, seed: closed_loop(law, tested, values, case.seed(seed))
-        voltages = law.drive_for(values)
-        return lambda tested, seed: tested.respond(voltages, case.seed(seed), reference_um=values)
+        return _following(plant, law.drive_for(values), values, case)
 
     def runs_on(self, case: Case) -> bool:
         """Whether a case can be simulated piece by piece: no law that looks ahead or reads the sensor."""
@@ -147,6 +146,18 @@ class SetUp:
         time_s = self.plant.sample_time_s * np.arange(first, stop, dtype=np.float64)
         rest = 0.0 if self.scenario.drive is None else self.plant.range.working_point_v
         return values_of(case, time_s, len(scenario_axes(self.scenario, self.plant.model)), rest)
+
+
+def _following(plant: Plant, requested_v: Array, reference_um: Array | None, case: Case) -> Experiment:
+    """Send a voltage to an actuator; what the drive makes of it is worked out once."""
+    driven = plant.driven(requested_v, reference_um is not None)
+
+    def experiment(tested: Plant, seed: int) -> Response:
+        if tested.instruments.drive != plant.instruments.drive:
+            return tested.respond(requested_v, case.seed(seed), reference_um)
+        return tested.follow(driven, tested.rest(case.seed(seed)), reference_um)[0]
+
+    return experiment
 
 
 def scenario_axes(scenario: Scenario, model: HammersteinModel) -> tuple[str, ...]:

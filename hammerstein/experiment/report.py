@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -134,6 +135,10 @@ class Report:
 
     def to_json(self) -> str:
         """Text of ``report.json``: full precision, sorted keys, no clock and no host."""
+        return self._json
+
+    @cached_property
+    def _json(self) -> str:
         content = {
             "format": FORMAT,
             "name": self.name,
@@ -163,6 +168,10 @@ class Report:
 
     def to_csv(self) -> str:
         """Text of ``rms.csv``: one line a row, figures without meaning left empty."""
+        return self._table
+
+    @cached_property
+    def _table(self) -> str:
         return _csv(self.to_frame())
 
 

@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 
 LOWEST_LINE_HZ = 5.0  # of the multisine
 REST_SAMPLES = 20
+ADDED_LATER = ("waveform", "hysteresis")
+"""Options that are no part of the seed of the noise while they are not given."""
 CREEP_SAMPLES = 12_000
 CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
 """Slow steps of the creep record, in parts of the amplitude; each lasts a sixth of it."""
@@ -68,7 +70,7 @@ def _identified(actuator_json: str, spec_json: str, seed: int) -> str:
     spec: ClosedFormSpec | JointFitSpec = TypeAdapter(IdentificationSpec).validate_json(spec_json)
     asked = spec.model_copy(update={"amplitude_v": spec.amplitude_v or actuator.amplitude_v})
     # The text is a part of the seed: what was added later and is not given must not move the noise.
-    unsaid = {"waveform"} if getattr(spec, "waveform", None) is None else set()
+    unsaid = {name for name in ADDED_LATER if getattr(spec, name, None) is None}
     seeds = [seed, zlib.crc32(asked.model_dump_json(exclude=unsaid).encode())]
     if isinstance(spec, JointFitSpec):
         return _joint_fit(_at_sample_time(plant, spec.sample_time_s), spec, seeds).to_json()
@@ -106,6 +108,7 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
     settings = Settings(
         operators=spec.operators,
         partition=spec.partition,
+        hysteresis=spec.hysteresis or "prandtl_ishlinskii",
         dynamics="second_order",
         creep_modes=0,
         sensor_bandwidth_hz=_finite(plant.instruments.sensor.bandwidth_hz),

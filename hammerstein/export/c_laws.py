@@ -125,7 +125,9 @@ def c_inverse_of(law: StaticInverse[Any], start: Any) -> CPart:
 @c_inverse_of.register
 def _(law: ExactInverseLaw, start: Any) -> CPart:
     """The walk over the pieces: the table of ``exact.pieces`` by its names."""
-    m, bank, table = law.n_inputs, law.square.bank, law.design_table()
+    if law.square.lines.n.any():
+        raise InputError("export", "the exact inverse of a model with dead-zones has no C code")
+    m, bank, table = law.n_inputs, law.square.plays.bank, law.design_table()
     about = table[pieces.HERE, :, pieces.ABOUT]
     segments = bank.r.shape[1] + 2
     held = table[pieces.HERE, law.n_outputs :, pieces.NOW, pieces.Y]
@@ -200,7 +202,7 @@ def _(law: HammersteinInverseLaw) -> CPart:
             Size("STATES", n, "of the linear block"),
         ),
         tables=tuple(tables),
-        indices=(Table("ahead", inverse.ahead, "Samples after which each output first hears of its input."),),
+        indices=(Table("lead", inverse.ahead, "Samples after which each output first hears of its input."),),
         start={name: value for name, value in states.items() if value.size},
         values={"n_raw": raw, "n_known": known, "n_modes": modes, "n_states": n},
     )

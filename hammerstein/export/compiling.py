@@ -92,8 +92,12 @@ class Library:
     def rest(self) -> Any:
         """Memory of a law at its start."""
         law = ctypes.create_string_buffer(self._bytes + 8)
-        getattr(self._library, f"{self.shape.name}_init")(law)
+        self.function("init")(law)
         return law
+
+    def function(self, name: str) -> Any:
+        """One of its functions, such as ``step``."""
+        return getattr(self._library, f"{self.shape.name}_{name}")
 
     def respond(self, entering: Array, law: Any = None) -> tuple[Array, int]:
         """What leaves (axis, sample), and the most operations of a step if they are counted."""

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from hammerstein.errors import InputError, ToleranceError
 from hammerstein.export.code import CCode, environment
 from hammerstein.export.compiling import compiler
+from hammerstein.export.fmu import BUILD, DESCRIPTION, UNIT, fmu_context, fmu_of
 from hammerstein.export.golden import SAMPLES, adverse, entering
 from hammerstein.export.measured import Measured
 from hammerstein.export.request import Request
@@ -54,7 +55,7 @@ def files_of(code: CCode, measured: Measured | None = None) -> dict[str, str]:
     InputError : there is no C code for it, or single precision without a C compiler
     """
     request, model = code.request, code.model
-    signal = entering(code.block, model, SAMPLES)
+    signal = entering(code.block, model.on_grid(request.sample_time_s), SAMPLES)
     answer = code.block.respond(signal)[0]
     found = measured if measured is not None else measure(code, signal, answer)
     template = environment().get_template
@@ -68,9 +69,14 @@ def files_of(code: CCode, measured: Measured | None = None) -> dict[str, str]:
         "columns": _columns(code),
         "file_name": code.name,
     }
-    return {
-        f"{code.name}.h": code.header(),
-        f"{code.name}.c": code.source(found),
+    header, source = code.header(), code.source(found)
+    unit: dict[str, str] = {}
+    if request.form == "fmu":
+        context |= fmu_context(header + source, request.sample_time_s, code.shape.entering, _columns(code))
+        unit = {name: template(f"{name}.jinja").render(context) for name in (UNIT, DESCRIPTION, BUILD)}
+    return unit | {
+        f"{code.name}.h": header,
+        f"{code.name}.c": source,
         "golden.csv": _golden(code, signal, answer),
         "selftest.c": template("selftest.c.jinja").render(context),
         "Makefile": template("Makefile.jinja").render(context),
@@ -92,7 +98,9 @@ def measure(code: CCode, signal: Array, answer: Array) -> Measured:
             )
         return Measured()
     with code.library(counting=True) as library:
-        most = library.respond(adverse(code.block, code.model, SEARCHED))[1]
+        most = library.respond(adverse(code.block, code.model.on_grid(code.request.sample_time_s), SEARCHED))[
+            1
+        ]
         lost = np.abs(library.respond(signal)[0] - answer)
     loss = {}
     if code.request.float32:
@@ -116,6 +124,8 @@ def write_export(request: Request, model: HammersteinModel, folder: Path) -> Wri
     with staged(folder, EXPORT) as stage:
         for name, content in files.items():
             stage.write(name, content)
+        if request.form == "fmu":
+            stage.write(f"{code.name}.fmu", fmu_of(code.name, files))
     return Written(tuple(files), tuple(code.statements()), stage.kept)
 
 

@@ -34,6 +34,7 @@ class Request(BaseModel):
     accept_flagged: bool = False
     sample_time_s: SampleTime
     float32: bool = False
+    form: Literal["c", "fmu"] = "c"
 
     def terms(self) -> Terms:
         """What a person allows the drive to do."""

@@ -1,8 +1,9 @@
-"""Hysteresis: what every kind is, and the classical Prandtl-Ishlinskii block with its compiled loops.
+"""Hysteresis: what every kind is, and each of them with its compiled loops.
 
 To add a kind to the package, write it in a file of its own and name it here.
 """
 
+from hammerstein.hysteresis.asymmetric import Asymmetric, AsymmetricFile, AsymmetricState, DeadZones
 from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.covariance import ThresholdCovariance
 from hammerstein.hysteresis.kind import (
@@ -16,10 +17,14 @@ from hammerstein.hysteresis.kind import (
 )
 from hammerstein.hysteresis.pair import Pair, WeightCovariance, play
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii, PrandtlIshlinskiiFile
+from hammerstein.hysteresis.rate_dependent import RateDependent, RateDependentFile, RatePlays, RateState
 
 __all__ = [
     "HYSTERESIS",
+    "Asymmetric",
+    "AsymmetricState",
     "Bank",
+    "DeadZones",
     "Hysteresis",
     "HysteresisFile",
     "Memory",
@@ -27,6 +32,9 @@ __all__ = [
     "Pair",
     "PlayState",
     "PrandtlIshlinskii",
+    "RateDependent",
+    "RatePlays",
+    "RateState",
     "Sloped",
     "ThresholdCovariance",
     "WeightCovariance",
@@ -35,3 +43,5 @@ __all__ = [
 ]
 
 HYSTERESIS.register(PrandtlIshlinskiiFile)
+HYSTERESIS.register(AsymmetricFile)
+HYSTERESIS.register(RateDependentFile)

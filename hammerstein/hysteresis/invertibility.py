@@ -1,19 +1,20 @@
-"""Whether a multivariable Prandtl-Ishlinskii model has an inverse, told before a run."""
+"""Whether a multivariable model of plays and dead-zones has an inverse, told before a run."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import singledispatch
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from hammerstein.blocks import Array
+from hammerstein.blocks import Array, require_square
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis import Hysteresis, Pair, PrandtlIshlinskii
-from hammerstein.hysteresis.slopes import slope_matrices
+from hammerstein.hysteresis import Asymmetric, DeadZones, Hysteresis, Pair, PrandtlIshlinskii, RateDependent
+from hammerstein.hysteresis.slopes import every_matrix
 
 SINGULAR = 1e-9
 
@@ -28,6 +29,7 @@ class Invertibility:
     slopes_um_per_v : slope matrix there (output, input) [um/V]
     jump_v : (input,) jump of the drive at a reversal, twice the smallest threshold [V]
     inputs : names of the inputs; numbers if not given
+    zones_v : voltages between two breakpoints of the dead-zones there, by input [V]; empty without any
     """
 
     positive: int
@@ -38,9 +40,13 @@ class Invertibility:
     slopes_um_per_v: Array
     jump_v: Array
     inputs: tuple[str, ...] = ()
+    zones_v: tuple[tuple[float, float], ...] = ()
 
     def _name(self, k: int) -> str:
         return f"input {self.inputs[k] if self.inputs else k + 1}"
+
+    def _between(self, k: int) -> str:
+        return " between {:.4g} and {:.4g} V".format(*self.zones_v[k]) if self.zones_v else ""
 
     @property
     def invertible(self) -> bool:
@@ -58,7 +64,7 @@ class Invertibility:
             ) + (f" Where an input turns, its drive jumps: {jumps}." if self.jump_v.any() else "")
         other = min(self.positive, self.negative)
         places = "; ".join(
-            f"{self._name(k)} with {n} operators engaged (thresholds to {r:.4g} V)"
+            f"{self._name(k)} with {n} operators engaged (thresholds to {r:.4g} V){self._between(k)}"
             for k, (n, r) in enumerate(zip(self.engaged, self.thresholds_v, strict=True))
         )
         slopes = np.array2string(self.slopes_um_per_v, precision=4, separator=", ").replace("\n", "")
@@ -76,14 +82,14 @@ def invertibility(
 
     Gamma(U) = Y has one solution for every Y if the determinants of all slope matrices J have one sign, for
     on a monotone stretch the model is separable and piecewise affine (Fujisawa and Kuh 1972). Column k of J
-    is the sum of the first 1, 2, ... weights of input k. A model with more inputs than outputs is first
-    completed to a square one (see ``completed``).
+    is the sum of the first 1, 2, ... weights of input k, and of those of its dead-zones below the voltage. A
+    model with more inputs than outputs is first completed to a square one (see ``completed``).
 
     Parameters
     ----------
     hysteresis : m inputs, p <= m outputs
-    range_v : farthest from the working point that the drive can go [V], for all inputs or each of them (m,);
-        operators with larger thresholds never move
+    range_v : farthest from the working point that the drive can go [V], for all inputs or each of them (m,),
+        or lowest and highest voltage counted from it (2, m); operators with larger thresholds never move
     amplitude_v : amplitude for the gain matrix of a model with more inputs than outputs [V]
 
     Raises
@@ -100,11 +106,17 @@ def invertibility(
     raise InputError("inverse", f"hysteresis of kind {hysteresis.kind!r} does not tell whether it has one")
 
 
-@invertibility.register
+@invertibility.register(PrandtlIshlinskii)
+@invertibility.register(Asymmetric)
 def _(
-    hysteresis: PrandtlIshlinskii, range_v: ArrayLike = math.inf, amplitude_v: float | None = None
+    hysteresis: PrandtlIshlinskii | Asymmetric,
+    range_v: ArrayLike = math.inf,
+    amplitude_v: float | None = None,
 ) -> Invertibility:
-    farthest = np.broadcast_to(np.asarray(range_v, dtype=np.float64), hysteresis.n_inputs)
+    given = np.asarray(range_v, dtype=np.float64)
+    low, high = given if given.ndim == 2 else (-given, given)
+    low, high = (np.broadcast_to(end, hysteresis.n_inputs) for end in (low, high))
+    farthest = np.maximum(np.abs(low), np.abs(high))
     square, smallest = completed(hysteresis, amplitude_v or _usual_amplitude(hysteresis, farthest.max()))
     if (smallest >= farthest).any():
         k = int(np.argmax(smallest - farthest))
@@ -112,65 +124,145 @@ def _(
             f"of input {k + 1}, {smallest[k]:g} V, is beyond the range of {farthest[k]:g} V: nothing moves"
         )
         raise InputError("smallest threshold", message)
-    reached = _within(square, farthest - smallest)
-    dominant = _dominant_sign(reached)
+    ends = zip(np.minimum(low + smallest, 0.0), np.maximum(high - smallest, 0.0), strict=True)
+    reached = [_reachable(square, k, *each) for k, each in enumerate(ends)]
+    columns = [choices.slopes for choices in reached]
+    dominant = _dominant_sign(columns)
     if dominant:
-        number = math.prod(int(n) for n in reached.bank.n)
+        number = math.prod(len(column) for column in columns)
         counts = (number, 0) if dominant > 0 else (0, number)
-        return Invertibility(
-            *counts, 0, (), (), _mean_slopes(reached)[: hysteresis.n_outputs], 2.0 * smallest
-        )
-    return _enumerated(reached, smallest, hysteresis.n_outputs)
+        slopes = _mean_slopes(columns)[: hysteresis.n_outputs]
+        return Invertibility(*counts, 0, (), (), slopes, 2.0 * smallest)
+    return _enumerated(square, reached, smallest, hysteresis.n_outputs)
 
 
-def _mean_slopes(square: PrandtlIshlinskii) -> Array:
+@invertibility.register
+def _(
+    hysteresis: RateDependent, range_v: ArrayLike = math.inf, amplitude_v: float | None = None
+) -> Invertibility:
+    """Any set of plays may move together while thresholds change: every sum of their weights counts.
+
+    There is an inverse if, seen through the inverse of the mean slopes, each column keeps a positive share
+    of its own however its plays combine, larger than the sum of what it may do to the others.
+    """
+    m = hysteresis.n_inputs
+    require_square(m, hysteresis.n_outputs, "exact_inverse")
+    weights = hysteresis.bank.w.copy()  # (input, play, output)
+    first = np.array([[w[0] for w in row] for row in hysteresis.weights_um_per_v])
+    always = all(plays.thresholds_v[0] == 0.0 == plays.growth_s[0] for plays in hysteresis.inputs)
+    mean = 0.5 * (first + weights.sum(axis=1).T)
+    number, jump = 1, np.zeros(m)
+    for n in hysteresis.bank.n:
+        number *= 2 ** (int(n) - 1)
+    singular = abs(np.linalg.det(mean)) <= SINGULAR * np.prod(np.linalg.norm(mean, axis=0))
+    sure = not singular and always
+    if sure:
+        for k in range(m):
+            shares = np.linalg.solve(mean, weights[k].T)
+            own, others = shares[k], np.delete(shares, k, axis=0)
+            least = own[0] + np.minimum(own[1:], 0.0).sum()
+            sizes = [max(row[0] + np.maximum(row[1:], 0.0).sum(), -row[0] - np.minimum(row[1:], 0.0).sum())
+                     for row in others]  # fmt: skip
+            sure = sure and least > sum(sizes) + SINGULAR
+    counts = (number, 0, 0) if sure else (0, 0, number)
+    engaged = () if sure else tuple(int(n) for n in hysteresis.bank.n)
+    thresholds = () if sure else tuple(float(plays.thresholds_v[-1]) for plays in hysteresis.inputs)
+    return Invertibility(*counts, engaged, thresholds, mean, jump)
+
+
+class _Reachable(NamedTuple):
+    """Slopes (choice, row) that one input can have, with its engaged operators and zone (choice,)."""
+
+    slopes: Array
+    engaged: NDArray[np.int64]
+    zone: NDArray[np.int64]
+
+
+def _reachable(square: Asymmetric, k: int, low: float, high: float) -> _Reachable:
+    """Every number of engaged operators in every zone where a drive from low to high can bring them about.
+
+    After a reversal at low, operator j engages 2 r_j above it, and r_j above the working point where the
+    actuator was at rest before; so it is downwards from high.
+    """
+    bank, lines = square.plays.bank, square.lines
+    r = bank.r[k, : bank.n[k]]
+    tops = lines.ends[k, : lines.n[k] + 1]
+    bottoms = np.concatenate([[-np.inf], tops[:-1]])
+    rises, falls = np.minimum(low + 2.0 * r, r), np.maximum(high - 2.0 * r, -r)
+    up = np.maximum(bottoms[:, None], rises) < np.minimum(tops, high)[:, None]
+    down = np.minimum(tops[:, None], falls) > np.maximum(bottoms, low)[:, None]
+    zone, engaged = np.nonzero(up | down)
+    slopes = lines.slope[k, zone] + bank.slope[k, engaged + 1]
+    return _Reachable(slopes, (engaged + 1).astype(np.int64), zone.astype(np.int64))
+
+
+def _mean_slopes(columns: Sequence[Array]) -> Array:
     """Mean over the slopes that each input can have (row, input) [um/V]."""
-    return np.stack([square.slope_columns(k).mean(axis=0) for k in range(square.n_inputs)], axis=1)
+    return np.stack([column.mean(axis=0) for column in columns], axis=1)
 
 
-def _dominant_sign(square: PrandtlIshlinskii) -> int:
+def _dominant_sign(columns: Sequence[Array]) -> int:
     """Sign of all determinants where every slope stays close enough to its mean to tell at once, else 0.
 
     With J_0 the mean, the columns of J_0^-1 J are then dominated by their diagonal, which is positive.
     """
-    if not square.bank.n.all():
+    if not all(len(column) for column in columns):
         return 0
-    mean = _mean_slopes(square)
+    mean = _mean_slopes(columns)
     determinant = float(np.linalg.det(mean))
     if abs(determinant) <= SINGULAR * float(np.prod(np.linalg.norm(mean, axis=0))):
         return 0
-    for k in range(square.n_inputs):
-        scaled = np.linalg.solve(mean, square.slope_columns(k).T)
+    for k, column in enumerate(columns):
+        scaled = np.linalg.solve(mean, column.T)
         others = np.abs(scaled).sum(axis=0) - np.abs(scaled[k])
         if (scaled[k] <= others + SINGULAR).any():
             return 0
     return 1 if determinant > 0.0 else -1
 
 
-def _enumerated(square: PrandtlIshlinskii, smallest_v: Array, n_outputs: int) -> Invertibility:
+def _enumerated(
+    square: Asymmetric, reached: Sequence[_Reachable], smallest_v: Array, n_outputs: int
+) -> Invertibility:
     """Examine all determinants one by one."""
-    slopes = slope_matrices(square, math.inf)
+    slopes = every_matrix([choices.slopes for choices in reached])
     determinants = np.linalg.det(slopes)
     size = np.prod(np.linalg.norm(slopes, axis=1), axis=1)
     sign = np.where(np.abs(determinants) <= SINGULAR * size, 0, np.sign(determinants)).astype(int)
     positive, negative, singular = (int((sign == value).sum()) for value in (1, -1, 0))
     first = int(np.argmax(sign != (1 if positive >= negative else -1)))
     engaged: tuple[int, ...] = ()
+    zones: list[tuple[float, float]] = []
     if min(positive, negative) or singular:
-        counts = tuple(int(n) for n in square.bank.n)
-        engaged = tuple(int(i) + 1 for i in np.unravel_index(first, counts))
-    thresholds = tuple(float(square.bank.r[k, n - 1] + smallest_v[k]) for k, n in enumerate(engaged))
+        choice = np.unravel_index(first, [len(choices.engaged) for choices in reached])
+        engaged = tuple(int(one.engaged[i]) for one, i in zip(reached, choice, strict=True))
+        if square.lines.n.any():
+            zones = [_ends_v(square, k, int(one.zone[choice[k]])) for k, one in enumerate(reached)]
+    thresholds = tuple(float(square.plays.bank.r[k, n - 1] + smallest_v[k]) for k, n in enumerate(engaged))
     return Invertibility(
-        positive, negative, singular, engaged, thresholds, slopes[first, :n_outputs], 2.0 * smallest_v
+        positive,
+        negative,
+        singular,
+        engaged,
+        thresholds,
+        slopes[first, :n_outputs],
+        2.0 * smallest_v,
+        zones_v=tuple(zones),
     )
 
 
-def completed(hysteresis: PrandtlIshlinskii, amplitude_v: float) -> tuple[PrandtlIshlinskii, Array]:
+def _ends_v(square: Asymmetric, k: int, zone: int) -> tuple[float, float]:
+    """Where a zone of input k begins and ends, as voltages are sent [V]."""
+    tops, rest = square.lines.ends[k], float(np.asarray(square.working_point_v)[k])
+    return (float(tops[zone - 1]) + rest if zone else -math.inf), float(tops[zone]) + rest
+
+
+def completed(hysteresis: PrandtlIshlinskii | Asymmetric, amplitude_v: float) -> tuple[Asymmetric, Array]:
     """Make the model square and its smallest thresholds zero, as the exact inverse wants it.
 
-    The smallest threshold of each input is taken off all of its thresholds. A model with m > p inputs gets
-    m - p rows ``M q = 0`` more, M spanning what the gain matrix G of the settled loops maps to zero: of all
-    drives that G maps to the same displacement they leave the shortest.
+    The smallest threshold of each input is taken off all of its thresholds; dead-zones stand behind it
+    anyway. A model with m > p inputs gets m - p rows ``M q = 0`` more, M spanning what the gain matrix G of
+    the settled loops maps to zero: of all drives that G maps to the same displacement they leave the
+    shortest. A classical model has no dead-zones.
 
     Returns
     -------
@@ -184,20 +276,28 @@ def completed(hysteresis: PrandtlIshlinskii, amplitude_v: float) -> tuple[Prandt
             f"the model has {m} inputs for {p} outputs: {m} voltages cannot hold {p} positions at will; "
             "leave out outputs or add inputs",
         )
-    idle = [k + 1 for k in range(m) if all(len(row[k].thresholds_v) == 0 for row in hysteresis.pairs)]
-    if idle:
-        raise InputError("exact_inverse", f"input {idle[0]} moves no output: the model has no inverse")
-    smallest = np.array([hysteresis.bank.r[k, 0] for k in range(m)])
+    model = hysteresis
+    if isinstance(model, PrandtlIshlinskii):
+        model = Asymmetric(model, ((DeadZones.absent(),) * m,) * p)
+    pairs, zones = list(model.plays.pairs), list(model.zones)
+    for k in range(m):
+        if any(len(row[k].thresholds_v) for row in pairs):
+            continue
+        if not any(len(row[k].breakpoints_v) for row in zones):
+            raise InputError("exact_inverse", f"input {k + 1} moves no output: the model has no inverse")
+        pairs[0] = (*pairs[0][:k], Pair.linear(0.0), *pairs[0][k + 1 :])
+    smallest = model.smallest_v
     rows = [
         tuple(Pair(pair.thresholds_v - smallest[k], pair.weights_um_per_v) for k, pair in enumerate(row))
-        for row in hysteresis.pairs
+        for row in pairs
     ]
     if m > p:
         gain = hysteresis.gain(amplitude_v)
         scale = float(np.abs(gain).max())
         for direction in np.linalg.svd(gain)[2][p:]:
             rows.append(tuple(Pair.linear(scale * share) for share in direction.tolist()))
-    return PrandtlIshlinskii(tuple(rows)), smallest
+            zones.append((DeadZones.absent(),) * m)
+    return Asymmetric(PrandtlIshlinskii(tuple(rows)), tuple(zones), model.working_point_v), smallest
 
 
 def require_inverse(found: Invertibility, law: str, run_anyway: bool) -> None:
@@ -210,22 +310,10 @@ def require_inverse(found: Invertibility, law: str, run_anyway: bool) -> None:
         )
 
 
-def _within(square: PrandtlIshlinskii, bound_v: Array) -> PrandtlIshlinskii:
-    """Leave the operators out that no drive within the bounds moves."""
-    rows = []
-    for row in square.pairs:
-        pairs = []
-        for k, pair in enumerate(row):
-            moves = pair.thresholds_v < bound_v[k]
-            pairs.append(Pair(pair.thresholds_v[moves], pair.weights_um_per_v[moves]))
-        rows.append(tuple(pairs))
-    return PrandtlIshlinskii(tuple(rows))
-
-
-def _usual_amplitude(hysteresis: PrandtlIshlinskii, range_v: float) -> float:
+def _usual_amplitude(hysteresis: PrandtlIshlinskii | Asymmetric, range_v: float) -> float:
     """Drive range, or where there is none, twice the largest threshold [V]."""
     if math.isfinite(range_v):
         return range_v
-    bank = hysteresis.bank
+    bank = hysteresis.bank if isinstance(hysteresis, PrandtlIshlinskii) else hysteresis.plays.bank
     largest = max((float(bank.r[k, n - 1]) for k, n in enumerate(bank.n) if n), default=0.0)
     return 2.0 * largest or 1.0

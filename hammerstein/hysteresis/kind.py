@@ -81,6 +81,13 @@ class Hysteresis(ABC, Generic[S]):
         """Give the block on a sample grid; one that does not depend on the rate is the same on all."""
         return self
 
+    def counted_from(self, working_point_v: ArrayLike) -> Hysteresis[S]:
+        """Give the block for voltages counted from a working point (m,) [V].
+
+        One that is the same about every voltage, as plays are, does not change.
+        """
+        return self
+
     @abstractmethod
     def rest(self) -> S:
         """Memory of an actuator that was never driven."""

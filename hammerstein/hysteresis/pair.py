@@ -40,12 +40,15 @@ def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
     >>> play([0.0, 2.0, 1.0, -2.0], [0.5])
     array([[ 0. ,  1.5,  1.5, -1.5]])
     """
+    from hammerstein.compiled import spans
     from hammerstein.hysteresis.play_kernels import play_bank
 
     thresholds = np.atleast_1d(np.asarray(r, dtype=np.float64))
     plays = np.zeros(len(thresholds)) if start is None else np.array(start, dtype=np.float64)
     outputs = np.empty((len(thresholds), np.size(u)))
-    play_bank(np.ascontiguousarray(u, dtype=np.float64), thresholds, plays, outputs)
+    voltages = np.ascontiguousarray(u, dtype=np.float64)
+    for first, stop in spans(len(voltages), 4 * len(thresholds)):
+        play_bank(voltages, thresholds, plays, first, stop, outputs)
     return outputs
 
 

@@ -46,13 +46,13 @@ BLOCK = 2048  # samples of all inputs and outputs that stay in the processor's c
 
 
 @compiled()
-def play_bank(u, r, plays, p):  # type: ignore[no-untyped-def]
-    """Outputs of every play: u (N,), r (n,), plays (n,) updated in place, p (n, N) overwritten."""
+def play_bank(u, r, plays, first, stop, p):  # type: ignore[no-untyped-def]
+    """Outputs of every play: u (N,), r (n,), plays (n,) updated, p (n, N) overwritten from first to stop."""
     for i in range(r.shape[0]):
         now = plays[i]
-        for t in range(u.shape[0]):
-            now = max(u[t] - r[i], min(u[t] + r[i], now))
-            p[i, t] = now
+        for t in range(first, stop):
+            now = max(u[at(t)] - r[i], min(u[at(t)] + r[i], now))
+            p[i, at(t)] = now
         plays[i] = now
 
 
@@ -191,24 +191,24 @@ def _base(u, direction, r, top, end, x, d):  # type: ignore[no-untyped-def]
 
 @compiled()
 def respond_turning_points(  # type: ignore[no-untyped-def]
-    u, r, guide, scale, n, lines, count, end, x, d, below, y, outputs
+    u, r, guide, scale, n, lines, count, end, x, d, below, begin, finish, y, outputs
 ):
     """Turning-point form: the same outputs as the textbook loop; the stack is updated in place.
 
-    u : (m, N); r : (m, n_max); guide, scale : see ``search_guide``; n : (m,)
+    u : (m, N), from sample begin up to finish; r : (m, n_max); guide, scale : see ``search_guide``; n : (m,)
     lines : (m, n_max+1, 2 p) W of each output, then R of each output
     count : (m,); end, x, d : (m, n_max+1); below : (m, n_max+1, p), see ``move``; y : (p, N), overwritten
     outputs : p zeros in a tuple: a number of outputs that the compiler knows, for it unrolls their loops
 
-    Returns N, or the first sample of the block in which it met an input that is not finite.
+    Returns finish, or the first sample of the block in which it met an input that is not finite.
     """
     m, height = u.shape[0], r.shape[1] + 2
     ends, xs, ds = np.empty((m, height), np.int64), np.empty((m, height)), np.empty((m, height))
     tips = np.empty((m, height, len(outputs)))
     for k in range(m):
         load(n[k], lines[k], count[k], end[k], x[k], d[k], ends[k], xs[k], ds[k], tips[k], outputs)
-    for start in range(0, u.shape[1], BLOCK):
-        stop = min(start + BLOCK, u.shape[1])
+    for start in range(begin, finish, BLOCK):
+        stop = min(start + BLOCK, finish)
         y[:, start:stop] = 0.0
         for k in range(m):
             if not _finite(u[k], start, stop):
@@ -220,7 +220,7 @@ def respond_turning_points(  # type: ignore[no-untyped-def]
                 )  # fmt: skip
     for k in range(m):
         _save(lines[k], count[k], ends[k], xs[k], ds[k], end[k], x[k], d[k], below[k])
-    return u.shape[1]
+    return finish
 
 
 @compiled()

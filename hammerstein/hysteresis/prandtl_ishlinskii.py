@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from hammerstein.errors import InputError
+from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.covariance import ThresholdCovariance, refuse_other_sizes
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, Normals, refuse_not_finite
@@ -59,7 +59,8 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
         object.__setattr__(self, "pairs", tuple(tuple(row) for row in self.pairs))
         widths = {len(row) for row in self.pairs}
         if len(widths) != 1 or not self.pairs[0]:
-            raise InputError("Prandtl-Ishlinskii model", "every output needs one pair for every input")
+            what = "must hold one pair for every input of every output"
+            raise InputError("Prandtl-Ishlinskii model", [Mistake("pairs", what)])
         if not any(len(pair.thresholds_v) for row in self.pairs for pair in row):
             raise InputError("Prandtl-Ishlinskii model", "all pairs are absent; give at least one operator")
         refuse_other_sizes(self.operators, self.weight_covariance, self.threshold_covariance)
@@ -159,14 +160,16 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
         return PlayState.from_dict(data)
 
     def _respond(self, u_v: Array, start: PlayState) -> tuple[Array, PlayState]:
+        from hammerstein.compiled import spans
         from hammerstein.hysteresis.play_kernels import respond_turning_points
 
         y, b, s = np.empty((self.n_outputs, u_v.shape[1])), self.bank, start.copy()
         bank = (b.r, b.guide, b.scale, b.n, b.lines)
         stack = (s.count, s.end, s.x, s.d, s.below)
-        done = respond_turning_points(u_v, *bank, *stack, y, (0,) * self.n_outputs)
-        if done < u_v.shape[1]:
-            refuse_not_finite(u_v)
+        for first, stop in spans(u_v.shape[1]):
+            done = respond_turning_points(u_v, *bank, *stack, first, stop, y, (0,) * self.n_outputs)
+            if done < stop:
+                refuse_not_finite(u_v)
         return y, s
 
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
@@ -279,6 +282,14 @@ class PrandtlIshlinskiiFile(HysteresisFile):
     pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
     weight_covariance: tuple[CovarianceFile, ...] | None = None
     threshold_covariance: ThresholdCovarianceFile | None = None
+
+    @model_validator(mode="after")
+    def _is_a_hysteresis(self) -> Self:
+        try:
+            self.hysteresis()
+        except InputError as error:
+            raise ValueError("; ".join(f"{m.where} {m.what}".strip() for m in error.mistakes)) from None
+        return self
 
     def hysteresis(self) -> PrandtlIshlinskii:
         """Give the hysteresis this describes."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,11 @@ def slope_matrices(hysteresis: Hysteresis[Any], amplitude_v: float) -> Array:
     Raises SimulationError where there are too many to examine.
     """
     columns = [slopes_of(hysteresis, k, amplitude_v) for k in range(hysteresis.n_inputs)]
+    return every_matrix(columns)
+
+
+def every_matrix(columns: Sequence[Array]) -> Array:
+    """Every matrix (combination, row, input) with one of the columns (choice, row) of each input."""
     if any(len(column) == 0 for column in columns):
         raise SimulationError("An input moves no output: the model has no inverse.")
     number = int(np.prod([len(column) for column in columns], dtype=float))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
+from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.static.normal_equations import (
     Moments,
@@ -102,8 +103,9 @@ def _spread(trial: Trial, best: Trial) -> float:
 def parameters_of(candidate: Candidate) -> int:
     """Free numbers of a model: weights, thresholds that are shared by the outputs, and the linear block."""
     hysteresis, dynamics = candidate.hysteresis, candidate.dynamics
-    weights = sum(len(pair.thresholds_v) for row in hysteresis.pairs for pair in row)
-    thresholds = int(sum(n for n in hysteresis.bank.n if n > 1))
+    weights = sum(sum(row) for row in hysteresis.operators)
+    plays = hysteresis.bank.n if isinstance(hysteresis, PrandtlIshlinskii) else []
+    thresholds = int(sum(n for n in plays if n > 1))
     if isinstance(dynamics, StaticDynamics):
         return weights + thresholds
     if isinstance(dynamics, AxesDynamics):
@@ -149,6 +151,7 @@ def crossed_squares(
     if not is_stable(candidate.dynamics, records[0].sample_time_s):
         return np.full(FOLDS * len(records), np.inf)
     span, p = ranges(records, starts), len(records[0].y_um)
+    assert isinstance(candidate.hysteresis, PrandtlIshlinskii)  # other kinds take their place afterwards
     layout = Layout.of([[pair.thresholds_v for pair in row] for row in candidate.hysteresis.pairs])
     columns = sum(map(len, layout.grids))
     prompt = candidate.dynamics.model_copy(update={"input_delay_s": 0.0})

@@ -15,12 +15,13 @@ from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 from hammerstein.voltages import Voltages
 
-Kind = Literal["linear", "static_hysteresis", "linear_dynamics", "hammerstein"]
+Kind = Literal["linear", "static_hysteresis", "linear_dynamics", "classical", "hammerstein"]
 
 KIND_NAMES: Mapping[Kind, str] = {
     "linear": "linear gain",
-    "static_hysteresis": "static Prandtl-Ishlinskii",
+    "static_hysteresis": "static hysteresis",
     "linear_dynamics": "linear dynamics alone",
+    "classical": "the same with plays alone",
     "hammerstein": "Hammerstein",
 }
 

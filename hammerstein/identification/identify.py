@@ -27,6 +27,7 @@ from hammerstein.identification.candidates import (
 from hammerstein.identification.choice import Trial, chosen, crossed_squares, judged_squares, parameters_of
 from hammerstein.identification.excitation import answers, excitation_statements, refuse_noise, refuse_one_way
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
+from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.leftover import leftover_statements
 from hammerstein.identification.linear.second_order import FirstGuess, search_axes
 from hammerstein.identification.operators import (
@@ -153,6 +154,8 @@ def identify(
     (array([3., 1., 1.]), True)
     """
     settings = settings or Settings()
+    if settings.hysteresis == "rate_dependent" and settings.delay_samples is None:
+        settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
     tell = progress or (lambda _: None)
     ready = _ready(records)
     held = _ready(validation) if validation else ()
@@ -167,6 +170,7 @@ def identify(
     held_starts = judged_starts(held, largest.predict, _settle_s(guesses), _start_mode(settings))
     tell("judging the models")
     built, trials = _kept(task, built, held, held_starts)
+    built = with_hysteresis(task, built)
     fitted = {kind: score(c, ready, task.starts) for kind, c in built.candidates.items()}
     judged = {kind: score(c, held, held_starts) for kind, c in built.candidates.items()} if held else {}
     errors = Judgement(fitted, judged, held, held_starts, answer, trials)
@@ -365,7 +369,7 @@ def _account(
     flags, bounds = _flags(task, built, named), []
     where = (held, held_starts) if held else (task.records, task.starts)
     leftover = leftover_statements(best, *where, settings)
-    if settings.method == "invertible":
+    if settings.method == "invertible" and settings.hysteresis == "prandtl_ishlinskii":
         spoiled = {name for fault in named for name in fault.outputs}
         bounds = bound_notes(
             task.records,
@@ -376,8 +380,12 @@ def _account(
         )
     swing = half_swing(task.records)
     amplitude = float(swing.max())
+    block, reached = best.hysteresis, amplitude
+    if settings.hysteresis != "prandtl_ishlinskii":
+        rest = np.array(voltages.working_point_v)
+        block, reached = block.counted_from(rest), np.array([voltages.lowest_v, voltages.highest_v]) - rest
     invertible, sentence = invertibility_of(
-        best.hysteresis, best.dynamics, amplitude, record.sample_time_s, record.inputs
+        block, best.dynamics, reached, record.sample_time_s, record.inputs
     )
     return Fit(
         inputs=record.inputs,
@@ -386,7 +394,7 @@ def _account(
         fit=fitted,
         validation=judged,
         method=settings.method,
-        operators=tuple(tuple(len(p.thresholds_v) for p in row) for row in best.hysteresis.pairs),
+        operators=best.hysteresis.operators,
         amplitude_v=amplitude,
         amplitudes_v=tuple(swing.tolist()),
         voltages=voltages,
@@ -425,7 +433,7 @@ def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
     flags += record_flags(built.best.candidate, task.records, task.starts, spoiled)
     if built.kind in ("linear", "static_hysteresis"):
         flags += butterfly_flags(task.records, direct)
-    if blocks.one_sign is not None:
+    if blocks.one_sign is not None and task.settings.hysteresis == "prandtl_ishlinskii":
         spans = ranges(task.records, task.starts)
         flags += shape_flags(task.records, blocks.free, blocks.one_sign, spans, direct)
     return flags

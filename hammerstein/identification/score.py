@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
-from hammerstein.hysteresis import PlayState, PrandtlIshlinskii
+from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 
@@ -25,21 +26,24 @@ _block = lru_cache(maxsize=16)(discretise)
 class Candidate:
     """A model under judgement: static block, linear block, and the sensor that stands behind them."""
 
-    hysteresis: PrandtlIshlinskii
+    hysteresis: Hysteresis[Any]
     dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics
     sensor_bandwidth_hz: float | None = None
 
     def predict(self, record: Record, start: Start) -> Array:
         """Readings (output, sample) to the voltages of a record, without offset [um]."""
         block = _block(self.dynamics, record.sample_time_s, self.sensor_bandwidth_hz)
-        before = begun(self.hysteresis, record, start)
-        v, memory = self.hysteresis.respond(record.u_v, before)
+        hysteresis = self.hysteresis.counted_from(record.rest_v).on_grid(record.sample_time_s)
+        before = begun(hysteresis, record, start)
+        v, memory = hysteresis.respond(record.u_v, before)
         if start.kind == "repeated":
-            v, _ = self.hysteresis.respond(record.u_v, memory)
+            v, _ = hysteresis.respond(record.u_v, memory)
             y, state = block.respond(v)
-        else:
-            held = self.hysteresis.weighted(self.hysteresis.plays_of(before))
+        elif isinstance(hysteresis, PrandtlIshlinskii):
+            held = hysteresis.weighted(hysteresis.plays_of(before))
             y, state = block.respond(v, block.settled(held))
+        else:
+            y, state = block.respond(v)
         if start.kind == "repeated":
             y, _ = block.respond(v, state)
         return np.asarray(y[-len(record.y_um) :])
@@ -50,14 +54,16 @@ class Candidate:
         return np.asarray(error - error.mean(axis=1, keepdims=True))
 
 
-def begun(hysteresis: PrandtlIshlinskii, record: Record, start: Start) -> PlayState:
-    """Memory of a static block before a record."""
+def begun(hysteresis: Hysteresis[Any], record: Record, start: Start) -> Any:
+    """Memory of a static block before a record; kinds other than plays begin at rest."""
+    if start.kind in ("rest", "repeated") or not isinstance(hysteresis, PrandtlIshlinskii):
+        return hysteresis.rest()
     bank = hysteresis.bank
     plays = [
         start.plays_v(float(u[0]), r[:n], k)
         for k, (u, r, n) in enumerate(zip(record.u_v, bank.r, bank.n, strict=True))
     ]
-    return hysteresis.rest() if start.kind in ("rest", "repeated") else hysteresis.state_of(plays)
+    return hysteresis.state_of(plays)
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +19,18 @@ from hammerstein.records.record import Record
 Array = NDArray[np.float64]
 Method = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
 DynamicsKind = Literal["auto", "none", "lag", "second_order", "state_space"]
+HysteresisKind = Literal["prandtl_ishlinskii", "asymmetric", "rate_dependent"]
 
 MOST_OPERATORS = 200
 MOST_CREEP_MODES = 5
 MOST_STATES = 100
+MOST_DEAD_ZONES = 50
 _CHOICES = {
     "partition": ("auto", "time", "voltage", "fitted"),
     "method": ("closed_form", "least_squares", "nonnegative", "invertible"),
     "dynamics": ("auto", "none", "lag", "second_order", "state_space"),
     "start": ("auto", "rest", "repeated"),
+    "hysteresis": get_args(HysteresisKind),
 }
 
 
@@ -53,6 +56,9 @@ class Settings:
     delay_samples : whole samples by which the outputs come late; None: found
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; None: unlimited
     start : what went before each record: ``rest``, ``repeated`` (the like of it), or ``auto``: found out
+    hysteresis : kind of the static block: ``prandtl_ishlinskii``, or ``asymmetric`` with one-sided dead-zones
+        beside the plays, or ``rate_dependent`` with thresholds that grow with the rate
+    dead_zones : of each input of an asymmetric block; None: as many as the records call for
     error_curve : whether the held-out error is found for many numbers of operators
     """
 
@@ -67,6 +73,8 @@ class Settings:
     delay_samples: int | None = None
     sensor_bandwidth_hz: float | None = None
     start: StartMode = "auto"
+    hysteresis: HysteresisKind = "prandtl_ishlinskii"
+    dead_zones: int | None = None
     error_curve: bool = True
 
     def __post_init__(self) -> None:
@@ -97,7 +105,23 @@ class Settings:
             mistakes.append(
                 Mistake("ridge", "belongs to the methods that solve least squares, not closed_form")
             )
-        return [*mistakes, *self._misfits_of_fitted()]
+        return [*mistakes, *self._misfits_of_fitted(), *self._misfits_of_kind()]
+
+    def _misfits_of_kind(self) -> list[Mistake]:
+        """What does not go together with a kind of hysteresis."""
+        stray = self.dead_zones is not None and self.hysteresis != "asymmetric"
+        mistakes = [Mistake("dead_zones", "belong to hysteresis asymmetric")] if stray else []
+        if self.hysteresis == "prandtl_ishlinskii":
+            return mistakes
+        asked = {
+            "dynamics": self.dynamics == "state_space",
+            "method": self.method in ("closed_form", "nonnegative"),
+        }
+        return mistakes + [
+            Mistake(name, f"{getattr(self, name)} cannot be had with hysteresis {self.hysteresis}")
+            for name, is_wrong in asked.items()
+            if is_wrong
+        ]
 
     def _misfits_of_fitted(self) -> list[Mistake]:
         """What does not go together with fitted thresholds."""
@@ -130,6 +154,7 @@ class Settings:
             "delay_samples": self.delay_samples is not None and not DELAY_SAMPLES.holds(self.delay_samples),
             "sensor_bandwidth_hz": bandwidth is not None and not FREQUENCY_HZ.holds(bandwidth),
             "ridge": not RIDGE.holds(self.ridge),
+            "dead_zones": self.dead_zones is not None and not 0 <= self.dead_zones <= MOST_DEAD_ZONES,
             "thresholds": not all(THRESHOLD_V.holds(value) for value in thresholds),
         }
         limits = {
@@ -139,6 +164,7 @@ class Settings:
             "delay_samples": DELAY_SAMPLES.words(),
             "sensor_bandwidth_hz": f"{FREQUENCY_HZ.words()}; leave it out for a sensor without lag",
             "ridge": RIDGE.words(),
+            "dead_zones": f"must be 0 to {MOST_DEAD_ZONES}",
             "thresholds": THRESHOLD_V.words(),
         }
         return [Mistake(name, limits[name]) for name, is_wrong in wrong.items() if is_wrong]

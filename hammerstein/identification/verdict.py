@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.fit import KIND_NAMES, Kind
 from hammerstein.identification.linear.second_order import AxisFit
@@ -73,7 +74,7 @@ def verdict(
     ...     "static_hysteresis": Score((0.8,), (0.3,), (2.0,)),
     ... }
     >>> print(verdict(scores, True, ()))
-    On records held back: linear gain 7.4 %, static Prandtl-Ishlinskii 0.8 % of the range. Hysteresis earns \
+    On records held back: linear gain 7.4 %, static hysteresis 0.8 % of the range. Hysteresis earns \
 its place: it lowers the error from 7.4 to 0.8 %.
     """
     errors = {kind: score.mean_percent for kind, score in scores.items()}
@@ -85,10 +86,13 @@ its place: it lowers the error from 7.4 to 0.8 %.
         sentences.append(_earns("The linear dynamics", errors["static_hysteresis"], errors["hammerstein"]))
     else:
         sentences.append(_earns("Hysteresis", errors["linear"], errors["static_hysteresis"]))
+    if "classical" in errors:
+        best = errors.get("hammerstein", errors["static_hysteresis"])
+        sentences.append(_earns("Hysteresis beyond plays", errors["classical"], best))
     static = kept in ("linear", "static_hysteresis") or "hammerstein" not in errors
     if dynamics not in ("none", "auto") and static:
         sentences.insert(0, UNTOLD)
-    largest = next(reversed([kind for kind in KIND_NAMES if kind in errors]))
+    largest = next(reversed([kind for kind in KIND_NAMES if kind in errors and kind != "classical"]))
     if kept is not None and kept != largest:
         sentences.append(
             f"Kept is {KIND_NAMES[kept]}: {KIND_NAMES[largest]} is no better by more than chance, with more "
@@ -96,7 +100,8 @@ its place: it lowers the error from 7.4 to 0.8 %.
         )
     sentences[:0] = leftover
     if flags:
-        sentences.append("The classical model does not represent these records: " + "; ".join(flags) + ".")
+        model = "model" if "classical" in errors else "classical model"
+        sentences.append(f"The {model} does not represent these records: " + "; ".join(flags) + ".")
     return " ".join(sentences)
 
 
@@ -311,15 +316,18 @@ def widening(records: Sequence[Record], k: int, o: int) -> str:
 
 
 def invertibility_of(
-    hysteresis: PrandtlIshlinskii,
+    hysteresis: Hysteresis[Any],
     dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
-    amplitude_v: float,
+    range_v: ArrayLike,
     sample_time_s: float,
     inputs: Sequence[str],
 ) -> tuple[bool, str]:
-    """Whether a model has an inverse, and a sentence that names the slope or the frequency to blame."""
+    """Whether a model has an inverse, and a sentence that names the slope or the frequency to blame.
+
+    range_v : as ``invertibility`` takes it [V]
+    """
     try:
-        static = replace(invertibility(hysteresis, amplitude_v), inputs=tuple(inputs))
+        static = replace(invertibility(hysteresis, range_v), inputs=tuple(inputs))
         static_ok, sentence = static.invertible, static.statement()
     except (InputError, SimulationError) as error:
         static_ok, sentence = False, f"The static block has no inverse: {error}"

@@ -170,12 +170,12 @@ def _numpy_array(path: Path) -> Variables:
 
 
 def _numpy_archive(path: Path) -> Variables:
-    with np.load(path, allow_pickle=False) as archive:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         names = list(archive.files)
 
     def load(name: str) -> Any:
         refuse_large(_declared_shape(path, name))
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return archive[name]
 
     return {name: partial(load, name) for name in names}

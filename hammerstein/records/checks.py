@@ -241,8 +241,10 @@ def _last_digit(time_s: Array) -> float:
     """Decimal unit of which all instants are multiples; 0 beyond nine digits."""
     for digits in range(10):
         unit = 10.0**-digits
-        if np.all(np.abs(time_s / unit - np.round(time_s / unit)) < 1e-3):
-            return unit
+        with np.errstate(over="ignore", invalid="ignore"):  # an instant of 1e308: it has no such digit
+            counted = time_s / unit
+            if np.all(np.abs(counted - np.round(counted)) < 1e-3):
+                return unit
     return 0.0
 
 

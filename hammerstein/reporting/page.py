@@ -7,8 +7,9 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import PurePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hammerstein.escaping import code, markdown
 from hammerstein.experiment.report import Report
@@ -19,6 +20,9 @@ from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
 from hammerstein.reporting.summary import answer
 from hammerstein.reporting.tables import number_tables
 from hammerstein.scenario.source import ModelSource
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 
 @dataclass(frozen=True)
@@ -96,17 +100,7 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
     >>> print(render(run(scenario, "loop")).splitlines()[2])
     **How large is a loop?**
     """
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("hammerstein"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters |= {"md": markdown, "code": code, "number": _number}
-    page = environment.get_template("report.md.jinja").render(
+    page = _template().render(
         report=report,
         answer=_answer(report),
         figures=[picture_of(name, report) for name in sorted(figures, key=place_of)],
@@ -118,6 +112,22 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
         paper=PAPER,
     )
     return re.sub(r"\n{3,}", "\n\n", page)
+
+
+@cache
+def _template() -> Template:
+    """Template of the page; every text in it is escaped by its own filter."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("hammerstein"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {"md": markdown, "code": code, "number": _number}
+    return environment.get_template("report.md.jinja")
 
 
 def _answer(report: Report) -> str:

@@ -16,6 +16,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+COMPUTE = ("numpy", "scipy", "numba", "control")
+"""Libraries whose version may change the last digits of a result, or more."""
+
 
 def folder() -> Path | None:
     """Where results are kept; None if they are not."""
@@ -89,13 +92,16 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
+def _versions() -> str:
+    from importlib.metadata import version
+
+    return " ".join(f"{name} {version(name)}" for name in COMPUTE)
+
+
 @cache
 def _code() -> str:
     """Hash of the package's sources and of the versions that compute."""
-    import numpy as np
-    import scipy
-
-    digest: Any = hashlib.sha256(f"{np.__version__} {scipy.__version__}".encode())
+    digest: Any = hashlib.sha256(f"{sys.version} {sys.platform} {_versions()}".encode())
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())
     return str(digest.hexdigest())

@@ -1,11 +1,23 @@
-"""How the program leaves when it is asked to, before anything else is loaded."""
+"""How the program leaves when it is asked to, wherever it is: in its first line, in LAPACK, in a file.
+
+Nothing else is loaded with this module. Python calls a signal's handler between two of its own instructions.
+While the main thread is inside compiled code there are none, for minutes if it must be. The system's part of
+the handler does run: it writes the signal's number to a socket. A thread that waits there ends the process
+when the main thread does not do it.
+"""
 
 import os
 import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
-INTERRUPTS = tuple(number for number in signal.Signals if number.name in ("SIGINT", "SIGTERM", "SIGHUP"))
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+INTERRUPTS = tuple(number for number in signal.Signals if number.name in NAMES)
 INTERRUPTED = 130
 LEFT = "interrupted; what was finished is written, and nothing else"
+PATIENCE_S = 1.2
+LEAVE = b"\0"
 
 
 def leave_on_interrupts() -> None:
@@ -21,3 +33,51 @@ def leave(*_: object) -> None:
         os.write(2, LEFT.encode() + b"\n")
     finally:
         os._exit(INTERRUPTED)
+
+
+@contextmanager
+def ended_in_time(say: Callable[[], None]) -> Iterator[None]:
+    """End the process when a signal that asks for it has not been answered in time.
+
+    Parameters
+    ----------
+    say : tells a person that it was interrupted; called from another thread
+    """
+    import socket
+    import threading
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread hears of signals
+        return
+    reader, writer = socket.socketpair()  # no pipe: Windows writes to sockets alone
+    with writer:
+        writer.setblocking(False)
+        before = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+        threading.Thread(target=_wait, args=(reader, say), daemon=True).start()
+        try:
+            yield
+        finally:
+            signal.set_wakeup_fd(before)
+            writer.send(LEAVE)
+
+
+def _wait(reader: Any, say: Callable[[], None]) -> None:
+    """Wait for a signal; from then on the process has only so long, even to clean up behind it."""
+    import multiprocessing
+    import threading
+
+    from hammerstein.files import discard_unfinished
+
+    ending = {int(number) for number in INTERRUPTS}
+    with reader:
+        while (got := reader.recv(1)) not in (LEAVE, b""):
+            if got[0] in ending:
+                break
+        else:
+            return
+    threading.Event().wait(PATIENCE_S)
+    discard_unfinished()
+    for process in multiprocessing.active_children():
+        process.kill()
+    say()
+    os._exit(INTERRUPTED)

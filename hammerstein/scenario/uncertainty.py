@@ -26,6 +26,11 @@ class _Given:
     def __init__(self, numbers: Array) -> None:
         self._numbers, self._next = numbers, 0
 
+    @property
+    def left(self) -> int:
+        """How many numbers nobody has asked for."""
+        return len(self._numbers) - self._next
+
     def standard_normal(self, size: Any = None) -> Any:
         """One number, or an array."""
         first, self._next = self._next, self._next + (1 if size is None else size)
@@ -88,7 +93,10 @@ class Uncertainty(BaseModel):
         self, model: HammersteinModel, instruments: Instruments, normal: Array
     ) -> tuple[HammersteinModel, Instruments]:
         """Actuator and instruments of standard normal numbers, in the order of ``parameters``."""
-        return self.drawn(model, instruments, _Given(normal))
+        given = _Given(normal)
+        found = self.drawn(model, instruments, given)
+        assert given.left == 0, "parameters() and drawn() differ"
+        return found
 
     def parameters(self, model: HammersteinModel) -> tuple[Parameter, ...]:
         """What is drawn, in this order; errors of weights that hang together are one parameter."""

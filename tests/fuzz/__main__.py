@@ -1,6 +1,7 @@
-"""The long campaign: ``python -m tests.fuzz --scenarios 10000 --models 5000 --records 5000``.
+"""The long campaign: ``python -m tests.fuzz --scenarios 10000 --models 5000 --records 5000 --options 1000``.
 
-Every finding is printed with the file that brought it about; the exit code is the number of kinds found.
+Every finding is printed once, and the files that brought it about are kept; the exit code tells whether there
+were any.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import re
 import shutil
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -20,93 +20,147 @@ from typing import Any
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
-from . import campaign, strategies
+from . import campaign, options, strategies
+from .workers import SLOW_S, in_a_process
 
-SLOW_S = 60.0
+KINDS = ("scenarios", "models", "records", "paths", "baselines", "files", "options")
+PIECE = 500
+"""Cases of one process: what leaks is not carried on for ever."""
+Do = Callable[[Callable[[], int]], None]
 
 
 class Tally:
     """What became of the cases, and the first of each kind of finding."""
 
-    def __init__(self, keep: Path):
+    def __init__(self, folder: Path, keep: Path):
+        self.folder, self.keep = folder, keep
         self.codes: dict[str, collections.Counter[int]] = collections.defaultdict(collections.Counter)
-        self.findings: dict[str, str] = {}
-        self.keep = keep
+        self.findings: dict[str, int] = {}
+        self.slowest_s: dict[str, float] = collections.defaultdict(float)
+        self.total_s = 0.0
 
-    def case(self, kind: str, work: Callable[[], int], folder: Path) -> None:
-        """Do one case and note what came of it."""
-        begin = time.monotonic()
-        try:
-            self.codes[kind][work()] += 1
-        except Exception as error:
-            words = f"{type(error).__name__}: {error}"
-            name = re.sub(r"0x[0-9a-f]+|[0-9.e+-]+|'[^']*'", "_", words)[:150]
-            if name not in self.findings:
-                self.findings[name] = words
-                shutil.copytree(folder, self.keep / f"{kind}_{len(self.findings)}", dirs_exist_ok=True)
-                sys.stdout.write(f"{kind}: {words[:600]}\n")
-        if time.monotonic() - begin > SLOW_S:
-            self.findings[f"{kind} slow"] = f"{time.monotonic() - begin:.0f} s"
+    def told(self, kind: str, code: int | None, found: str, seconds: float) -> None:
+        """Note what came of a case."""
+        self.total_s += seconds
+        self.slowest_s[kind] = max(self.slowest_s[kind], seconds)
+        if code is not None:
+            self.codes[kind][code] += 1
+        if seconds > SLOW_S and not found:
+            found = f"slow: {seconds:.0f} s of the processor"
+        if found:
+            self._keep(kind, found)
+
+    def _keep(self, kind: str, found: str) -> None:
+        name = re.sub(r"0x[0-9a-f]+|[0-9.e+-]+|'[^']*'", "_", found.partition("\n")[0] + found[-200:])[-300:]
+        if name in self.findings:
+            self.findings[name] += 1
+            return
+        self.findings[name] = 1
+        place = self.keep / f"{kind}_{len(self.findings)}"
+        shutil.rmtree(place, ignore_errors=True)
+        shutil.copytree(self.folder, place, dirs_exist_ok=True, symlinks=True)
+        sys.stdout.write(f"FOUND {kind}, kept in {place}: {found[:3000]}\n")
+        sys.stdout.flush()
+
+    def text(self) -> str:
+        """What happened, in a few lines."""
+        lines = []
+        for kind, codes in self.codes.items():
+            ends = ", ".join(f"{n} with {code}" for code, n in sorted(codes.items()))
+            lines.append(
+                f"{kind}: {ends.replace('with -1', 'too long')}; slowest {self.slowest_s[kind]:.1f} s"
+            )
+        lines.append(f"{self.total_s:.0f} s of the processor, {len(self.findings)} findings")
+        return "\n".join(lines) + "\n"
 
 
 def from_strategy(strategy: Any, count: int, number: int, work: Callable[[Any], None]) -> None:
     """So many examples of a strategy."""
 
     @seed(number)
-    @settings(max_examples=max(count, 1), database=None, deadline=None, phases=[Phase.generate],
+    @settings(max_examples=count, database=None, deadline=None, phases=[Phase.generate],
               suppress_health_check=list(HealthCheck))  # fmt: skip
     @given(strategy)
     def each(content: Any) -> None:
         work(content)
 
-    if count:
-        each()
+    each()
 
 
-def _one(tally: Tally, kind: str, work: Callable[[Any, Path], int], folder: Path, content: Any) -> None:
-    tally.case(kind, lambda: work(content, folder), folder)
+def pieces(kind: str, folder: Path) -> Callable[[int, int, Do], None]:
+    """What does so many cases of a kind from a seed on."""
+    made = {
+        "scenarios": (strategies.scenarios, campaign.scenario_case),
+        "models": (strategies.models, campaign.model_case),
+        "options": (options.command_lines, campaign.option_case),
+    }
+    if kind in made:
+        strategy, case = made[kind]
+        return partial(_made, strategy(), case, folder)
+    return partial(
+        {"records": _records, "paths": _paths, "baselines": _baselines, "files": _files}[kind], folder
+    )
+
+
+def _made(
+    strategy: Any, case: Callable[[Any, Path], int], folder: Path, count: int, number: int, do: Do
+) -> None:
+    from_strategy(strategy, count, number, lambda content: do(lambda: case(content, folder)))
+
+
+def _records(folder: Path, count: int, number: int, do: Do) -> None:
+    draw, seeds = random.Random(number), campaign.records(folder)
+    for i in range(count):
+        name, data, columns = draw.choice(seeds)
+        damaged, name = campaign.mutated(data, draw), name.replace("seed", "case")
+        do(partial(campaign.record_case, damaged, name, columns, folder, fitted=i % 5 == 0))
+
+
+def _paths(folder: Path, count: int, number: int, do: Do) -> None:
+    draw, whole = random.Random(number), campaign.path_bytes()
+    for _ in range(count):
+        do(partial(campaign.path_case, campaign.mutated(whole, draw), folder))
+
+
+def _baselines(folder: Path, count: int, number: int, do: Do) -> None:
+    draw, own = random.Random(number), campaign.good_baseline(folder)
+    shipped = [data for name, data in campaign.shipped() if name.endswith(".json")]
+    for _ in range(count):
+        whole = own if draw.random() < 0.8 else draw.choice(shipped)
+        do(partial(campaign.baseline_case, campaign.mutated(whole, draw), folder))
+
+
+def _files(folder: Path, count: int, number: int, do: Do) -> None:
+    draw, shipped = random.Random(number), list(campaign.shipped())
+    for _ in range(count):
+        name, data = draw.choice(shipped)
+        case = campaign.file_case if name.endswith(".toml") else campaign.model_file_case
+        do(partial(case, campaign.mutated(data, draw), folder))
 
 
 def main() -> int:
     """Run the campaign."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz")
-    for name in ("scenarios", "models", "records", "baselines", "files"):
-        parser.add_argument(f"--{name}", type=int, default=100)
+    for name in KINDS:
+        parser.add_argument(f"--{name}", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "hammerstein_fuzz")
     asked = parser.parse_args()
-    draw, tally = random.Random(asked.seed), Tally(asked.keep)
+    if not any(getattr(asked, kind) for kind in KINDS):
+        parser.error(f"say how many: {', '.join('--' + kind for kind in KINDS)}")
+    campaign.warm_up()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for kind, strategy, count, work in (
-            ("scenario", strategies.scenarios(), asked.scenarios, campaign.scenario_case),
-            ("model", strategies.models(), asked.models, campaign.model_case),
-        ):
-            each = partial(_one, tally, kind, work, folder)
-            from_strategy(strategy, count, asked.seed, each)
-        seeds, files = campaign.records(folder), list(campaign.shipped())
-        for _ in range(asked.records):
-            file, data, columns = draw.choice(seeds)
-            damaged = campaign.mutated(data, draw)
-            case = file.replace("seed", "case")
-            tally.case(
-                "record", lambda d=damaged, n=case, c=columns: campaign.record_case(d, n, c, folder), folder
-            )
-        baseline = next(data for file, data in files if file == "static_inverse.json")
-        for _ in range(asked.baselines):
-            damaged = campaign.mutated(baseline, draw)
-            tally.case("baseline", partial(campaign.baseline_case, damaged, folder), folder)
-        for _ in range(asked.files):
-            file, data = draw.choice([f for f in files if f[0].endswith(".toml")])
-            damaged = campaign.mutated(data, draw)
-            tally.case("file", partial(campaign.file_case, damaged, folder), folder)
-    for kind, codes in tally.codes.items():
-        sys.stdout.write(
-            f"{kind}: " + ", ".join(f"{n} with {code}" for code, n in sorted(codes.items())) + "\n"
-        )
-    for words in tally.findings.values():
-        sys.stdout.write(f"FOUND {words[:2000]}\n")
-    return len(tally.findings)
+        tally = Tally(folder, asked.keep)
+        for kind in KINDS:
+            each, number, left = pieces(kind, folder), asked.seed, getattr(asked, kind)
+            while left > 0:
+                before, count = sum(tally.codes[kind].values()), min(left, PIECE)
+                whole = in_a_process(kind, partial(each, count, number), tally.told)
+                left -= count if whole else max(1, sum(tally.codes[kind].values()) - before)
+                number += 1000
+    sys.stdout.write(tally.text())
+    return int(bool(tally.findings))
 
 
 if __name__ == "__main__":

@@ -5,14 +5,22 @@ import random
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from . import strategies
-from .campaign import baseline_case, model_case, mutated, record_case, records, scenario_case, shipped
+from . import options, strategies
+from .campaign import (
+    baseline_case,
+    good_baseline,
+    model_case,
+    model_file_case,
+    mutated,
+    option_case,
+    path_bytes,
+    path_case,
+    record_case,
+    records,
+    scenario_case,
+    shipped,
+)
 
-DRIVEN = {
-    "question": "?",
-    "actuator": "model.json",
-    "drive": {"kind": "sine", "amplitude_v": 5.0, "frequency_hz": 50.0},
-}
 SHORT = {
     "derandomize": True,
     "database": None,
@@ -53,18 +61,29 @@ def test_models(folder):
     campaign()
 
 
+def test_command_lines(folder):
+    seen = []
+
+    @settings(max_examples=15, **SHORT)
+    @given(options.command_lines())
+    def campaign(line):
+        seen.append(option_case(line, folder))
+
+    campaign()
+    assert {0, 2} <= set(seen)
+
+
 def test_damaged_records(folder):
     draw, seeds = random.Random(3), records(folder)
-    for _ in range(60):
+    for i in range(30):
         name, data, columns = draw.choice(seeds)
-        record_case(mutated(data, draw), name.replace("seed", "case"), columns, folder)
+        record_case(mutated(data, draw), name.replace("seed", "case"), columns, folder, fitted=i % 10 == 0)
+        path_case(mutated(path_bytes(), draw), folder)
 
 
 def test_damaged_baselines_and_models(folder):
-    draw, files = random.Random(4), dict(shipped())
-    actuator = files["duo_bimorph.json"]
-    for _ in range(8):
-        baseline_case(mutated(files["static_inverse.json"], draw), folder)
+    draw, actuator = random.Random(4), dict(shipped())["duo_bimorph.json"]
+    own = good_baseline(folder)
+    assert [baseline_case(mutated(own, draw), folder) for _ in range(8)].count(2) > 2
     for _ in range(15):
-        (folder / "model.json").write_bytes(mutated(actuator, draw))
-        scenario_case(DRIVEN, folder)
+        model_file_case(mutated(actuator, draw), folder)

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from .changes import Change, changes_of
 from .recording import ALL, ROOT, Recording, copied, record
-from .trial import load_libraries, outcome
+from .trial import load_libraries, outcome, restore
 
 KNOWN = Path(__file__).parent / "known.toml"
 UNNOTICED = ("survived", "untouched")
@@ -57,7 +57,9 @@ def known(root: Path) -> list[Change]:
     return changes
 
 
-def tried(kept: Path, changes: Iterable[Change], budget_s: float, tests_s: float) -> dict[Change, str]:
+def tried(
+    kept: Path, changes: Iterable[Change], budget_s: float, tests_s: float, again: bool
+) -> dict[Change, str]:
     """What came of each change, from earlier runs or now, until the budget ends."""
     results = kept / "results.jsonl"
     rows = [json.loads(row) for row in results.read_text().splitlines()] if results.exists() else []
@@ -68,7 +70,7 @@ def tried(kept: Path, changes: Iterable[Change], budget_s: float, tests_s: float
     load_libraries()
     end = time.monotonic() + budget_s
     for change in changes:
-        if before.get(change, "survived") not in UNNOTICED:
+        if change in before and not (again and before[change] in UNNOTICED):
             found[change] = before[change]
         elif time.monotonic() < end:
             begun = time.monotonic()
@@ -90,6 +92,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--budget-s", type=float, default=7200.0)
     parser.add_argument("--tests-s", type=float, default=90.0, help="most time of tests for one change")
+    parser.add_argument("--again", action="store_true", help="try survivors of earlier runs again")
     parser.add_argument("--kept", type=Path, default=ROOT / "reports" / "mutation")
     asked = parser.parse_args()
     kept = asked.kept.resolve()
@@ -97,8 +100,10 @@ def main() -> int:
     if asked.what == "record":
         copied(tree, asked.paths if tree.exists() else ())
         return 0 if record(kept, asked.paths or ALL) else 1
+    restore(kept)
     changes = known(tree) if asked.what == "known" else sample(asked.number, asked.seed, tree)
-    found = tried(kept, changes, asked.budget_s, asked.tests_s)
+    again = asked.again or asked.what == "known"
+    found = tried(kept, changes, asked.budget_s, asked.tests_s, again)
     survivors = [change for change, came in found.items() if came in UNNOTICED]
     print(f"\n{len(found)} of {len(changes)} tried: {dict(Counter(found.values()))}")
     for change in survivors:

@@ -120,10 +120,15 @@ class Recording:
         A line that runs at import is touched by whoever touches a line that names what it makes; a compiled
         loop, which coverage does not see into, by whoever calls it.
         """
-        found = self._direct(path, line)
+        found = self._direct(path, line) if _within_function(tree / path, line) else set()
         about = {path}
         if not found:
-            places = [place for name in _made_by(tree / path, line) for place in _named_at(tree, name)]
+            places = [
+                (file, row)
+                for name in _made_by(tree / path, line)
+                for file, row in _named_at(tree, name)
+                if _within_function(tree / file, row)
+            ]
             found = {name for place in places for name in self._direct(*place)}
             about = {file for file, _ in places}
         found = found or {name for context in self.touched.get(path, ()) for name in self._of(context)}
@@ -147,6 +152,14 @@ class Recording:
             return [context]
         file = context.split("::")[0]
         return [name for name in self.seconds if name.split("::")[0] == file]
+
+
+def _within_function(path: Path, line: int) -> bool:
+    """Whether a line runs when a function does, not when its module is loaded, by whichever test that is."""
+    import ast
+
+    bodies = (n.body for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.FunctionDef))
+    return any(body[0].lineno <= line <= (body[-1].end_lineno or 0) for body in bodies)
 
 
 def _made_by(path: Path, line: int) -> list[str]:

@@ -58,14 +58,20 @@ def test_lines_are_touched_by_tests_by_fixtures_of_their_file_and_through_names(
     package = tmp_path / "hammerstein"
     package.mkdir()
     (package / "kernel.py").write_text("@compiled()\ndef loop(x):\n    return x + SIZE\n\n\nSIZE = 2.0\n")
-    (package / "user.py").write_text("def use(x):\n    return loop(x)\n")
-    touched = {"hammerstein/user.py": {"a.py::one": [2], "b.py::two|setup": [1]}}
-    recording = Recording(touched, {"a.py::one": 1.0, "b.py::two": 1.0, "b.py::three": 1.0})
+    (package / "user.py").write_text("def use(x):\n    return loop(x)\n\n\ndef other(x): return x\n")
+    loaded = {"c.py::first": [1, 6]}  # whichever test comes first loads a module
+    touched = {
+        "hammerstein/kernel.py": loaded,
+        "hammerstein/user.py": {"a.py::one": [2], "b.py::two|setup": [5]},
+    }
+    recording = Recording(
+        touched, {"a.py::one": 1.0, "c.py::first": 1.0, "b.py::two": 1.0, "b.py::three": 1.0}
+    )
 
     def tests_of(path, line):
         return set(recording.tests_of(tmp_path, f"hammerstein/{path}", line))
 
     assert tests_of("user.py", 2) == {"a.py::one"}
-    assert tests_of("user.py", 1) == {"b.py::two", "b.py::three"}
+    assert tests_of("user.py", 5) == {"b.py::two", "b.py::three"}
     assert tests_of("kernel.py", 3) == {"a.py::one"}
     assert tests_of("kernel.py", 6) == {"a.py::one"}

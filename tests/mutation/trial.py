@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import sys
@@ -22,6 +23,7 @@ LIBRARIES = (
 """Loaded once, before a process forks for each change."""
 PATIENCE = 4.0
 """Times as long as the tests took before: what lasts longer hangs."""
+UNFINISHED = "unfinished.json"
 FIRST = 2
 """Test files that are tried before all others: they end most trials."""
 START_S = 60.0
@@ -51,7 +53,7 @@ def outcome(kept: Path, recording: Recording, change: Change, tests_s: float, ki
     tests = {name: focus for name, focus in touching.items() if name not in scenarios}
     files = _chosen(tests, seconds, tests_s, killers.get(change.path))
     groups = [("tests", files[:FIRST]), ("tests", files[FIRST:]), ("check", [scenarios])]
-    with _changed(kept / "tree", change) as loops:
+    with _changed(kept, change) as loops:
         for kind, group in groups:
             names = [name for own in group for name in own]
             if not names:
@@ -82,11 +84,21 @@ def _chosen(
     return chosen
 
 
+def restore(kept: Path) -> None:
+    """Take out a change that a run which was ended from outside has left in the tree."""
+    unfinished = kept / UNFINISHED
+    if unfinished.exists():
+        left = json.loads(unfinished.read_text())
+        (kept / "tree" / left["path"]).write_text(left["source"])
+        unfinished.unlink()
+
+
 @contextlib.contextmanager
-def _changed(tree: Path, change: Change) -> Iterator[str | None]:
+def _changed(kept: Path, change: Change) -> Iterator[str | None]:
     """Put a change into the tree and take it out again; gives a fresh folder for loops, where some change."""
-    path = tree / change.path
+    path = kept / "tree" / change.path
     source, times = path.read_text(), path.stat()
+    (kept / UNFINISHED).write_text(json.dumps({"path": change.path, "source": source}))
     try:
         path.write_text(change.applied(source))
         now = time.time()
@@ -97,7 +109,7 @@ def _changed(tree: Path, change: Change) -> Iterator[str | None]:
         with tempfile.TemporaryDirectory() as folder:
             yield folder
     finally:
-        path.write_text(source)
+        restore(kept)
         os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from functools import singledispatch
+from functools import cached_property, singledispatch
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from hammerstein.blocks import Array, Law, S
 from hammerstein.compensators.base import Compensator
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii, play
+from hammerstein.hysteresis import Asymmetric, Hysteresis, PrandtlIshlinskii, RateDependent, play
 from hammerstein.hysteresis.invertibility import Invertibility, completed, invertibility, require_inverse
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Volts
@@ -126,26 +126,44 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         softening_v: float = 0.0,
         run_anyway: bool = False,
     ):
-        hysteresis = model.hysteresis
-        assert isinstance(hysteresis, PrandtlIshlinskii)
-        self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
         self.range, self.softening_v = DriveRange.of(range_v, model), softening_v
+        hysteresis = model.hysteresis.counted_from(self.range.working_point_v)
+        assert isinstance(hysteresis, PrandtlIshlinskii | Asymmetric)
+        self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
         if not (np.isfinite(softening_v) and softening_v >= 0.0):
             raise InputError("softening_v", f"must be 0 or more volts, not {softening_v:g}")
-        found = invertibility(hysteresis, self.range.largest_v, model.amplitude_v)
+        found = invertibility(hysteresis, np.array(self.range.counted), model.amplitude_v)
         self.invertibility = replace(found, inputs=model.inputs)
         require_inverse(self.invertibility, "exact_inverse", run_anyway)
         self.square, self.smallest_v = completed(hysteresis, model.amplitude_v)
         self._table = self._new_table()
         self._start, self.origin_um = self._at_start()
+        self._frame = self._new_frame()
+
+    @cached_property
+    def _compiled_step(self) -> Any:
+        from hammerstein.compensators.exact.kernel import step_exact  # looked up once: a step is short
+
+        return step_exact
+
+    def _new_frame(self) -> Array:
+        """Where a step counts from (4, m): origin [um], working point, lowest and highest voltage [V]."""
+        limits = self.range
+        origin = np.zeros(self.n_inputs)
+        origin[: self.n_outputs] = self.origin_um
+        return np.stack([origin, limits.working_point_v, limits.low_v, limits.high_v])
 
     def _new_table(self) -> Array:
         """Table of ``exact_pieces`` with the model in it."""
         from hammerstein.compensators.exact import pieces as at
 
-        m, bank = self.n_inputs, self.square.bank
-        operators = bank.r.shape[1]
-        table = np.zeros((4, m, max(operators + 2, at.SCRATCH + 1), at.CONSTANT + 1 + 2 * m))
+        m, bank, zones = self.n_inputs, self.square.plays.bank, self.square.lines
+        operators, ends = bank.r.shape[1], zones.ends.shape[1]
+        rows = max(operators + ends + 1, at.SCRATCH + 1)
+        table = np.zeros((5, m, rows, at.CONSTANT + 1 + 2 * m))
+        table[at.ZONES, :, :ends, at.TOP] = zones.ends
+        table[at.ZONES, :, :ends, at.SLOPE : at.SLOPE + m] = zones.slope
+        table[at.ZONES, :, :ends, at.SLOPE + m : at.SLOPE + 2 * m] = zones.intercept
         table[at.GRID, :, :operators, at.R] = bank.r
         table[at.GRID, :, : operators + 1, at.SLOPE : at.SLOPE + m] = bank.slope
         table[at.GRID, :, : operators + 1, at.SLOPE + m : at.SLOPE + 2 * m] = bank.moment
@@ -177,8 +195,9 @@ class ExactInverseLaw(StaticInverse[ExactState]):
 
         m, history = self.n_inputs, self.range.history()
         q = np.stack([play(u, [r])[0] for u, r in zip(history, self.smallest_v, strict=True)])
-        rows, plays = self.square.respond(q) if q.any() else (np.zeros((m, 1)), self.square.rest())
-        stack, hand = np.zeros((m, self.square.bank.r.shape[1] + 2, 3 + m)), np.zeros((m, 3))
+        rows, memory = self.square.respond(q) if q.any() else (np.zeros((m, 1)), self.square.rest())
+        plays = memory.plays
+        stack, hand = np.zeros((m, self.square.plays.bank.r.shape[1] + 2, 3 + m)), np.zeros((m, 3))
         for column, values in ((at.END, plays.end), (at.X, plays.x), (at.D, plays.d)):
             stack[:, :-1, column] = values
         stack[:, :-1, at.BELOW :] = plays.below
@@ -200,12 +219,19 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         drive, state, _ = self.solve(self._from_rest(reference_um), start, np.zeros(0))
         return drive, state
 
+    def _step(self, sample_um: Array, state: ExactState) -> tuple[Array, ExactState] | None:
+        drive, stack, hand, sound = self._compiled_step(
+            sample_um, self._frame, self._table, state.stack, state.hand
+        )
+        return (drive, ExactState(stack, hand)) if sound else None
+
     def solve(
         self, v_um: Array, start: ExactState, away: Array, recovery: Recovery | None = None
     ) -> tuple[Array, ExactState, Array]:
         """See ``StaticInverse.solve``."""
         from hammerstein.compensators.exact import pieces as at
         from hammerstein.compensators.exact.kernel import respond_exact
+        from hammerstein.compiled import spans
 
         p, drive = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1]))
         back = recovery or Recovery(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((p, 0)))
@@ -213,7 +239,8 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         _, rows, columns = start.stack.shape
         stack, hand = table[at.STACK, :, :rows, :columns], table[at.HERE, :, at.HAND, : at.RAMP + 1]
         stack[:], hand[:] = start.stack, start.hand
-        respond_exact(v_um, self.n_inputs - p, *back, left, table, drive)
+        for first, end in spans(v_um.shape[1]):
+            respond_exact(v_um, self.n_inputs - p, *back, left, table, first, end, drive)
         return drive, ExactState(stack.copy(), hand.copy()), left
 
 
@@ -238,9 +265,17 @@ def exact_inverse_of(
     )
 
 
-@exact_inverse_of.register
-def _(hysteresis: PrandtlIshlinskii, model: HammersteinModel, *options: Any) -> ExactInverseLaw:
+@exact_inverse_of.register(PrandtlIshlinskii)
+@exact_inverse_of.register(Asymmetric)
+def _(hysteresis: Hysteresis[Any], model: HammersteinModel, *options: Any) -> ExactInverseLaw:
     return ExactInverseLaw(model, *options)
+
+
+@exact_inverse_of.register
+def _(hysteresis: RateDependent, model: HammersteinModel, *options: Any) -> StaticInverse[Any]:
+    from hammerstein.compensators.exact.rate_dependent import RateDependentInverseLaw
+
+    return RateDependentInverseLaw(hysteresis, model, *options)
 
 
 def _difference(whole: float, part: float) -> float:

@@ -66,14 +66,16 @@ from hammerstein.compensators.exact.pieces import (
     push,
 )
 from hammerstein.compiled import compiled
+from hammerstein.hysteresis.play_kernels import at
 
 GONE = 1e-12
 
 
 @compiled(error_model="numpy")
-def respond_exact(reference, virtual, a, b, gain, x, w, drive):  # type: ignore[no-untyped-def]
-    """Drive (m, N), overwritten, whose model output is the reference (p, N); the memory is updated.
+def respond_exact(reference, virtual, a, b, gain, x, w, first, stop, drive):  # type: ignore[no-untyped-def]
+    """Drive (m, N) whose model output is the reference (p, N), from sample first up to stop.
 
+    The drive is overwritten there, the memory updated.
     Behind a linear block (a (n, n), b (n, p)), x (n,) is how far its state is from the one that belongs to
     the reference, as it is after the range was reached; ``reference - gain x`` is asked for until it is not.
     """
@@ -83,9 +85,9 @@ def respond_exact(reference, virtual, a, b, gain, x, w, drive):  # type: ignore[
     for s in range(x.shape[0]):
         away = away or x[s] != 0.0
     ready = prepare(w)
-    for t in range(reference.shape[1]):
+    for t in range(first, stop):
         for o in range(p):
-            w[HERE, o, NOW, Y] = reference[o, t]
+            w[HERE, o, NOW, Y] = reference[o, at(t)]
             if away:
                 for s in range(x.shape[0]):
                     w[HERE, o, NOW, Y] -= gain[o, s] * x[s]
@@ -94,20 +96,61 @@ def respond_exact(reference, virtual, a, b, gain, x, w, drive):  # type: ignore[
             for o in range(p):
                 away = away or (w[HERE, o, NOW, MISSED] != 0.0 and x.shape[0] > 0)
         for k in range(drive.shape[0]):
-            drive[k, t] = w[HERE, k, NOW, U]
+            drive[k, at(t)] = w[HERE, k, NOW, U]
         if away:
-            away = _drift(reference, t, a, b, x, new, w)
+            away = drift(reference, t, a, b, x, new, w)
 
 
 @compiled(error_model="numpy")
-def _drift(reference, t, a, b, x, new, w):  # type: ignore[no-untyped-def]
+def step_exact(sample, frame, table, stack, hand):  # type: ignore[no-untyped-def]
+    """Voltages as they are sent (m,), stack and hand after one sample (p,), and whether all is finite.
+
+    frame : (4, m) origin of the reference, working point, lowest and highest voltage
+    table : of the design; stack, hand : the memory; nothing of these is written to
+    """
+    m, p = table.shape[1], sample.shape[0]
+    w = table.copy()
+    for k in range(m):
+        for s in range(stack.shape[1]):
+            for c in range(stack.shape[2]):
+                w[STACK, k, s, c] = stack[k, s, c]
+        for c in range(hand.shape[1]):
+            w[HERE, k, HAND, c] = hand[k, c]
+    reference, drive, sent = np.empty((p, 1)), np.empty((m, 1)), np.empty(m)
+    sound = True
+    for o in range(p):
+        sound = sound and np.isfinite(sample[o])
+        reference[o, 0] = sample[o] + frame[0, o]
+    none, away = np.empty((0, 0)), np.empty(0)
+    if sound:
+        respond_exact(reference, m - p, none, np.empty((0, p)), np.empty((p, 0)), away, w, 0, 1, drive)
+    moved = False
+    for k in range(m):
+        moved = moved or frame[1, k] != 0.0
+    for k in range(m):
+        sent[k] = drive[k, 0]
+        if moved:
+            sent[k] = min(max(sent[k] + frame[1, k], frame[2, k]), frame[3, k])
+        sound = sound and np.isfinite(sent[k])
+    after, held = np.empty(stack.shape), np.empty(hand.shape)
+    for k in range(m):
+        for s in range(stack.shape[1]):
+            for c in range(stack.shape[2]):
+                after[k, s, c] = w[STACK, k, s, c]
+        for c in range(hand.shape[1]):
+            held[k, c] = w[HERE, k, HAND, c]
+    return sent, after, held, sound
+
+
+@compiled(error_model="numpy")
+def drift(reference, t, a, b, x, new, w):  # type: ignore[no-untyped-def]
     """Move the distance x of the linear block by one sample; False once it is gone."""
     for s in range(x.shape[0]):
         new[s] = 0.0
         for q in range(x.shape[0]):
             new[s] += a[s, q] * x[q]
         for o in range(reference.shape[0]):
-            new[s] += b[s, o] * (w[HERE, o, NOW, Y] + w[HERE, o, NOW, MISSED] - reference[o, t])
+            new[s] += b[s, o] * (w[HERE, o, NOW, Y] + w[HERE, o, NOW, MISSED] - reference[o, at(t)])
     largest = 0.0
     for s in range(x.shape[0]):
         largest = max(largest, abs(new[s]))

@@ -1,11 +1,13 @@
-"""The affine pieces of a Prandtl-Ishlinskii model seen from its memory, for the walk of ``exact_kernel``.
+"""The affine pieces of plays and dead-zones seen from their memory, for the walk of ``exact_kernel``.
 
 Everything stands in one array ``w[table, k, row, column]``, for one argument makes the compiled calls cheap.
 k is the input (or the row o of the model); what has one entry a row o stands in the columns from its name on.
 
     GRID     row j: R, threshold of operator j; SLOPE, SLOPE+m, sums of w and of w r below operator j
     STACK    the law's memory, a segment a row: END, X, D; BELOW, what lies deeper
-    PASSED   pieces that a walk has passed: PREFIX, OWNER, NEAR
+    PASSED   pieces that a walk has passed: PREFIX, OWNER, NEAR, ZONE
+    ZONES    row z: TOP, where zone z of the dead-zones ends; SLOPE, SLOPE+m, slope and intercept of its line;
+             without dead-zones there is one, of infinite length and slope 0
     HERE     row HAND     also memory: COUNT of segments, WANTED q, RAMP of the jump from -1 to 1
              row ABOUT    PLAY, r_0; LOW, HIGH, least q that falls and largest that rises; SOFT, ramp of the
                           jump; STILL, no movement;
@@ -22,20 +24,23 @@ from hammerstein.compiled import compiled
 
 SINGULAR, POOR = 1e-14, 1e3
 
-GRID, STACK, PASSED, HERE = range(4)
+GRID, STACK, PASSED, HERE, ZONES = range(5)
 HAND, ABOUT, NOW, JACOBIAN, INVERSE, SCRATCH = range(6)
 R, SLOPE = 0, 1
+TOP = 0
 PLAY, LOW, HIGH, SOFT, STILL, GAIN = 0, 1, 2, 3, 4, 5
 END, X, D, BELOW = 0, 1, 2, 3
 COUNT, WANTED, RAMP = 0, 1, 2
-# Of an input: the piece (engaged operators, segment that owns the next one, where it begins and ends, how
-# many pieces lie behind), q and its aim, the row taken at the range and where, the drive.
-PREFIX, OWNER, NEAR, FAR, SIGMA, DEPTH, Q, AIM, FIXED, AT, U = range(11)
+# Of an input: the piece (engaged operators, segment that owns the next one, where it begins, zone of the
+# dead-zones, where it ends, how many pieces lie behind), q and its aim, the row taken at the range and
+# where, the drive.
+PREFIX, OWNER, NEAR, ZONE, FAR, SIGMA, DEPTH, Q, AIM, FIXED, AT, U = range(12)
+KEPT = 4  # of them stand in PASSED
 # Of a row: target, sum of the constants, what is left, what the memory has more than the target. Of the
 # first row alone: whether the Jacobian is singular (0), inverted poorly (1) or well (2).
-Y, TOTAL, LEFT, MISSED, QUALITY = range(11, 16)
+Y, TOTAL, LEFT, MISSED, QUALITY = range(12, 17)
 # Of an input: how far its piece goes within the range. CONSTANT has one entry a row.
-REACH, CONSTANT = 16, 17
+REACH, CONSTANT = 17, 18
 
 
 @compiled(error_model="numpy")
@@ -57,8 +62,27 @@ def first_piece(w, k, direction):  # type: ignore[no-untyped-def]
     else:
         w[HERE, k, NOW, PREFIX] = 1.0
         w[HERE, k, NOW, OWNER] = top if w[STACK, k, top, END] > 1.0 else top - 1
+    w[HERE, k, NOW, ZONE] = _zone(w, k, w[STACK, k, top, X], direction)
     _describe(w, k)
     return d != 0.0
+
+
+@compiled(error_model="numpy")
+def _zone(w, k, q, direction):  # type: ignore[no-untyped-def]
+    """Zone of input k that begins at q, or holds it, on the way in a direction."""
+    z = 0
+    while q > w[ZONES, k, z, TOP] or (q == w[ZONES, k, z, TOP] and direction > 0.0):
+        z += 1
+    return z
+
+
+@compiled(error_model="numpy")
+def _zone_end(w, k):  # type: ignore[no-untyped-def]
+    """Where input k leaves its zone of the dead-zones on its way."""
+    z = int(w[HERE, k, NOW, ZONE])
+    if w[HERE, k, NOW, SIGMA] > 0.0:
+        return w[ZONES, k, z, TOP]
+    return w[ZONES, k, z - 1, TOP] if z > 0 else -np.inf
 
 
 @compiled(error_model="numpy")
@@ -70,13 +94,17 @@ def _describe(w, k):  # type: ignore[no-untyped-def]
     if i >= 0:
         gap = (1.0 - direction * w[STACK, k, i, D]) * w[GRID, k, j, R]
         w[HERE, k, NOW, FAR] = w[STACK, k, i, X] + direction * gap
+    end = _zone_end(w, k)
+    if direction * (end - w[HERE, k, NOW, FAR]) < 0.0:
+        w[HERE, k, NOW, FAR] = end
     if direction > 0.0:
         w[HERE, k, NOW, REACH] = min(w[HERE, k, NOW, FAR], w[HERE, k, ABOUT, HIGH])
     else:
         w[HERE, k, NOW, REACH] = max(w[HERE, k, NOW, FAR], w[HERE, k, ABOUT, LOW])
+    z = int(w[HERE, k, NOW, ZONE])
     for o in range(m):
-        w[HERE, o, JACOBIAN, k] = w[GRID, k, j, SLOPE + o]
-        below = _below(w, m, k, i, j, o)
+        w[HERE, o, JACOBIAN, k] = w[GRID, k, j, SLOPE + o] + w[ZONES, k, z, SLOPE + o]
+        below = _below(w, m, k, i, j, o) + w[ZONES, k, z, SLOPE + m + o]
         w[HERE, k, NOW, CONSTANT + o] = below - direction * w[GRID, k, j, SLOPE + m + o]
 
 
@@ -94,12 +122,16 @@ def _below(w, m, k, i, j, o):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def next_piece(w, k):  # type: ignore[no-untyped-def]
-    """Input k passes the end of its piece: the next operators engage."""
+    """Input k passes the end of its piece: the next operators engage, or it enters another zone."""
     depth, i = int(w[HERE, k, NOW, DEPTH]), int(w[HERE, k, NOW, OWNER])
-    for field in range(3):
+    for field in range(KEPT):
         w[PASSED, k, depth, field] = w[HERE, k, NOW, field]
     w[HERE, k, NOW, DEPTH] = depth + 1
     w[HERE, k, NOW, Q] = w[HERE, k, NOW, NEAR] = w[HERE, k, NOW, FAR]
+    if _zone_end(w, k) == w[HERE, k, NOW, FAR]:
+        w[HERE, k, NOW, ZONE] += w[HERE, k, NOW, SIGMA]
+        _describe(w, k)
+        return
     # A segment of the same direction is caught up with as a whole: its memory is wiped out.
     same = w[STACK, k, i, D] == w[HERE, k, NOW, SIGMA]
     w[HERE, k, NOW, PREFIX] = w[STACK, k, i, END] if same else w[HERE, k, NOW, PREFIX] + 1.0
@@ -117,7 +149,7 @@ def previous_piece(w, k):  # type: ignore[no-untyped-def]
     else:
         w[HERE, k, NOW, Q] = w[HERE, k, NOW, NEAR]
         w[HERE, k, NOW, DEPTH] = depth
-        for field in range(3):
+        for field in range(KEPT):
             w[HERE, k, NOW, field] = w[PASSED, k, depth, field]
         _describe(w, k)
 
@@ -147,6 +179,8 @@ def output(w, o):  # type: ignore[no-untyped-def]
         line = w[GRID, k, j, SLOPE + o] * w[STACK, k, top, X]
         line -= w[STACK, k, top, D] * w[GRID, k, j, SLOPE + m + o]
         total += line + w[STACK, k, top, BELOW + o]
+        z = _zone(w, k, w[STACK, k, top, X], 0.0)
+        total += w[ZONES, k, z, SLOPE + m + o] + w[ZONES, k, z, SLOPE + o] * w[STACK, k, top, X]
     return total
 
 

@@ -78,12 +78,14 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
         return Reach(nowhere, nowhere)
     middle = 0.5 * (limits.low_v + limits.high_v)
     about = replace(limits, working_point_v=middle, start_v=middle, conditioned=False)
-    law = exact_inverse_of(model.hysteresis, model, about, 0.0, run_anyway)
+    counted = model.hysteresis.counted_from(middle)
+    law = exact_inverse_of(counted, model, about, 0.0, run_anyway)
+    between = _centre(model, about)[:, None]
     half = 0.5 * limits.span_v
-    most = float(np.abs(model.hysteresis.amplitude(half)).sum()) * len(half)
-    alone = np.array([most * _largest(_strokes_fit(law, [most * row])) for row in np.eye(p)])
+    most = float(np.abs(counted.amplitude(half)).sum()) * len(half)
+    alone = np.array([most * _largest(_strokes_fit(law, between, [most * row])) for row in np.eye(p)])
     corners = [alone * np.array((1, *signs)) for signs in itertools.product((1, -1), repeat=p - 1)]
-    together = alone * _largest(_strokes_fit(law, corners))
+    together = alone * _largest(_strokes_fit(law, between, corners))
     centre = _centre(model, limits)[:, None]
     return Reach(*(centre + np.stack([-size, size], axis=1) for size in (alone, together)))
 
@@ -92,7 +94,8 @@ def _centre(model: HammersteinModel, limits: DriveRange) -> Array:
     """Middle (p,) between the tips of the loop, counted from the start [um]."""
     low, high = limits.counted
     before = limits.history()
-    v, _ = model.hysteresis.respond(np.hstack([before, np.stack([high, low, high], axis=1)]))
+    hysteresis = model.hysteresis.counted_from(limits.working_point_v)
+    v, _ = hysteresis.respond(np.hstack([before, np.stack([high, low, high], axis=1)]))
     return np.asarray(0.5 * (v[:, -2] + v[:, -1]) - v[:, before.shape[1] - 1])
 
 
@@ -111,12 +114,12 @@ def _largest(fits: Callable[[float], bool]) -> float:
     return low
 
 
-def _strokes_fit(law: Law[Any], tips_um: Sequence[Array]) -> Callable[[float], bool]:
-    """Whether a factor times each tip (p,), and its negative, can be reached again and again."""
+def _strokes_fit(law: Law[Any], middle_um: Array, tips_um: Sequence[Array]) -> Callable[[float], bool]:
+    """Whether a factor times each tip (p,) and its negative can be reached about a middle (p, 1) for ever."""
     wave = np.sin(0.5 * np.pi * np.arange(10 * STROKE_SAMPLES + 1) / STROKE_SAMPLES)
 
     def fits(scale: float) -> bool:
-        return all(_inside(law, scale * np.outer(tip, wave)) for tip in tips_um)
+        return all(_inside(law, middle_um + scale * np.outer(tip, wave)) for tip in tips_um)
 
     return fits
 

@@ -47,7 +47,20 @@ def request(feedforward, inverse_gain, gain, limits, memory, requested):  # type
 
 @compiled()
 def run_closed_loop(  # type: ignore[no-untyped-def]
-    reference, feedforward, noise, controller, effects, steps, rest, bank, plays, linear, out, outputs
+    reference,
+    feedforward,
+    noise,
+    controller,
+    effects,
+    steps,
+    rest,
+    bank,
+    plays,
+    linear,
+    first,
+    stop,
+    out,
+    outputs,
 ):
     """Controller, drive, hysteresis, linear block and sensor, sample by sample.
 
@@ -57,7 +70,7 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
     steps : (2, m) lowest and highest step of the converter; rest : (m,) working point of the hysteresis [V]
     bank, plays, outputs : see ``respond_turning_points``
     linear : rows and state of the linear block, positions first
-    out : requested and drive (m, N); hysteresis, position, reading (p, N), overwritten
+    out : requested and drive (m, N); hysteresis, position, reading (p, N), overwritten from first up to stop
     """
     settings, inverse_gain, gain, limits, memory = controller
     r, guide, scale, n, lines = bank
@@ -73,7 +86,7 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
     counted, v = np.empty((m, 1)), np.empty((p, 1))
     asked, both, now, read = np.empty(m), np.empty(2 * p), np.empty(p), np.empty(p)
     z, new = np.empty(state.shape[0] + p), np.empty(state.shape[0])
-    for t in range(reference.shape[1]):
+    for t in range(first, stop):
         request(feedforward[:, t], inverse_gain, gain, limits, memory, asked)
         v[:] = 0.0
         for k in range(m):
@@ -92,6 +105,9 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
             read[o] = converted(noisy, -effects[1], effects[1], effects[2])
             reading[o, t], now[o] = read[o], reference[o, t]
         correct(now, read, settings, memory)
+    for k in range(m):
+        for s in range(count[k]):
+            end[k, s], x[k, s], d[k, s] = ends[k, s + 1], xs[k, s + 1], ds[k, s + 1]
 
 
 @compiled()

@@ -238,6 +238,7 @@ def _compiled_loop(
 ) -> dict[str, Array]:
     """Wires (axis, sample) of the compiled loop."""
     from hammerstein.compensators.feedback.kernel import run_closed_loop
+    from hammerstein.compiled import spans
 
     path_um, forward_v = law.prepared(reference_um)
     m, p, samples = law.n_inputs, law.n_outputs, reference_um.shape[1]
@@ -246,20 +247,18 @@ def _compiled_loop(
     voltages = {name: np.empty((m, samples)) for name in ("requested_v", "drive_v")}
     positions = {name: np.empty((p, samples)) for name in ("hysteresis_um", "position_um", "reading_um")}
     bank, plays = hysteresis.bank, hysteresis.rest().copy()
-    run_closed_loop(
-        path_um,
-        np.ascontiguousarray(forward_v),
-        standard_noise(np.random.default_rng(seed), p, samples),
-        (law._settings, law.inverse_gain_v_per_um, law.gain_um_per_v, law._limits, law.rest().memory),
-        np.array(effects),
-        drive.steps(m),
-        np.array(plant.model.recorded.working_point_v),
+    noise = standard_noise(np.random.default_rng(seed), p, samples)
+    signals = (path_um, np.ascontiguousarray(forward_v), noise)
+    controller = (law._settings, law.inverse_gain_v_per_um, law.gain_um_per_v, law._limits, law.rest().memory)
+    instruments = (np.array(effects), drive.steps(m), np.array(plant.model.recorded.working_point_v))
+    actuator = (
         (bank.r, bank.guide, bank.scale, bank.n, bank.lines),
         (plays.count, plays.end, plays.x, plays.d),
         (plant.block.rows, plant.block.rest()),
-        (*voltages.values(), *positions.values()),
-        (0,) * p,
     )
+    out = (*voltages.values(), *positions.values())
+    for first, stop in spans(samples, 64 + len(plant.block.rows[2])):
+        run_closed_loop(*signals, controller, *instruments, *actuator, first, stop, out, (0,) * p)
     return voltages | positions
 
 

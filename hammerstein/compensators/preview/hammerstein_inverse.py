@@ -224,20 +224,25 @@ class HammersteinInverseLaw(Law[PathState]):
     def _filtered(self, raw: Array) -> Array:
         """Reference behind the filter, shorter by its length less one."""
         from hammerstein.compensators.preview.kernel import filtered
+        from hammerstein.compiled import spans
 
         if len(self.taps) == 1:
             return raw
         out = np.empty((raw.shape[0], raw.shape[1] - len(self.taps) + 1))
-        filtered(self.taps, raw, out)
+        for first, stop in spans(out.shape[1], self.taps.size * len(out)):
+            filtered(self.taps, raw, first, stop, out)
         return out
 
     def _wanted(self, known: Array, modes: Array) -> Array:
         """Outputs of the static block (p, N) that put the linear block on the path; ``modes`` move on."""
         from hammerstein.compensators.preview.kernel import run_inverse
+        from hammerstein.compiled import spans
 
         inverse, known = self.linear, np.ascontiguousarray(known)
         v = np.empty((self.n_outputs, known.shape[1] - inverse.reach_samples))
-        run_inverse(inverse.A, inverse.B, inverse.C, inverse.taps, inverse.ahead, modes, known, v)
+        inside = (inverse.A, inverse.B, inverse.C, inverse.taps, inverse.ahead, modes)
+        for first, stop in spans(v.shape[1], inverse.A.size + inverse.taps.size):
+            run_inverse(*inside, known, first, stop, v)
         return v
 
     def _smooth_start(self, known: Array) -> Array:

@@ -46,6 +46,8 @@ LINES: tuple[Any, ...] = (
 TARGET: dict[str, Any] = {"color": DARK, "linestyle": (0, (3, 2.5)), "linewidth": 0.9}
 APART = 1.02  # sizes of paths that the eye tells apart
 LOGARITHMIC_FROM = 8.0  # ratio of the worst distances from which their axis is logarithmic
+DEEPEST = 1e-4  # part of the worst error below which nothing is told apart: rounding is no result
+SIGNED_TICKS = 2  # on each side of zero, of a logarithmic axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,10 +290,11 @@ def _scale_signed(axes: Axes, runs: Sequence[PathRun]) -> None:
     """Errors of an axis: linear, or logarithmic on both sides of a linear middle that the best run fills."""
     worst = [_worst([run], DISTANCE) if len(run.errors()) > 1 else _worst([run], "") for run in runs]
     if min(worst) > 0.0 and max(worst) >= LOGARITHMIC_FROM * min(worst):
-        middle = 10.0 ** math.ceil(math.log10(min(worst)))
+        middle = 10.0 ** math.ceil(math.log10(max(min(worst), DEEPEST * max(worst))))
         axes.set_yscale("symlog", linthresh=middle, linscale=1.0)
         decades = [middle * 10.0**i for i in range(math.floor(math.log10(max(worst) / middle)) + 1)]
-        ticks = [-tick for tick in reversed(decades)] + [0.0, *decades]
+        told = decades[:: -max(1, math.ceil(len(decades) / SIGNED_TICKS))]
+        ticks = [-tick for tick in told] + [0.0, *reversed(told)]
         axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
         axes.minorticks_off()
 
@@ -305,7 +308,7 @@ def _scale_distance(axes: Axes, name: str, runs: Sequence[PathRun]) -> None:
     if min(worst) > 0.0 and max(worst) >= LOGARITHMIC_FROM * min(worst):
         typical = min(float(np.median(dict(run.errors())[name])) for run in runs)
         axes.set_yscale("log")
-        axes.set_ylim(0.3 * max(typical, 1e-9), 1.4 * max(worst))
+        axes.set_ylim(0.3 * max(typical, DEEPEST * max(worst)), 1.4 * max(worst))
         plain_numbers(axes.yaxis)
     elif axes.get_yscale() == "linear":  # panels of one row share their scale
         axes.set_ylim(0.0, 1.08 * max(worst) or 1.0)

@@ -66,6 +66,11 @@ def run_page(report: Report, files: Mapping[str, bytes], interactive: Interactiv
         links=[
             link_to("rms.csv", report.to_csv(), "text/csv"),
             *([link_to("bands.csv", report.bands_to_csv(), "text/csv")] if report.bands else []),
+            *(
+                [link_to("sensitivities.csv", report.sensitivities_to_csv(), "text/csv")]
+                if report.sensitivities
+                else []
+            ),
             link_to("report.json", report.to_json(), "application/json"),
         ],
         interactive=interactive,

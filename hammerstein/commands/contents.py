@@ -1,0 +1,160 @@
+"""What a file holds, whatever it is of ours: told by its content, not by its name."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hammerstein.errors import InputError
+from hammerstein.files import read_limited
+from hammerstein.records.array_files import SUFFIXES
+from hammerstein.records.readers import PARQUET
+
+Facts = tuple[tuple[str, str], ...]
+MOST_COLUMNS = 40
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a file is, and what a person wants to know of it: names and texts."""
+
+    kind: str
+    facts: Facts
+
+
+def contents_of(path: Path) -> Contents:
+    """Tell what a file holds.
+
+    Raises InputError where it cannot be read, or is none of ours.
+    """
+    if path.suffix.lower() == ".toml":
+        return Contents("scenario", tuple(_scenario(path)))
+    if path.suffix.lower() == ".json":
+        return _json(path)
+    if path.suffix.lower() in SUFFIXES:
+        raise InputError(
+            str(path), "holds arrays; hammerstein loops --inputs NAME --outputs NAME tells what is in them"
+        )
+    return Contents("table of numbers", tuple(_table(path)))
+
+
+def _json(path: Path) -> Contents:
+    text = read_limited(path, what="JSON file")
+    try:
+        found = json.loads(text)
+    except ValueError as error:
+        raise InputError(str(path), f"is not JSON: {error}") from None
+    form = str(found.get("format", "")) if isinstance(found, dict) else ""
+    if form.startswith("hammerstein-model/"):
+        return Contents("model", tuple(_model(path)))
+    if form.startswith("hammerstein-report/"):
+        return Contents("report", tuple(_report(found)))
+    if form.startswith("hammerstein-baseline/"):
+        return Contents("baseline", (("rows", str(len(found.get("rows", ())))),))
+    if isinstance(found, dict) and "held_records" in found:
+        return Contents("fit report", tuple(_fit(found)))
+    raise InputError(str(path), "is no model, report, fit report or baseline of hammerstein")
+
+
+def _scenario(path: Path) -> Iterator[tuple[str, str]]:
+    from hammerstein.experiment.plan import duration, plan_of, size
+    from hammerstein.scenario import load_scenario
+
+    scenario = load_scenario(path)
+    plan = plan_of(scenario)
+    yield "question", scenario.question
+    yield "actuator", str(scenario.actuator)
+    yield (
+        ("drive" if scenario.drive is not None else "reference"),
+        _listed(scenario.signal.model_dump(mode="json", exclude_none=True)),
+    )
+    for name, values in scenario.sweep.values():
+        yield f"sweep {name}", ", ".join(f"{value:g}" for value in values)
+    for source in (*scenario.compensators, *scenario.models):
+        law = getattr(source, "law", "model")
+        found = source.identification
+        where = (
+            f"file {source.model}"
+            if found is None
+            else "identified: " + _listed(found.model_dump(mode="json", exclude_none=True))
+        )
+        yield source.label, f"{law}; {where}"
+    if scenario.claims:
+        yield "claims", ", ".join(claim.id for claim in scenario.claims)
+    takes = duration(plan.seconds) if plan.seconds > 60.0 else "a minute at most"
+    yield "takes", f"{takes} on one processor, {size(plan.bytes)} of memory"
+
+
+def _model(path: Path) -> Iterator[tuple[str, str]]:
+    from hammerstein.model import HammersteinModel
+
+    model = HammersteinModel.load(path)
+    yield "name", model.name
+    yield "inputs", ", ".join(model.inputs)
+    yield "outputs", ", ".join(model.outputs)
+    yield "hysteresis", model.hysteresis.describe()
+    yield "dynamics", model.dynamics.describe()
+    gains = model.hysteresis.gain(model.amplitude_v)
+    for o, output in enumerate(model.outputs):
+        told = [f"{gains[o, k]:.4g} from {name}" for k, name in enumerate(model.inputs)]
+        yield f"gain of {output} [um/V]", ", ".join(told)
+    yield "recorded", model.recorded.statement(model.inputs)
+    if model.verdict is not None:
+        yield (
+            "fit report",
+            "; ".join(model.verdict.statements) or ("flagged" if model.verdict.flagged else "no flag"),
+        )
+
+
+def _report(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    yield "name", str(found.get("name"))
+    yield "question", str(found.get("scenario", {}).get("question"))
+    yield "actuator", str(found.get("actuator"))
+    yield "rows", str(len(found.get("rows", ())))
+    claims = found.get("claims", ())
+    if claims:
+        yield "claims", f"{sum(bool(claim.get('agrees')) for claim in claims)} of {len(claims)} met"
+    for number, text in enumerate(found.get("statements", ())[:5], start=1):
+        yield f"statement {number}", str(text)
+
+
+def _fit(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    yield "model", str(found.get("model"))
+    yield "verdict", str(found.get("verdict"))
+    yield "records", ", ".join(map(str, found.get("records", ())))
+    yield "held back", ", ".join(map(str, found.get("held_records", ()))) or "none"
+
+
+def _table(path: Path) -> Iterator[tuple[str, str]]:
+    from hammerstein.records.readers import read_columns
+    from hammerstein.records.text_files import find_layout
+
+    if path.suffix.lower() in PARQUET:
+        raise InputError(str(path), "is a Parquet file; pandas.read_parquet shows its columns")
+    layout = find_layout(path)
+    columns = read_columns(path, [str(number + 1) for number in range(min(layout.width, MOST_COLUMNS))])
+    yield "rows", str(columns.values.shape[1])
+    for number, (name, values) in enumerate(zip(columns.names, columns.values, strict=True), start=1):
+        known = values[np.isfinite(values)]
+        span = f"{known.min():.6g} to {known.max():.6g}" if known.size else "no number"
+        missing = f", {values.size - known.size} missing" if known.size < values.size else ""
+        yield (name if name != str(number) else f"column {number}"), span + missing
+    for number, line in enumerate(_said_above(path), start=1):
+        yield f"said above, {number}", line
+
+
+def _said_above(path: Path) -> Iterator[str]:
+    """What stands above the columns of a drive file."""
+    for line in read_limited(path, what="table").splitlines():
+        if not line.startswith("#"):
+            return
+        yield line.removeprefix("#").strip()
+
+
+def _listed(values: dict[str, Any]) -> str:
+    return ", ".join(f"{key} = {value}" for key, value in values.items())

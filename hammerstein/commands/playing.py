@@ -1,0 +1,104 @@
+"""Voltages of a file, played on a model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.compensators.drive_csv import drive_csv
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.files import Content
+from hammerstein.model import HammersteinModel
+from hammerstein.signals import read_signal
+from hammerstein.simulation import Response
+
+Array = NDArray[np.float64]
+
+PLAYED = Content("file of played voltages", sign="time_s,played_")
+EVENLY = 1e-3
+"""Part of a sample time by which the time of a row may be off."""
+
+
+@dataclass(frozen=True, eq=False)
+class Played:
+    """What a model does with voltages.
+
+    source : name of the model; time_s : (sample,) as in the file; with_sensor : whether it was read
+    """
+
+    model: HammersteinModel
+    source: str
+    time_s: Array
+    response: Response
+    with_sensor: bool
+
+    def to_csv(self) -> str:
+        """Text of the file: time, voltages, positions and, with a sensor, readings."""
+        groups = [
+            ("played", "v", self.model.inputs, self.response.drive_v),
+            ("position", "um", self.model.outputs, self.response.position_um),
+        ]
+        if self.with_sensor:
+            groups.append(("reading", "um", self.model.outputs, self.response.reading_um))
+        said = f"What model {self.source} does with these voltages, from rest at its working point."
+        return drive_csv(self.time_s, groups, [said])
+
+    def summary(self) -> dict[str, Any]:
+        """Lowest and highest voltage and position, as plain JSON."""
+        inputs = zip(self.model.inputs, self.response.drive_v, strict=True)
+        outputs = zip(self.model.outputs, self.response.position_um, strict=True)
+        return {
+            "inputs": {name: [float(row.min()), float(row.max())] for name, row in inputs},
+            "outputs": {name: [float(row.min()), float(row.max())] for name, row in outputs},
+        }
+
+
+def played(model_path: str, drive_path: Path, with_sensor: bool = False) -> Played:
+    """Play the voltages of a file on a model that rests at its working point.
+
+    Parameters
+    ----------
+    model_path : model file, or name of a packaged actuator
+    drive_path : CSV file: ``time_s`` and one column an input, absolute [V]; of a file that ``compensate``
+        has written, the columns of the drive
+    with_sensor : whether converter and sensor of the model stand before and behind it
+
+    Raises
+    ------
+    InputError : a file is wrong; SimulationError : the model leaves every bound
+    """
+    model = HammersteinModel.load(model_path)
+    time_s, values, names = read_signal(drive_path)
+    u = values[_chosen(model, names, drive_path)]
+    sample_time_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    uneven = np.abs(np.diff(time_s) - sample_time_s) > EVENLY * sample_time_s
+    if uneven.any():
+        raise InputError(
+            str(drive_path),
+            f"its times are not evenly spaced: row {int(np.argmax(uneven)) + 2} comes after "
+            f"{np.diff(time_s)[np.argmax(uneven)]:.6g} s, the others after {sample_time_s:.6g} s",
+        )
+    instruments = model.instruments if with_sensor else None
+    try:
+        response = model.simulate(u, sample_time_s, instruments=instruments)
+    except SimulationError as error:
+        raise SimulationError(f"{drive_path}: {error}") from None
+    return Played(model, PurePath(model_path).name, time_s, response, with_sensor)
+
+
+def _chosen(model: HammersteinModel, names: list[str], path: Path) -> list[int]:
+    """Columns of the inputs: those of a drive file, those of the inputs' names, or all there are."""
+    for wanted in ([f"drive_{name}_v" for name in model.inputs], list(model.inputs)):
+        if all(name in names for name in wanted):
+            return [names.index(name) for name in wanted]
+    if len(names) != len(model.inputs):
+        raise InputError(
+            str(path),
+            f"has the columns {', '.join(names)}; give one for each input of the model: "
+            f"{', '.join(model.inputs)}",
+        )
+    return list(range(len(names)))

@@ -1,0 +1,117 @@
+"""Commands for a person who begins: a working folder, what a file holds, the guide, voltages on a model."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hammerstein.commands.terminal import complain, hushed, show as show_table, tell, tell_json
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
+
+
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Where to; here if not given.")] = Path("."),
+    paper: Annotated[
+        bool, typer.Option("--paper", help="Copy the scenarios of the paper, with their accepted numbers.")
+    ] = False,
+) -> None:
+    """Make a working folder: records, a model, a scenario, its numbers, and what to do next."""
+    from hammerstein.commands.working_folder import own_folder, paper_folder, refuse_started
+
+    there = "" if folder == Path(".") else f"cd {shlex.quote(str(folder))}, then "
+    if paper:
+        paper_folder(folder)
+        tell(f"scenarios in {folder}; {there}hammerstein run . or hammerstein check .")
+        return
+    from hammerstein.commands.warm_up import compile_once
+
+    refuse_started(folder)
+    compile_once(complain)
+    own_folder(folder, complain if sys.stderr.isatty() and not hushed() else lambda _: None)
+    tell(f"what to do next stands in {folder / 'README.md'}")
+    tell(f"look at {folder / 'reports/circle/report.html'}; {there}hammerstein run .")
+
+
+def show(
+    file: Annotated[Path, typer.Argument(help="Scenario, model, record, drive file, report or baseline.")],
+    as_json: AsJson = False,
+) -> None:
+    """Print what a file holds, before anything runs."""
+    from hammerstein.commands.contents import contents_of
+    from hammerstein.commands.tables import facts_table
+
+    found = contents_of(file)
+    if as_json:
+        tell_json({"file": str(file), "kind": found.kind, **dict(found.facts)})
+        return
+    show_table(facts_table(f"{file}: {found.kind}", found.facts))
+
+
+def guide(
+    topic: Annotated[str | None, typer.Argument(help="Name of a page; all are listed if not given.")] = None,
+) -> None:
+    """Read the guide."""
+    from hammerstein.commands.tables import facts_table
+    from hammerstein.errors import InputError
+
+    pages = guide_pages()
+    if topic is None:
+        titles = [(name, _title(page)) for name, page in pages.items()]
+        show_table(facts_table("hammerstein guide TOPIC", titles))
+        return
+    if topic not in pages:
+        raise InputError("guide", f"has no page {topic!r}; pages are {', '.join(pages)}")
+    text = pages[topic].read_text(encoding="utf-8")
+    if not sys.stdout.isatty():
+        tell(text.rstrip())
+        return
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    Console().print(Markdown(text))
+
+
+GUIDE = Path(__file__).parents[1] / "guide"
+FIRST = ("start", "record", "identify", "compensators")
+
+
+def guide_pages() -> dict[str, Path]:
+    """Pages of the guide by name, those that a person begins with first."""
+    found = {path.stem: path for path in sorted(GUIDE.glob("*.md"))}
+    return {name: found[name] for name in dict.fromkeys([*FIRST, *found]) if name in found}
+
+
+def _title(page: Path) -> str:
+    return page.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+
+
+def play(
+    model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
+    drive: Annotated[Path, typer.Argument(help="CSV: time_s, then one column an input, in V.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the positions go.")] = Path("played.csv"),
+    sensor: Annotated[
+        bool, typer.Option("--sensor", help="Through the model's converter and sensor, noise included.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Play voltages on a model and write what comes out: the counterpart of compensate."""
+    from hammerstein.commands.playing import PLAYED, played
+    from hammerstein.commands.records import refuse_output
+    from hammerstein.commands.tables import played_table
+    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.files import write_atomic
+
+    refuse_output(out, [Path(model), drive], PLAYED)
+    compile_once(complain)
+    found = played(model, drive, sensor)
+    write_atomic(out, found.to_csv())
+    if as_json:
+        tell_json({"played": str(out), **found.summary()})
+        return
+    show_table(played_table(found))
+    tell(f"positions in {out}")

@@ -1,0 +1,181 @@
+"""The folder that ``hammerstein init`` makes: records, a model, a scenario, a baseline, what to do next."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import InputError
+from hammerstein.files import begun, ended, reason_of
+
+Array = NDArray[np.float64]
+Say = Callable[[str], None]
+
+PACKAGE = Path(__file__).parents[1]
+STARTER = PACKAGE / "starter"
+ACTUATOR, SAMPLE_TIME_S, AMPLITUDE_V = "duo_bimorph", 50e-6, 10.0
+SINE_SAMPLES, MULTISINE_SAMPLES = 1200, 3000
+COLUMNS = ("u_x", "u_y"), ("x", "y")
+CI = ".github/workflows/hammerstein.yml"
+
+
+def own_folder(target: Path, say: Say) -> None:
+    """Make a working folder for one's own actuator.
+
+    Parameters
+    ----------
+    target : where to; made if it does not exist
+    say : told what is being done
+
+    Raises
+    ------
+    InputError : something of these names is there already, or the folder cannot be written
+    """
+    with _made(target) as room:
+        _copy(STARTER / "README.md", room / "README.md")
+        _copy(STARTER / "circle.toml", room / "circle.toml")
+        _copy(STARTER / "hammerstein.yml", room / CI)
+        say("recording a simulated stage")
+        _write_path(room / "path.csv")
+        files = [_write_record(room, axis) for axis in range(2)]
+        say("identifying its model")
+        _identify(files, room / "stage.json")
+        say("running the scenario")
+        _run(room)
+
+
+def paper_folder(target: Path) -> None:
+    """Copy the shipped scenarios, and the numbers that were accepted for them.
+
+    Raises InputError as ``own_folder`` does.
+    """
+    scenarios, baselines = (
+        _shipped("paper", "*.toml", "scenarios"),
+        _shipped("paper_baseline", "*.json", "reports/baseline"),
+    )
+    with _made(target) as room:
+        for file in scenarios:
+            _copy(file, room / file.name)
+        for file in baselines:
+            _copy(file, room / "reports/baseline" / file.name)
+
+
+def _shipped(name: str, pattern: str, checkout: str) -> list[Path]:
+    """Files that stand in the package once it is installed, and beside it in its source."""
+    folder = PACKAGE / name
+    return sorted((folder if folder.is_dir() else PACKAGE.parent / checkout).glob(pattern))
+
+
+@contextmanager
+def _made(target: Path) -> Iterator[Path]:
+    """Make files in a hidden room; move them to the target when all are there, and nothing over anything."""
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        room = Path(tempfile.mkdtemp(prefix=".hammerstein-init-", dir=target))
+    except OSError as error:
+        raise InputError(
+            str(target), f"cannot be written ({reason_of(error)}); choose another folder"
+        ) from None
+    begun(room, lambda: shutil.rmtree(room, ignore_errors=True))
+    try:
+        yield room
+        _move(room, target)
+    finally:
+        shutil.rmtree(room, ignore_errors=True)
+        ended(room)
+
+
+def _move(room: Path, target: Path) -> None:
+    files = [path.relative_to(room) for path in sorted(room.rglob("*")) if path.is_file()]
+    refuse_existing(target, files)
+    for file in files:
+        place = target / file
+        place.parent.mkdir(parents=True, exist_ok=True)
+        os.rename(room / file, place)
+
+
+def refuse_existing(target: Path, files: list[Path]) -> None:
+    """Refuse a folder that holds one of these files: nothing is ever written over; InputError names them."""
+    there = [file.as_posix() for file in files if os.path.lexists(target / file)]
+    if there:
+        listed = ", ".join(there[:5]) + (f" and {len(there) - 5} more" if len(there) > 5 else "")
+        raise InputError(
+            str(target), f"holds {listed} already; give a folder that does not: nothing was written"
+        )
+
+
+def refuse_started(target: Path) -> None:
+    """Refuse, before the work, what ``own_folder`` would refuse after it; InputError."""
+    names = ["README.md", "circle.toml", "path.csv", "record_x.csv", "record_y.csv", "stage.json", CI]
+    refuse_existing(target, [Path(name) for name in names])
+
+
+def _copy(source: Path, place: Path) -> None:
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.write_bytes(source.read_bytes())
+
+
+def _write_record(room: Path, axis: int) -> Path:
+    """Drive one input, hold the other, read the sensor."""
+    import pandas as pd
+
+    from hammerstein.model import HammersteinModel
+    from hammerstein.signals import Multisine, Sine
+
+    sine = Sine(amplitude=AMPLITUDE_V, frequency_hz=50.0, axis=1)
+    multisine = Multisine(amplitude=AMPLITUDE_V, lowest_hz=5.0, highest_hz=450.0)
+    parts = [
+        signal.sample(SAMPLE_TIME_S * np.arange(samples, dtype=np.float64), 1)[0]
+        for signal, samples in ((sine, SINE_SAMPLES), (multisine, MULTISINE_SAMPLES))
+    ]
+    u = np.zeros((2, SINE_SAMPLES + MULTISINE_SAMPLES))
+    u[axis] = np.concatenate(parts)
+    actuator = HammersteinModel.load(ACTUATOR)
+    response = actuator.simulate(u, SAMPLE_TIME_S, instruments=actuator.instruments, seed=axis)
+    inputs, outputs = COLUMNS
+    table = {"time_s": SAMPLE_TIME_S * np.arange(u.shape[1])}
+    table |= dict(zip(inputs, response.drive_v, strict=True))
+    table |= dict(zip(outputs, response.reading_um, strict=True))
+    place = room / f"record_{outputs[axis]}.csv"
+    pd.DataFrame(table).round(5).to_csv(place, index=False, lineterminator="\n")
+    return place
+
+
+def _write_path(place: Path) -> None:
+    """A circle of 20 um that begins at rest."""
+    import pandas as pd
+
+    time_s = SAMPLE_TIME_S * np.arange(1600)
+    grown, turn = np.minimum(1.0, time_s / 0.02) ** 2, 2.0 * np.pi * 50.0 * time_s
+    path = {"time_s": time_s, "x": 20.0 * grown * np.sin(turn), "y": 20.0 * grown * (1.0 - np.cos(turn))}
+    pd.DataFrame(path).round(6).to_csv(place, index=False, lineterminator="\n")
+
+
+def _identify(files: list[Path], place: Path) -> None:
+    from hammerstein.identification.identify import identify
+    from hammerstein.identification.settings import Settings
+    from hammerstein.records.record import read_records
+    from hammerstein.reporting.fit_folder import write_fit
+
+    inputs, outputs = COLUMNS
+    records = read_records(files, inputs=inputs, outputs=outputs, time="time_s")
+    model, fit = identify(records, Settings(dynamics="second_order"), name=place.stem)
+    write_fit(model, fit, place, place.parent / f"{place.stem}_fit")
+
+
+def _run(room: Path) -> None:
+    """Write the report of the scenario, and accept its numbers."""
+    from hammerstein.experiment.run import run
+    from hammerstein.regression.baseline import Baseline
+    from hammerstein.reporting.folder import write_report
+
+    report = run(room / "circle.toml")
+    write_report(report, room / "reports/circle")
+    Baseline.of(report).save(room / "reports/baseline/circle.json")

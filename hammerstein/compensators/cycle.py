@@ -1,0 +1,281 @@
+"""One settled period of a periodic path: what an amplifier plays again and again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.blocks import Controller, Law
+from hammerstein.compensators.drive_csv import drive_csv
+from hammerstein.compensators.drive_file import (
+    Terms,
+    allowed_range,
+    compensator_of,
+    read_path,
+    refuse_beyond,
+    refuse_flagged,
+    verdict_statements,
+)
+from hammerstein.driving import DriveRange
+from hammerstein.dynamics import LinearBlock, discretise
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.model import HammersteinModel
+
+Array = NDArray[np.float64]
+
+TRIED_PERIODS = (4, 8, 16, 32)
+SETTLED = 1e-6  # of the range: what two periods may differ by
+PLAYED_PERIODS = 10
+CENTRING_ROUNDS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """One period of voltages, and what the model does when it is played again and again.
+
+    reference_um : (p, N) the path, counted from the start; drive_v : (m, N) as it is sent
+    played_um : (p, N) position in the last of ten periods; closure_um : what it differs from the one before
+    """
+
+    model: HammersteinModel
+    limits: DriveRange
+    sample_time_s: float
+    reference_um: Array
+    drive_v: Array
+    played_um: Array
+    closure_um: float
+    source: str
+    statement: str
+
+    @property
+    def period_s(self) -> float:
+        """Length of a period [s]."""
+        return float(self.drive_v.shape[1] * self.sample_time_s)
+
+    @property
+    def error_um(self) -> Array:
+        """Position less path (p, N) in a settled period [um]."""
+        return self.played_um - self.reference_um
+
+    def play(self, drive_v: Array) -> tuple[Array, float]:
+        """Position (p, N) in the last of ten periods of other voltages on the same grid, and its closure."""
+        return played(self.model, self.limits, drive_v, self.sample_time_s)
+
+    def statements(self) -> list[str]:
+        """Say what must hold when it is played."""
+        error = self.error_um
+        worst = ", ".join(
+            f"{name} {rms(row):.3g} um rms, {np.abs(row).max():.3g} um at most"
+            for name, row in zip(self.model.outputs, error, strict=True)
+        )
+        said = [
+            f"Model {self.source}. One settled period of {self.period_s:.6g} s, to be played again and "
+            "again; after the last row the first one follows.",
+            *verdict_statements(self.model),
+            f"Predicted for period {PLAYED_PERIODS}, if the actuator were exactly the model: {worst}. It "
+            f"differs from the period before by {self.closure_um:.2g} um. The first period is another one: "
+            "it comes from where the actuator stands.",
+        ]
+        return [*said, self.statement] if self.statement else said
+
+    def to_csv(self) -> str:
+        """Text of the drive file: one period."""
+        inputs, outputs = self.model.inputs, self.model.outputs
+        time_s = np.arange(self.drive_v.shape[1], dtype=np.float64) * self.sample_time_s
+        groups = (
+            ("drive", "v", inputs, self.drive_v),
+            ("reference", "um", outputs, self.reference_um),
+            ("predicted", "um", outputs, self.played_um),
+        )
+        return drive_csv(time_s, groups, ["Voltages of one period: absolute, in V.", *self.statements()])
+
+
+def rms(row: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(row**2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A law for a periodic path: model, range, law, one period (p, N) [um], and what the files are called."""
+
+    model: HammersteinModel
+    limits: DriveRange
+    law: Law[Any]
+    reference_um: Array
+    source: str
+    path: str
+
+    def cycle(self, asked_v: Array, terms: Terms) -> Cycle:
+        """One period of these voltages on the steps of the converter, if they are allowed.
+
+        Raises SimulationError for voltages at the range, or beyond the records.
+        """
+        model, limits = self.model, self.limits
+        at_range = int(limits.reached(asked_v).any(axis=0).sum())
+        if at_range and not terms.clip:
+            raise SimulationError(
+                f"{self.path}: the path is out of reach: its drive stands at the range in {at_range} of "
+                f"{asked_v.shape[1]} samples of a settled period, {limits.words(model.inputs)} (--range). "
+                "Make it smaller or slower, or accept it with --clip."
+            )
+        ends = tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))
+        sent, _ = model.instruments.drive.model_copy(update={"range_v": ends}).apply(asked_v)
+        if not terms.beyond_records:
+            refuse_beyond(model, sent)
+        time_s = model.instruments.drive.sample_time_s
+        position, closure = played(model, limits, sent, time_s)
+        words = self.law.statement()
+        return Cycle(model, limits, time_s, self.reference_um, sent, position, closure, self.source, words)
+
+
+def design_of(model_path: str, path: Path, law: str, options: Mapping[str, Any], terms: Terms) -> Design:
+    """Design a law for a file that holds one period of a path; what is wrong is raised as by ``cycle_of``."""
+    model, source = HammersteinModel.load(model_path), PurePath(model_path).name
+    refuse_flagged(model, source, terms)
+    limits = allowed_range(model, terms)
+    time_s = model.instruments.drive.sample_time_s
+    _, reference, _ = read_path(path, model, time_s)
+    built = compensator_of(law, options).design(model, limits, time_s)
+    if isinstance(built, Controller):
+        raise InputError("--law", "feedback needs the sensor's readings: it has no drive to send ahead")
+    return Design(model, limits, built, reference, source, str(path))
+
+
+def cycle_of(
+    model_path: str, path: Path, law: str, options: Mapping[str, Any], terms: Terms | None = None
+) -> Cycle:
+    """One settled period of voltages for a file that holds one period of a path.
+
+    After the last row of the file its first one follows: a period of N samples has N rows.
+
+    Raises
+    ------
+    InputError : a file or an option is wrong
+    SimulationError : the law cannot work, the periods do not become alike, or the path is out of reach
+    IdentificationError : the model's own fit report flagged it
+    """
+    terms = terms or Terms()
+    design = design_of(model_path, path, law, options, terms)
+    return design.cycle(centred(design.law, design.model, design.reference_um), terms)
+
+
+def settled(law: Law[Any], reference_um: Array) -> Array:
+    """Drive (m, N) of the period that no longer changes: the fixed point of the loop.
+
+    Raises SimulationError where the periods do not become alike.
+    """
+    samples = reference_um.shape[1]
+    ends = -(-int(getattr(law, "start_samples", law.preview_samples)) // samples)
+    change = np.inf
+    for periods in TRIED_PERIODS:
+        drive = law.drive_for(np.tile(reference_um, (1, periods + ends)))
+        one, next_one = (drive[:, (periods - n) * samples :][:, :samples] for n in (2, 1))
+        change = float(np.abs(next_one - one).max())
+        if change <= SETTLED * float(law.range.span_v.max()):
+            return next_one.copy()
+    raise SimulationError(
+        f"The drive still changes by {change:.3g} V from one period to the next after {TRIED_PERIODS[-1]} "
+        "periods; creep does this. Use a model without creep for a table, or a law without dynamics."
+    )
+
+
+def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Array:
+    """Settled drive (m, N) that stays on the path when it is played from the start again and again.
+
+    What a loop leaves in the plays that it does not move both ways depends on how it began, and a table
+    begins otherwise than the law: its middle comes out elsewhere, and its shape does not change. So the
+    voltages are moved until the middle is that of the path.
+    """
+    time_s, limits = model.instruments.drive.sample_time_s, law.range
+    drive, share = settled(law, reference_um), 1.0
+    turn = np.linalg.pinv(model.hysteresis.gain(half_stroke(drive)))
+    off = _middle(played(model, limits, drive, time_s)[0] - reference_um)
+    for _ in range(CENTRING_ROUNDS):
+        trial = np.clip(drive - share * (turn @ off), limits.low_v[:, None], limits.high_v[:, None])
+        left = _middle(played(model, limits, trial, time_s)[0] - reference_um)
+        if np.abs(left).max() < np.abs(off).max():
+            drive, off = trial, left
+        else:
+            share *= 0.5
+    return drive
+
+
+def half_stroke(drive_v: Array) -> float:
+    """Half of what an input goes at most [V], for which the gain of the settled loops is taken."""
+    return max(0.5 * float(np.ptp(drive_v, axis=1).max()), 1e-6)
+
+
+def _middle(error_um: Array) -> Array:
+    return np.asarray(error_um.mean(axis=1, keepdims=True))
+
+
+def played(
+    model: HammersteinModel, limits: DriveRange, drive_v: Array, sample_time_s: float
+) -> tuple[Array, float]:
+    """Position (p, N) [um] in the last of ten periods, and by how much the one before differs [um].
+
+    Positions count from the start. The actuator stands at its start before the first.
+    """
+    here, samples = model.on_grid(sample_time_s), drive_v.shape[1]
+    before, memory = here.hysteresis.respond(limits.history())
+    v, _ = here.static_response(np.tile(drive_v, (1, PLAYED_PERIODS)), memory)
+    position, _ = discretise(here.dynamics, sample_time_s).respond(v - before[:, -1:])
+    last, one_before = position[:, -samples:], position[:, -2 * samples : -samples]
+    return last.copy(), float(np.abs(last - one_before).max())
+
+
+def held_least(cycle: Cycle, points: int) -> Array:
+    """Voltages (m, points), each held over N / points samples, whose played error is least.
+
+    Around any voltages the settled position changes by about ``H d``: the hold, the gain of the settled
+    loops and the linear block, all periodic. The least squares of ``error + H d`` fall apart into one small
+    problem for each frequency of the table, in which the images of the hold are summed; a few rounds of
+    Gauss and Newton take care of the hysteresis, and only what lowers the error is kept.
+    """
+    hold = cycle.drive_v.shape[1] // points
+    table = cycle.drive_v.reshape(len(cycle.drive_v), points, hold).mean(axis=2)
+    response = _periodic_response(cycle, hold)
+    best: Array = table
+    error = _error_of(cycle, table, hold)
+    for share in (1.0, 1.0, 0.5, 0.5, 0.25):
+        trial = _limited(cycle, best - share * _least_change(error, response, points))
+        found = _error_of(cycle, trial, hold)
+        if rms(found) < rms(error):
+            best, error = trial, found
+    return best
+
+
+def _error_of(cycle: Cycle, table: Array, hold: int) -> Array:
+    return np.asarray(cycle.play(np.repeat(table, hold, axis=1))[0] - cycle.reference_um)
+
+
+def _limited(cycle: Cycle, table: Array) -> Array:
+    return np.asarray(np.clip(table, cycle.limits.low_v[:, None], cycle.limits.high_v[:, None]))
+
+
+def _periodic_response(cycle: Cycle, hold: int) -> NDArray[np.complex128]:
+    """Response (frequency, p, m) from a table to the settled position on the fine grid."""
+    samples, time_s = cycle.drive_v.shape[1], cycle.sample_time_s
+    block: LinearBlock = discretise(cycle.model.dynamics, time_s)
+    turn = np.arange(samples) / samples
+    pulse = np.exp(-2j * np.pi * np.outer(turn, np.arange(hold))).sum(axis=1)
+    gain = cycle.model.hysteresis.gain(half_stroke(cycle.drive_v))
+    return np.asarray(block.response(turn / time_s) @ gain * pulse[:, None, None])
+
+
+def _least_change(error: Array, response: NDArray[np.complex128], points: int) -> Array:
+    """Change (m, points) of a table whose effect comes nearest to an error (p, N)."""
+    spectrum = np.fft.fft(error, axis=1).T[:, :, None]
+    images = response.reshape(-1, points, *response.shape[1:])
+    asked = spectrum.reshape(-1, points, *spectrum.shape[1:])
+    turned = np.conj(np.swapaxes(images, 2, 3))
+    square = (turned @ images).sum(axis=0)
+    ridge = 1e-6 * float(np.abs(square).max()) * np.eye(square.shape[-1])
+    change = np.linalg.solve(square + ridge, (turned @ asked).sum(axis=0))
+    return np.array(np.fft.ifft(change[:, :, 0].T, axis=1).real, dtype=np.float64, order="C")

@@ -1,0 +1,114 @@
+"""Compiled time loop of the exact inverse of rate-dependent plays.
+
+The thresholds of a sample are known before it, so that its map is piecewise linear in each voltage and has no
+memory within the sample: plays stand still between p - R and p + R and follow outside. It is given to the
+walk of ``kernel`` as dead-zones beside a single play of threshold and weight 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hammerstein.compensators.exact.kernel import drift, walk
+from hammerstein.compensators.exact.pieces import (
+    HAND,
+    HERE,
+    MISSED,
+    NOW,
+    SLOPE,
+    STACK,
+    TOP,
+    WANTED,
+    ZONES,
+    U,
+    X,
+    Y,
+)
+from hammerstein.compiled import compiled
+from hammerstein.hysteresis.rate_dependent_kernels import next_rate, threshold
+
+
+@compiled(error_model="numpy")
+def respond_exact_rate(  # type: ignore[no-untyped-def]
+    reference,
+    a,
+    b,
+    gain,
+    x,
+    w,
+    sample_time,
+    pole,
+    n,
+    r,
+    grow,
+    lam,
+    weights,
+    plays,
+    last,
+    rate,
+    first,
+    stop,
+    drive,
+):
+    """Drive (m, N) whose model output is the reference (p, N), from sample first up to stop.
+
+    The drive is overwritten there, plays and rates are updated.
+
+    a, b, gain, x : linear block behind it, as for ``respond_exact``; the others as for the forward loop
+    """
+    m, p = drive.shape[0], reference.shape[0]
+    new, away = np.empty(x.shape[0]), False
+    reach, (events, bend) = np.zeros(r.shape), np.empty((2, 2 * r.shape[1]))
+    owner = np.empty(2 * r.shape[1], np.int64)
+    for s in range(x.shape[0]):
+        away = away or x[s] != 0.0
+    for t in range(first, stop):
+        for k in range(m):
+            next_rate(k, sample_time, pole, last, rate)
+            for i in range(n[k]):
+                reach[k, i] = threshold(k, i, r, grow, lam, rate)
+            _zones_of(w, k, n[k], plays, reach, weights, events, owner, bend)
+        for o in range(p):
+            w[HERE, o, NOW, Y] = reference[o, t]
+            if away:
+                for s in range(x.shape[0]):
+                    w[HERE, o, NOW, Y] -= gain[o, s] * x[s]
+        walk(False, 0, w)
+        for o in range(p):
+            away = away or (w[HERE, o, NOW, MISSED] != 0.0 and x.shape[0] > 0)
+        for k in range(m):
+            u = w[HERE, k, NOW, U]
+            drive[k, t] = u
+            for i in range(n[k]):
+                plays[k, i] = max(u - reach[k, i], min(u + reach[k, i], plays[k, i]))
+            last[k, 1], last[k, 0] = last[k, 0], u
+        if away:
+            away = drift(reference, t, a, b, x, new, w)
+
+
+@compiled(error_model="numpy")
+def _zones_of(w, k, n, plays, reach, weights, events, owner, bend):  # type: ignore[no-untyped-def]
+    """Put the map of one sample of input k into its zones: from zone to zone a play is let go or taken up."""
+    rows, count = weights.shape[2], 0
+    for i in range(n):
+        if reach[k, i] > 0.0:  # a play of threshold 0 never stands still
+            events[count], events[count + 1] = plays[k, i] - reach[k, i], plays[k, i] + reach[k, i]
+            owner[count], owner[count + 1] = i, i
+            bend[count], bend[count + 1] = -1.0, 1.0
+            count += 2
+    order = np.argsort(events[:count], kind="mergesort")
+    for o in range(rows):
+        slope, begin = 0.0, 0.0
+        for i in range(n):
+            slope += weights[k, i, o]
+            begin += weights[k, i, o] * reach[k, i]
+        w[ZONES, k, 0, SLOPE + o], w[ZONES, k, 0, SLOPE + rows + o] = slope, begin
+    for z in range(count):
+        event, i = events[order[z]], owner[order[z]]
+        w[ZONES, k, z, TOP] = event
+        for o in range(rows):
+            change = bend[order[z]] * weights[k, i, o]
+            w[ZONES, k, z + 1, SLOPE + o] = w[ZONES, k, z, SLOPE + o] + change
+            w[ZONES, k, z + 1, SLOPE + rows + o] = w[ZONES, k, z, SLOPE + rows + o] - change * event
+    w[ZONES, k, count, TOP] = np.inf
+    w[HERE, k, HAND, WANTED] = w[STACK, k, 0, X]

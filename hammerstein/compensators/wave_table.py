@@ -1,0 +1,168 @@
+"""Wave tables: one settled period in the form that an amplifier or a waveform generator loads.
+
+Sources of formats and limits:
+
+* Physik Instrumente, E-727 user manual E727T0005 (2019): a wave table is output point by point; one cycle
+  lasts servo update time x table rate x points; the update time of the E-727 is 50 us. Points are loaded by
+  the command ``WAV <table> X|& PNT``; the text here holds them, one column a table.
+* piezosystem jena, ``nv200-python-lib`` (2025): the NV200's generator holds up to 1024 samples, each for a
+  multiple of 50 us.
+
+No device was at hand: what one does with a table was not tried.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.compensators.cycle import Cycle, held_least, rms
+from hammerstein.errors import InputError
+from hammerstein.escaping import clean
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Device:
+    """What a kind of table is limited to.
+
+    most_points : that it holds, if its source says so; step_s : of which the time of a point is a multiple
+    fixed_unit : whether its numbers are volts by themselves; digits : behind the point
+    """
+
+    what: str
+    most_points: int | None
+    step_s: float | None
+    fixed_unit: bool
+    digits: int
+
+
+DEVICES = {
+    "pi": Device("wave table of Physik Instrumente", None, 50e-6, False, 6),
+    "nv200": Device("waveform of a piezosystem jena NV200", 1024, 50e-6, False, 4),
+    "csv": Device("table for a waveform generator", None, None, True, 6),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class WaveTable:
+    """Points (m, n) of a table in volts, each held over ``hold`` samples of the cycle.
+
+    errors_um : rms error of the played path: of the cycle itself, held for the table, and as it is written
+    """
+
+    cycle: Cycle
+    device: str
+    hold: int
+    volts: Array
+    scale: tuple[float, float]
+    errors_um: tuple[float, float, float]
+
+    @property
+    def points(self) -> int:
+        """How many points a table has."""
+        return int(self.volts.shape[1])
+
+    @property
+    def point_s(self) -> float:
+        """Time for which a point is held [s]."""
+        return self.hold * self.cycle.sample_time_s
+
+    def numbers(self) -> Array:
+        """What stands in the table (m, n)."""
+        factor, offset = self.scale
+        return np.asarray(np.round(factor * self.volts + offset, DEVICES[self.device].digits))
+
+    def statements(self) -> list[str]:
+        """Say what the table is, what it adds to the error, and what is not known."""
+        own, held, written = self.errors_um
+        device = DEVICES[self.device]
+        said = [
+            f"{device.what.capitalize()}: {self.points} points of {self.point_s:.6g} s, one column an input. "
+            f"Number in the table = {self.scale[0]:g} x V + {self.scale[1]:g}.",
+            f"Error of the played path, rms: {own:.4g} um with every sample, {held:.4g} um with points held "
+            f"for {self.point_s:.6g} s, {written:.4g} um as it is written. It was resampled so that the "
+            "second is least.",
+            *self.cycle.statements(),
+            "No device was at hand to try it on: compare what it plays with the prediction first.",
+        ]
+        if self.device == "pi":
+            rate = round(self.point_s / (device.step_s or 1.0))
+            return [*said, f"Table rate {rate} at a servo update time of 50 us; it holds for all tables."]
+        return said
+
+    def text(self) -> str:
+        """Text of the file."""
+        head = [*self.statements()]
+        if self.device == "csv":
+            low, high = self.numbers().min(), self.numbers().max()
+            head.append(
+                f"points {self.points}, rate {1.0 / self.point_s:.10g} Hz, low {low:g}, high {high:g}"
+            )
+        lines = [f"# {clean(' '.join(words.split()))}" for words in head]
+        separator = "\t" if self.device == "pi" else ","
+        if self.device == "csv":
+            lines.append(separator.join(f"drive_{clean(name)}_v" for name in self.cycle.model.inputs))
+        digits = DEVICES[self.device].digits
+        rows = (separator.join(f"{value:.{digits}f}" for value in row) for row in self.numbers().T)
+        return "\n".join([*lines, *rows]) + "\n"
+
+
+def wave_table(
+    cycle: Cycle, device: str, scale: tuple[float, float] | None = None, points: int | None = None
+) -> WaveTable:
+    """Table of a cycle for a kind of device.
+
+    Parameters
+    ----------
+    scale : number in the table = scale[0] x volts + scale[1]; volts if the format says so
+    points : most points of the table, where the format does not say
+
+    Raises
+    ------
+    InputError : an unknown device, no scale where one is needed, or a period that no table holds
+    """
+    if device not in DEVICES:
+        raise InputError("--table", f"{device!r} is not one of {', '.join(DEVICES)}")
+    kind = DEVICES[device]
+    if scale is None and not kind.fixed_unit:
+        raise InputError(
+            "--table-scale",
+            f"a {kind.what} may want volts, percent or um; give FACTOR[,OFFSET] from volts to its numbers "
+            "(1 for volts)",
+        )
+    hold = _hold(cycle, kind, points)
+    volts = cycle.drive_v if hold == 1 else held_least(cycle, cycle.drive_v.shape[1] // hold)
+    table = WaveTable(cycle, device, hold, volts, scale or (1.0, 0.0), (0.0, 0.0, 0.0))
+    factor, offset = table.scale
+    written = (table.numbers() - offset) / factor
+    errors = rms(cycle.error_um), _played_rms(cycle, volts, hold), _played_rms(cycle, written, hold)
+    return WaveTable(cycle, device, hold, volts, table.scale, errors)
+
+
+def _played_rms(cycle: Cycle, volts: Array, hold: int) -> float:
+    return rms(cycle.play(np.repeat(volts, hold, axis=1))[0] - cycle.reference_um)
+
+
+def _hold(cycle: Cycle, kind: Device, points: int | None) -> int:
+    """Least number of samples for which a point can be held."""
+    samples, time_s = cycle.drive_v.shape[1], cycle.sample_time_s
+    most = min(n for n in (kind.most_points, points, samples) if n is not None)
+    for hold in range(1, samples // 2 + 1):
+        steps = 1.0 if kind.step_s is None else hold * time_s / kind.step_s
+        if (
+            samples % hold == 0
+            and samples // hold <= most
+            and abs(steps - round(steps)) < 1e-6
+            and steps > 0.5
+        ):
+            return hold
+    step = "" if kind.step_s is None else f", each a multiple of {1e6 * kind.step_s:g} us"
+    raise InputError(
+        "--table",
+        f"a period of {samples} samples of {time_s:g} s is no whole number of points, at most {most}{step}; "
+        f"choose a period of {most} points times a whole number of samples, or of another frequency",
+    )

@@ -1,0 +1,381 @@
+"""Asymmetric hysteresis: play operators and one-sided dead-zones side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from hammerstein.errors import InputError, Mistake
+from hammerstein.hysteresis.bank import PlayState
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
+from hammerstein.hysteresis.pair import Array, Pair, WeightCovariance, frozen
+from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile
+from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
+from hammerstein.quantities import Offset, Weight, WeightError
+
+
+@dataclass(frozen=True, eq=False)
+class DeadZones:
+    """One-sided dead-zones that stand beside the plays of one pair.
+
+        D_q(u) = max(u - q, 0)
+
+    Parameters
+    ----------
+    breakpoints_v : (zone,) voltages q above which a dead-zone hears its input, as they are sent [V],
+        strictly increasing
+    weights_um_per_v : (zone,) weights [um/V], of either sign
+    weight_errors_um_per_v : (zone,) standard errors of the weights [um/V], if they are known
+
+    Raises
+    ------
+    InputError : non-finite or unsorted breakpoints, or lengths that differ
+
+    Examples
+    --------
+    >>> DeadZones([10.0, 40.0], [0.5, -0.2]).slopes
+    array([0.5, 0.3])
+    """
+
+    breakpoints_v: Array
+    weights_um_per_v: Array
+    weight_errors_um_per_v: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "breakpoints_v", frozen(self.breakpoints_v))
+        object.__setattr__(self, "weights_um_per_v", frozen(self.weights_um_per_v))
+        if self.weight_errors_um_per_v is not None:
+            object.__setattr__(self, "weight_errors_um_per_v", frozen(self.weight_errors_um_per_v))
+        mistakes = list(self._mistakes())
+        if mistakes:
+            raise InputError("dead-zones", mistakes)
+
+    def _mistakes(self) -> Iterable[Mistake]:
+        q, v, errors = self.breakpoints_v, self.weights_um_per_v, self.weight_errors_um_per_v
+        if q.ndim != 1 or v.shape != q.shape:
+            yield Mistake("weights_um_per_v", f"has shape {v.shape}, the breakpoints {q.shape}; one each")
+        if errors is not None and errors.shape != v.shape:
+            yield Mistake("weight_errors_um_per_v", f"has shape {errors.shape}, the weights {v.shape}")
+        if not np.isfinite(q).all():
+            yield Mistake("breakpoints_v", "holds a value that is not finite")
+        elif q.ndim == 1 and (np.diff(q) <= 0).any():
+            yield Mistake("breakpoints_v", "is not strictly increasing; sort it and merge equal breakpoints")
+        if not np.isfinite(v).all():
+            yield Mistake("weights_um_per_v", "holds a value that is not finite")
+
+    @classmethod
+    def absent(cls) -> DeadZones:
+        """No dead-zone."""
+        return cls(frozen([]), frozen([]))
+
+    @property
+    def slopes(self) -> Array:
+        """Partial sums of the weights (zone,) [um/V]: what they add to the slope above each breakpoint."""
+        return np.cumsum(self.weights_um_per_v)
+
+    def of(self, u_v: ArrayLike) -> Array:
+        """Sum of the dead-zones at voltages as they are sent [um]."""
+        beyond = np.maximum(np.subtract.outer(np.asarray(u_v, dtype=np.float64), self.breakpoints_v), 0.0)
+        return np.asarray(beyond @ self.weights_um_per_v)
+
+
+@dataclass(frozen=True, eq=False)
+class ZoneLines:
+    """All dead-zones of every input as lines on one grid an input, counted from the working point.
+
+    n : (m,) breakpoints of each input
+    ends : (m, n_max+1) upper end of each zone [V], the last one and what is left at infinity
+    slope, intercept : (m, n_max+1, p) line of each zone; zero at the working point
+    """
+
+    n: NDArray[np.int64]
+    ends: Array
+    slope: Array
+    intercept: Array
+
+    @classmethod
+    def of(cls, zones: Sequence[Sequence[DeadZones]], working_point_v: Array) -> ZoneLines:
+        """Merge the dead-zones (output, input) onto one grid an input."""
+        p, m = len(zones), len(zones[0])
+        grids = [np.unique(np.concatenate([row[k].breakpoints_v for row in zones])) for k in range(m)]
+        n = np.array([len(grid) for grid in grids], dtype=np.int64)
+        ends = np.full((m, int(n.max(initial=0)) + 1), np.inf)
+        slope, intercept = np.zeros((2, *ends.shape, p))
+        for k, grid in enumerate(grids):
+            ends[k, : n[k]] = grid - working_point_v[k]
+            bend = np.zeros((len(grid), p))
+            for o in range(p):
+                bend[np.searchsorted(grid, zones[o][k].breakpoints_v), o] = zones[o][k].weights_um_per_v
+            slope[k, 1 : n[k] + 1] = np.cumsum(bend, axis=0)
+            drop = np.zeros((n[k] + 1, p))
+            drop[1:] = np.cumsum(bend * ends[k, : n[k], None], axis=0)
+            home = int(np.searchsorted(ends[k, : n[k]], 0.0))
+            intercept[k, : n[k] + 1] = drop[home] - drop
+        for array in (n, ends, slope, intercept):
+            array.flags.writeable = False
+        return cls(n, ends, slope, intercept)
+
+    def values(self, k: int, q_v: ArrayLike) -> Array:
+        """What the dead-zones of input k add (p, N) where its smallest play stands at q [um]."""
+        q = np.atleast_1d(np.asarray(q_v, dtype=np.float64))
+        zone = np.searchsorted(self.ends[k, : self.n[k]], q)
+        return np.asarray((self.intercept[k, zone] + self.slope[k, zone] * q[:, None]).T)
+
+
+@dataclass(frozen=True, eq=False)
+class AsymmetricState:
+    """Memory of an asymmetric model: that of its plays, and the outputs of the smallest play an input.
+
+    plays : memory of the play operators; smallest_v : (m,) where the dead-zones stand [V]
+    """
+
+    plays: PlayState
+    smallest_v: Array
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain lists that JSON keeps to the last bit."""
+        return {"plays": self.plays.as_dict(), "smallest_v": self.smallest_v.tolist()}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> AsymmetricState:
+        """Restore what ``as_dict`` saved."""
+        return cls(PlayState.from_dict(data["plays"]), np.array(data["smallest_v"], dtype=np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class Asymmetric(Hysteresis[AsymmetricState]):
+    """Plays and one-sided dead-zones side by side, of m inputs and p outputs.
+
+        v_l = sum over inputs j of ( sum_i w_lji play(u_j; r_lji) + sum_q v_ljq D_q(play(u_j; r_j)) )
+
+    Plays are odd about the middle of a loop, dead-zones are not. Between two breakpoints, of a play that
+    engages or of a dead-zone, the output stays a straight line of the input.
+
+    r_j is the smallest threshold of input j over all outputs: behind that play, which passes u unchanged
+    where r_j = 0, no dead-zone moves while every play rests after a reversal.
+
+    Any pair may lack plays, dead-zones, or both. Breakpoints are voltages as they are sent; the voltages
+    given to ``respond`` are counted from ``working_point_v``, where the output is zero at rest.
+
+    Parameters
+    ----------
+    plays : the play operators of all pairs
+    zones : (output, input) nested sequence of ``DeadZones``
+    working_point_v : (m,) voltage from which the model counts [V]; zeros if not given
+    weight_covariance : (output,) covariance of the weights, where it is known: pair after pair those of the
+        plays, then those of the dead-zones
+
+    Raises
+    ------
+    InputError : dead-zones of other pairs than the plays
+
+    Source: Kuhnen, European Journal of Control 9 (2003) 407-418 (plays and one-sided dead-zones); side by
+    side they stay linear in all weights.
+
+    Examples
+    --------
+    >>> plays = PrandtlIshlinskii([[Pair([0.0, 1.0], [2.0, 1.0])]])
+    >>> model = Asymmetric(plays, [[DeadZones([2.0], [0.5])]])
+    >>> v, state = model.respond([[0.0, 4.0, 0.0, -4.0]])
+    >>> v
+    array([[  0.,  12.,   1., -11.]])
+    """
+
+    plays: PrandtlIshlinskii
+    zones: tuple[tuple[DeadZones, ...], ...] = field()
+    working_point_v: Array | None = None
+    weight_covariance: tuple[WeightCovariance, ...] | None = None
+
+    kind: ClassVar[str] = "asymmetric"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "zones", tuple(tuple(row) for row in self.zones))
+        m, p = self.plays.n_inputs, self.plays.n_outputs
+        if len(self.zones) != p or any(len(row) != m for row in self.zones):
+            raise InputError(
+                "asymmetric model", f"dead-zones must be {p} rows of {m}, one for every pair of the plays"
+            )
+        given = np.zeros(m) if self.working_point_v is None else self.working_point_v
+        object.__setattr__(self, "working_point_v", frozen(given))
+        if np.shape(given) != (m,) or not np.isfinite(given).all():
+            raise InputError("asymmetric model", f"its working point must be {m} finite voltages")
+        if self.weight_covariance is not None:
+            weights = [sum(row) for row in self.operators]
+            if [known.factor_um_per_v.shape for known in self.weight_covariance] != [(n, n) for n in weights]:
+                raise InputError("weight_covariance", f"must have one factor an output, of {weights} rows")
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        n = self.lines.n
+        counts = " to ".join(str(count) for count in dict.fromkeys((int(n.min()), int(n.max()))))
+        plural = "" if n.max() == 1 else "s"
+        return f"{self.plays.describe()}; {counts} dead-zone{plural} an input"
+
+    @property
+    def n_inputs(self) -> int:
+        """Number m of inputs."""
+        return self.plays.n_inputs
+
+    @property
+    def n_outputs(self) -> int:
+        """Number p of outputs."""
+        return self.plays.n_outputs
+
+    @cached_property
+    def lines(self) -> ZoneLines:
+        """All dead-zones as lines, counted from the working point."""
+        return ZoneLines.of(self.zones, np.asarray(self.working_point_v))
+
+    @cached_property
+    def smallest_v(self) -> Array:
+        """Smallest threshold of each input (m,) [V]; 0 where an input has no play."""
+        bank = self.plays.bank
+        return frozen(np.where(bank.n > 0, bank.r[:, 0], 0.0))
+
+    def counted_from(self, working_point_v: ArrayLike) -> Asymmetric:
+        """Give the same hysteresis for voltages counted from another working point (m,) [V]."""
+        return replace(self, working_point_v=np.asarray(working_point_v, dtype=np.float64))
+
+    def rest(self) -> AsymmetricState:
+        """State of a model that was never driven."""
+        return AsymmetricState(self.plays.rest(), np.zeros(self.n_inputs))
+
+    def restore(self, data: dict[str, Any]) -> AsymmetricState:
+        """State from what ``as_dict`` gave."""
+        return AsymmetricState.from_dict(data)
+
+    def _respond(self, u_v: Array, start: AsymmetricState) -> tuple[Array, AsymmetricState]:
+        from hammerstein.hysteresis.asymmetric_kernels import add_dead_zones
+
+        v, plays = self.plays.respond(u_v, start.plays)
+        held, lines = start.smallest_v.copy(), self.lines
+        zones = (lines.ends, lines.slope, lines.intercept)
+        add_dead_zones(u_v, self.smallest_v, held, *zones, v, (0,) * self.n_outputs)
+        return v, AsymmetricState(plays, held)
+
+    def amplitude(self, amplitude_v: ArrayLike) -> Array:
+        """Half heights of the settled loops about the working point (output, input) [um], in closed form.
+
+        That of the plays, and half of what the dead-zones add between the two ends of the smallest play.
+        """
+        halves = self.plays.amplitude(amplitude_v)
+        sizes = np.broadcast_to(np.asarray(amplitude_v, dtype=np.float64), self.n_inputs)
+        for k, (size, r) in enumerate(zip(sizes, self.smallest_v, strict=True)):
+            reach = max(float(size - r), 0.0)
+            ends = self.lines.values(k, [-reach, reach])
+            halves[:, k] += 0.5 * (ends[:, 1] - ends[:, 0])
+        return halves
+
+    def loop_area(self, amplitude_v: float) -> Array:
+        """Areas of the settled loops about the working point (output, input) [um V].
+
+        Dead-zones have no memory; behind a smallest threshold r both branches of theirs lie 2 r apart.
+        """
+        areas = self.plays.loop_area(amplitude_v)
+        for k, r in enumerate(self.smallest_v):
+            reach = max(amplitude_v - r, 0.0)
+            ends = self.lines.values(k, [-reach, reach])
+            areas[:, k] += 2.0 * r * (ends[:, 1] - ends[:, 0])
+        return areas
+
+    def slope_columns(self, k: int) -> Array:
+        """Slopes (choice, output) [um/V] of input k with 1, 2, ... operators engaged, zone after zone."""
+        steps = self.plays.slope_columns(k) if self.plays.bank.n[k] else np.zeros((1, self.n_outputs))
+        zones = self.lines.slope[k, : self.lines.n[k] + 1]
+        return np.asarray((zones[:, None] + steps).reshape(-1, self.n_outputs))
+
+    @property
+    def operators(self) -> tuple[tuple[int, ...], ...]:
+        """Number of plays and dead-zones of every pair (output, input)."""
+        zones = (tuple(len(zone.breakpoints_v) for zone in row) for row in self.zones)
+        return tuple(
+            tuple(n + k for n, k in zip(*rows, strict=True))
+            for rows in zip(self.plays.operators, zones, strict=True)
+        )
+
+    @property
+    def weights(self) -> tuple[Array, ...]:
+        """Weights of each output [um/V], pair after pair: those of the plays, then of the dead-zones."""
+        return tuple(
+            np.concatenate([part.weights_um_per_v for both in zip(*rows, strict=True) for part in both])
+            for rows in zip(self.plays.pairs, self.zones, strict=True)
+        )
+
+    def with_weights(self, weights: Sequence[ArrayLike]) -> Asymmetric:
+        """Give the same thresholds and breakpoints with other weights."""
+        rows, zones = [], []
+        for pairs, bends, own in zip(self.plays.pairs, self.zones, weights, strict=True):
+            counts = [
+                n
+                for pair, bend in zip(pairs, bends, strict=True)
+                for n in (len(pair.thresholds_v), len(bend.breakpoints_v))
+            ]
+            parts = np.split(np.asarray(own, dtype=np.float64), np.cumsum(counts)[:-1])
+            rows.append([Pair(pair.thresholds_v, w) for pair, w in zip(pairs, parts[::2], strict=True)])
+            zones.append([DeadZones(b.breakpoints_v, w) for b, w in zip(bends, parts[1::2], strict=True)])
+        plays = PrandtlIshlinskii(tuple(tuple(row) for row in rows))
+        return Asymmetric(plays, tuple(tuple(row) for row in zones), self.working_point_v)
+
+    def file(self) -> AsymmetricFile:
+        """Give its form in a model file; the working point stands there once, with the voltages."""
+        known = self.weight_covariance
+        return AsymmetricFile(
+            pairs=self.plays.file().pairs,
+            dead_zones=tuple(tuple(DeadZonesFile.of(zones) for zones in row) for row in self.zones),
+            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
+        )
+
+
+class DeadZonesFile(BaseModel):
+    """Dead-zones of one pair in a model file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    breakpoints_v: tuple[Offset, ...] = Field(description="voltages as they are sent")
+    weights_um_per_v: tuple[Weight, ...]
+    weight_errors_um_per_v: tuple[WeightError, ...] | None = None
+
+    @model_validator(mode="after")
+    def _are_dead_zones(self) -> Self:
+        try:
+            self.zones()
+        except InputError as error:
+            raise ValueError("; ".join(f"{m.where} {m.what}" for m in error.mistakes)) from None
+        return self
+
+    def zones(self) -> DeadZones:
+        """Give the dead-zones this describes."""
+        errors = self.weight_errors_um_per_v
+        return DeadZones(
+            np.asarray(self.breakpoints_v, dtype=float),
+            np.asarray(self.weights_um_per_v, dtype=float),
+            None if errors is None else np.asarray(errors, dtype=float),
+        )
+
+    @classmethod
+    def of(cls, zones: DeadZones) -> DeadZonesFile:
+        """Describe dead-zones."""
+        return cls.model_validate({name: getattr(zones, name) for name in cls.model_fields})
+
+
+class AsymmetricFile(HysteresisFile):
+    """Plays and one-sided dead-zones side by side: both of every pair (output, input)."""
+
+    kind: Literal["asymmetric"] = "asymmetric"
+    pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
+    dead_zones: Annotated[tuple[tuple[DeadZonesFile, ...], ...], Field(min_length=1)]
+    weight_covariance: tuple[CovarianceFile, ...] | None = None
+
+    def hysteresis(self) -> Asymmetric:
+        """Give the hysteresis this describes."""
+        plays = PrandtlIshlinskii(tuple(tuple(pair.pair() for pair in row) for row in self.pairs))
+        zones = tuple(tuple(zone.zones() for zone in row) for row in self.dead_zones)
+        known = self.weight_covariance
+        covariance = None if known is None else tuple(one.covariance() for one in known)
+        return Asymmetric(plays, zones, weight_covariance=covariance)

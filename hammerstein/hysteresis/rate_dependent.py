@@ -1,0 +1,307 @@
+"""Rate-dependent hysteresis: play operators whose thresholds grow with the rate of the voltage."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from hammerstein.errors import InputError, Mistake
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
+from hammerstein.hysteresis.pair import Array, WeightCovariance, frozen
+from hammerstein.hysteresis.pair_file import CovarianceFile
+from hammerstein.quantities import Bandwidth, Delay, Threshold, Weight
+
+
+@dataclass(frozen=True, eq=False)
+class RatePlays:
+    """Plays of one input whose thresholds grow with its rate.
+
+        R_i[k] = r_i + b_i g(rho[k]),   g(rho) = |rho|   or   log(1 + lambda |rho|) / lambda
+
+    Parameters
+    ----------
+    thresholds_v : (operator,) thresholds r at rest [V], not negative, strictly increasing
+    growth_s : (operator,) growth b [s]: volts a threshold grows for each V/s; not negative, not falling, so
+        that the order of the plays stays
+    bandwidth_hz : of the low-pass through which the rate is seen [Hz]
+    lambda_s_per_v : lambda [s/V], where the growth flattens; 0: it does not
+
+    Raises
+    ------
+    InputError : thresholds or growth out of order, or lengths that differ
+    """
+
+    thresholds_v: Array
+    growth_s: Array
+    bandwidth_hz: float = 500.0
+    lambda_s_per_v: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "thresholds_v", frozen(self.thresholds_v))
+        object.__setattr__(self, "growth_s", frozen(self.growth_s))
+        r, b = self.thresholds_v, self.growth_s
+        mistakes = []
+        if r.ndim != 1 or not r.size or b.shape != r.shape:
+            mistakes.append(Mistake("growth_s", f"has shape {b.shape}, the thresholds {r.shape}; one each"))
+        elif not (np.isfinite(r).all() and np.isfinite(b).all()):
+            mistakes.append(Mistake("thresholds_v", "and growth_s must be finite"))
+        else:
+            if (r < 0.0).any() or (np.diff(r) <= 0.0).any():
+                mistakes.append(Mistake("thresholds_v", "must be 0 or more and strictly increasing"))
+            if (b < 0.0).any() or (np.diff(b) < 0.0).any():
+                mistakes.append(Mistake("growth_s", "must be 0 or more and not fall: plays keep their order"))
+        if not (self.bandwidth_hz > 0.0 and 0.0 <= self.lambda_s_per_v < math.inf):
+            mistakes.append(Mistake("bandwidth_hz", "must be above 0, and lambda_s_per_v 0 or more"))
+        if mistakes:
+            raise InputError("rate-dependent plays", mistakes)
+
+
+@dataclass(frozen=True, eq=False)
+class RateState:
+    """Memory: outputs of the plays (m, n_max), last two voltages (m, 2) [V], filtered rates (m,) [V/s]."""
+
+    plays_v: Array
+    last_v: Array
+    rate_v_per_s: Array
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain lists that JSON keeps to the last bit."""
+        return {name: getattr(self, name).tolist() for name in ("plays_v", "last_v", "rate_v_per_s")}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> RateState:
+        """Restore what ``as_dict`` saved."""
+        names = ("plays_v", "last_v", "rate_v_per_s")
+        return cls(*(np.array(data[name], dtype=np.float64) for name in names))
+
+
+@dataclass(frozen=True, eq=False)
+class RateBank:
+    """All plays of every input as the kernels want them: n (m,), r and b (m, n_max), w (m, n_max, p)."""
+
+    n: NDArray[np.int64]
+    r: Array
+    b: Array
+    lam: Array
+    w: Array
+
+
+@dataclass(frozen=True, eq=False)
+class RateDependent(Hysteresis[RateState]):
+    """Hysteresis of m inputs and p outputs that widens with the rate of its voltages.
+
+        v_l[k] = sum over inputs j and operators i of  w_lji p_ji[k]
+        p_i[k] = max(u[k] - R_i[k], min(u[k] + R_i[k], p_i[k-1])),   R_i[k] = r_i + b_i g(rho[k])
+        rho[k] = a rho[k-1] + (1 - a) (u[k-1] - u[k-2]) / T,         a = exp(-2 pi f T)
+
+    The rate is strictly causal: it ends with the sample before. So the map of each sample is a classical one
+    with known thresholds, and has its exact inverse; with the rate of the same sample the inverse would
+    chatter once b / T comes near 1. What the loop from rate to voltage must satisfy is ``loop_gain``.
+
+    Parameters
+    ----------
+    inputs : plays of each input, shared by all outputs
+    weights_um_per_v : (output, input) arrays of weights (operator,) [um/V]
+    sample_time_s : of the grid it stands on; None: none yet, see ``on_grid``
+    weight_covariance : (output,) covariance of the weights, where it is known
+
+    Raises
+    ------
+    InputError : weights of other plays, or a response without a sample time
+
+    Source: Ang, Garmon, Khosla and Riviere (IROS 2003), Al Janaideh and Krejci (IEEE/ASME Trans. Mechatronics
+    18 (2013) 1498-1507); the causal rate and the multivariable inverse are this work's.
+
+    Examples
+    --------
+    >>> plays = RatePlays([0.0, 1.0], [0.0, 1e-3])
+    >>> model = RateDependent((plays,), (([1.0, 1.0],),)).on_grid(1e-3)
+    >>> model.respond([[0.0, 2.0, 4.0]])[0].round(3)
+    array([[0.   , 3.   , 5.086]])
+    """
+
+    inputs: tuple[RatePlays, ...]
+    weights_um_per_v: tuple[tuple[Array, ...], ...]
+    sample_time_s: float | None = None
+    weight_covariance: tuple[WeightCovariance, ...] | None = None
+
+    kind: ClassVar[str] = "rate_dependent"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "inputs", tuple(self.inputs))
+        rows = tuple(tuple(frozen(w) for w in row) for row in self.weights_um_per_v)
+        object.__setattr__(self, "weights_um_per_v", rows)
+        counts = [len(plays.thresholds_v) for plays in self.inputs]
+        for o, row in enumerate(rows):
+            if [w.shape for w in row] != [(n,) for n in counts] or not all(np.isfinite(w).all() for w in row):
+                message = f"row {o + 1} must hold {counts} finite weights, one for each play of each input"
+                raise InputError("weights_um_per_v", message)
+        if not rows:
+            raise InputError("weights_um_per_v", "must have a row for each output")
+
+    @property
+    def n_inputs(self) -> int:
+        """Number m of inputs."""
+        return len(self.inputs)
+
+    @property
+    def n_outputs(self) -> int:
+        """Number p of outputs."""
+        return len(self.weights_um_per_v)
+
+    @property
+    def operators(self) -> tuple[tuple[int, ...], ...]:
+        """Number of plays of every pair (output, input)."""
+        return tuple(tuple(len(w) for w in row) for row in self.weights_um_per_v)
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        counts = sorted({len(plays.thresholds_v) for plays in self.inputs})
+        most = max(float(plays.growth_s.max()) for plays in self.inputs)
+        operators = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
+        return (
+            f"{self.n_inputs} inputs, {self.n_outputs} outputs, {operators} plays an input, thresholds grow "
+            f"by up to {most:.3g} V for each V/s"
+        )
+
+    @cached_property
+    def bank(self) -> RateBank:
+        """All plays of every input."""
+        n = np.array([len(plays.thresholds_v) for plays in self.inputs], dtype=np.int64)
+        r, b = np.zeros((2, self.n_inputs, int(n.max())))
+        w = np.zeros((*r.shape, self.n_outputs))
+        for k, plays in enumerate(self.inputs):
+            r[k, : n[k]], b[k, : n[k]] = plays.thresholds_v, plays.growth_s
+            for o, row in enumerate(self.weights_um_per_v):
+                w[k, : n[k], o] = row[k]
+        return RateBank(n, r, b, np.array([plays.lambda_s_per_v for plays in self.inputs]), w)
+
+    def on_grid(self, sample_time_s: float) -> RateDependent:
+        """Give the block on a sample grid."""
+        return self if sample_time_s == self.sample_time_s else replace(self, sample_time_s=sample_time_s)
+
+    @property
+    def grid_s(self) -> float:
+        """Sample time [s]; InputError where it stands on no grid."""
+        if self.sample_time_s is None:
+            raise InputError("rate-dependent hysteresis", "needs a sample time; take its on_grid(T)")
+        return self.sample_time_s
+
+    @cached_property
+    def poles(self) -> Array:
+        """Poles a of the low-passes (m,)."""
+        cut = np.array([plays.bandwidth_hz for plays in self.inputs])
+        return np.exp(-2.0 * np.pi * cut * self.grid_s)
+
+    def loop_gain(self) -> Array:
+        """Gain beta of the loop from each voltage through its rate back to itself in the inverse (m,).
+
+        On a branch the inverse gives u[k] = ... + b rho[k], with b the weighted mean growth of the plays that
+        move; rho hears u[k-1] - u[k-2]. The loop closed has the poles of
+
+            z^2 - (a + beta) z + beta = 0,      beta = b (1 - a) / T
+
+        so that the inverse is stable while beta < 1 for the largest b: for a fine grid, 2 pi f b < 1.
+        """
+        most = np.array([float(plays.growth_s.max()) for plays in self.inputs])
+        return most * (1.0 - self.poles) / self.grid_s
+
+    def rest(self) -> RateState:
+        """Memory of an actuator that was never driven."""
+        return RateState(np.zeros(self.bank.r.shape), np.zeros((self.n_inputs, 2)), np.zeros(self.n_inputs))
+
+    def restore(self, data: dict[str, Any]) -> RateState:
+        """Memory from what ``as_dict`` gave."""
+        return RateState.from_dict(data)
+
+    def _respond(self, u_v: Array, start: RateState) -> tuple[Array, RateState]:
+        from hammerstein.compiled import spans
+        from hammerstein.hysteresis.rate_dependent_kernels import respond_rate_dependent
+
+        if not np.isfinite(u_v).all():
+            refuse_not_finite(u_v)
+        bank, y = self.bank, np.empty((self.n_outputs, u_v.shape[1]))
+        state = RateState(start.plays_v.copy(), start.last_v.copy(), start.rate_v_per_s.copy())
+        plays = (bank.n, bank.r, bank.b, bank.lam, bank.w)
+        memory = (state.plays_v, state.last_v, state.rate_v_per_s)
+        for first, stop in spans(u_v.shape[1], 8 * bank.w.size):
+            respond_rate_dependent(u_v, self.grid_s, self.poles, *plays, *memory, first, stop, y)
+        return y, state
+
+    def amplitude(self, amplitude_v: ArrayLike) -> Array:
+        """Half heights of the settled loops driven slowly (output, input) [um], in closed form."""
+        sizes = np.broadcast_to(np.asarray(amplitude_v, dtype=np.float64), self.n_inputs)
+        reach = [np.maximum(a - plays.thresholds_v, 0.0) for a, plays in zip(sizes, self.inputs, strict=True)]
+        return np.array(
+            [[float(w @ x) for w, x in zip(row, reach, strict=True)] for row in self.weights_um_per_v]
+        )
+
+    def slope_columns(self, k: int) -> Array:
+        """Slopes (number, output) [um/V] while the first 1, 2, ... plays of input k move."""
+        return np.cumsum(self.bank.w[k, : self.bank.n[k]], axis=0)
+
+    @property
+    def weights(self) -> tuple[Array, ...]:
+        """Weights of each output, input after input [um/V]."""
+        return tuple(np.concatenate(row) for row in self.weights_um_per_v)
+
+    def with_weights(self, weights: Sequence[ArrayLike]) -> RateDependent:
+        """Give the same plays with other weights."""
+        ends = np.cumsum([len(plays.thresholds_v) for plays in self.inputs])[:-1]
+        rows = tuple(tuple(np.split(np.asarray(own, dtype=np.float64), ends)) for own in weights)
+        return replace(self, weights_um_per_v=rows, weight_covariance=None)
+
+    def file(self) -> RateDependentFile:
+        """Give its form in a model file; the sample time is that of who uses it."""
+        known = self.weight_covariance
+        return RateDependentFile(
+            inputs=tuple(RatePlaysFile.of(plays) for plays in self.inputs),
+            weights_um_per_v=tuple(tuple(tuple(w.tolist()) for w in row) for row in self.weights_um_per_v),
+            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
+        )
+
+
+class RatePlaysFile(BaseModel):
+    """Plays of one input in a model file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    thresholds_v: tuple[Threshold, ...]
+    growth_s: tuple[Delay, ...] = Field(description="volts a threshold grows for each V/s")
+    bandwidth_hz: Bandwidth = 500.0
+    lambda_s_per_v: Delay = Field(default=0.0, description="where the growth flattens; 0: it does not")
+
+    def plays(self) -> RatePlays:
+        """Give the plays this describes."""
+        r, b = (np.asarray(values, dtype=float) for values in (self.thresholds_v, self.growth_s))
+        return RatePlays(r, b, self.bandwidth_hz, self.lambda_s_per_v)
+
+    @classmethod
+    def of(cls, plays: RatePlays) -> RatePlaysFile:
+        """Describe the plays."""
+        return cls.model_validate({name: getattr(plays, name) for name in cls.model_fields})
+
+
+class RateDependentFile(HysteresisFile):
+    """Plays whose thresholds grow with the rate: those of each input, and their weights for each output."""
+
+    kind: Literal["rate_dependent"] = "rate_dependent"
+    inputs: Annotated[tuple[RatePlaysFile, ...], Field(min_length=1)]
+    weights_um_per_v: Annotated[tuple[tuple[tuple[Weight, ...], ...], ...], Field(min_length=1)]
+    weight_covariance: tuple[CovarianceFile, ...] | None = None
+
+    def hysteresis(self) -> RateDependent:
+        """Give the hysteresis this describes."""
+        known = self.weight_covariance
+        return RateDependent(
+            tuple(plays.plays() for plays in self.inputs),
+            tuple(tuple(np.asarray(w, dtype=float) for w in row) for row in self.weights_um_per_v),
+            weight_covariance=None if known is None else tuple(one.covariance() for one in known),
+        )

@@ -1,0 +1,57 @@
+"""Compiled time loops of plays whose thresholds grow with the rate."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hammerstein.compiled import compiled
+
+
+@compiled()
+def next_rate(k, sample_time, pole, last, rate):  # type: ignore[no-untyped-def]
+    """Move the filtered rate of input k on by one sample; ``last`` holds its last two voltages."""
+    slope = (last[k, 0] - last[k, 1]) / sample_time
+    rate[k] = pole[k] * rate[k] + (1.0 - pole[k]) * slope
+
+
+@compiled()
+def threshold(k, i, r, b, lam, rate):  # type: ignore[no-untyped-def]
+    """R = r + b g(rate), g = |rate| or, where lambda is given, log(1 + lambda |rate|) / lambda."""
+    size = abs(rate[k])
+    if lam[k] > 0.0:
+        size = np.log1p(lam[k] * size) / lam[k]
+    return r[k, i] + b[k, i] * size
+
+
+@compiled()
+def respond_rate_dependent(  # type: ignore[no-untyped-def]
+    u, sample_time, pole, n, r, b, lam, w, plays, last, rate, first, stop, y
+):
+    """Sum of all plays, each with the threshold of its sample.
+
+    u : (m, N); pole, lam : (m,); n : (m,) plays; r, b : (m, n_max); w : (m, n_max, p)
+    plays : (m, n_max), last : (m, 2), rate : (m,), updated in place
+    y : (p, N), overwritten from sample first up to stop
+    """
+    y[:, first:stop] = 0.0
+    for k in range(u.shape[0]):
+        for t in range(first, stop):
+            next_rate(k, sample_time, pole, last, rate)
+            for i in range(n[k]):
+                reach = threshold(k, i, r, b, lam, rate)
+                plays[k, i] = max(u[k, t] - reach, min(u[k, t] + reach, plays[k, i]))
+                for o in range(y.shape[0]):
+                    y[o, t] += w[k, i, o] * plays[k, i]
+            last[k, 1], last[k, 0] = last[k, 0], u[k, t]
+
+
+@compiled()
+def play_outputs(u, sample_time, pole, r, b, lam, plays, last, rate, p):  # type: ignore[no-untyped-def]
+    """Outputs of each play of one input: p (n, N), overwritten; the rest as above with m = 1."""
+    for t in range(u.shape[1]):
+        next_rate(0, sample_time, pole, last, rate)
+        for i in range(r.shape[1]):
+            reach = threshold(0, i, r, b, lam, rate)
+            plays[0, i] = max(u[0, t] - reach, min(u[0, t] + reach, plays[0, i]))
+            p[i, t] = plays[0, i]
+        last[0, 1], last[0, 0] = last[0, 0], u[0, t]

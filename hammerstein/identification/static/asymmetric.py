@@ -1,0 +1,337 @@
+"""Plays and one-sided dead-zones from records, by one linear least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import LinearBlock
+from hammerstein.errors import IdentificationError
+from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii, WeightCovariance
+from hammerstein.hysteresis.covariance import triangle
+from hammerstein.identification.operators import CURVE_SAMPLES, ENOUGH, HELD_OUT, SEGMENTS
+from hammerstein.identification.score import ranges
+from hammerstein.identification.static.history import shortened
+from hammerstein.identification.static.normal_equations import (
+    Bounds,
+    Moments,
+    Solution,
+    moments_of,
+    pooled,
+    solve,
+    squares_left,
+)
+from hammerstein.identification.static.regressors import Filter, Start, delayed, regressor_blocks
+from hammerstein.identification.static.static_block import (
+    LEAST_SLOPE,
+    Layout,
+    Thresholds,
+    Weighting,
+    direct_pairs,
+    half_swing,
+    path_filters,
+    refuse_unreached,
+)
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+
+COUNTS = (0, 1, 2, 3, 5, 7, 10, 15)
+"""Numbers of dead-zones of an input that are tried."""
+HELD = 1e-9
+"""Part of the least slope by which a slope at its bound may be off."""
+
+
+@dataclass(frozen=True, eq=False)
+class AsymmetricFit:
+    """Plays and dead-zones found by regression, and how well they fit the records they were found from.
+
+    Parameters
+    ----------
+    hysteresis : thresholds, breakpoints, weights and their standard errors
+    offsets_um : (record, output) readings that belong to an output of zero [um]
+    rms_um : (output,) rms of what is left [um]
+    samples : samples used
+    held : pairs (output, input) of which some slope stands at the least one that has an inverse
+    """
+
+    hysteresis: Asymmetric
+    offsets_um: Array
+    rms_um: Array
+    samples: int
+    held: tuple[tuple[int, int], ...]
+
+
+def breakpoints_in(records: Sequence[Record], dead_zones: int) -> list[Array]:
+    """Breakpoints of each input [V, as sent]: as many, at equal distances within the voltages driven.
+
+    Examples
+    --------
+    >>> u = 4.0 * np.sin(np.linspace(0.0, 20.0, 20001))
+    >>> breakpoints_in([Record([u], [u], 1e-3)], 3)[0].round(3)
+    array([-2.,  0.,  2.])
+    """
+    low, high = _driven(records)
+    shares = np.arange(1, dead_zones + 1) / (dead_zones + 1)
+    return [a + (b - a) * shares if b > a else np.empty(0) for a, b in zip(low, high, strict=True)]
+
+
+def _driven(records: Sequence[Record]) -> tuple[Array, Array]:
+    """Lowest and highest voltage of each input over all records (input,), as sent [V]."""
+    low = np.min([r.u_v.min(axis=1) + r.rest_v for r in records], axis=0)
+    return low, np.max([r.u_v.max(axis=1) + r.rest_v for r in records], axis=0)
+
+
+def fit_asymmetric(
+    records: Sequence[Record],
+    thresholds_v: Thresholds,
+    breakpoints_v: Sequence[Array],
+    *,
+    method: Weighting = "invertible",
+    starts: Sequence[Start] = (),
+    delay_samples: int = 0,
+    through: Sequence[LinearBlock] = (),
+) -> AsymmetricFit:
+    """Weights of plays and dead-zones of all pairs from several records together.
+
+        y_l = offset_l + sum over k ( sum_i w_lki play(u_k; r_lki) + sum_q v_lkq D_q(u_k) )
+
+    linear in all weights. Unknowns are slopes: S_j, with j plays engaged, and D_m, what the dead-zones below
+    zone m add. The regressor of D_m is how far the voltage has risen in zone m, so that neighbours hardly
+    overlap in what they do.
+
+    With ``invertible`` every slope S_j + D_m of a direct pair stays above a twentieth c of its mean slope:
+    S_j >= t and D_m >= c - t for some t, an unknown as well, which leaves one bounded least squares.
+
+    Parameters
+    ----------
+    records : at least one, all with the same axes
+    thresholds_v : (output, input) arrays of thresholds [V], the smallest of each input 0; an empty one leaves
+        the plays of the pair out
+    breakpoints_v : (input,) arrays of breakpoints, as voltages are sent [V]; the outputs share them
+    method : ``least_squares`` or ``invertible``; ``nonnegative`` bounds the weights of the plays alone
+    starts : what went before each record; rest if not given
+    delay_samples : samples by which the outputs come late
+    through : linear block of each record behind the static one
+
+    Raises
+    ------
+    IdentificationError : inputs that never move, a smallest threshold above 0, or a breakpoint that
+        no record passes
+
+    Source: as ``Asymmetric``; the inequalities are this work's.
+    """
+    layout = Layout.of(thresholds_v)
+    refuse_unreached(records, layout.grids)
+    if any(grid.size and grid[0] > 0.0 for grid in layout.grids):
+        raise IdentificationError("dead-zones need a smallest threshold of 0: after a reversal no play moves")
+    for name, q, low, high in zip(records[0].inputs, breakpoints_v, *_driven(records), strict=True):
+        if q.size and not low < q[0] <= q[-1] < high:
+            beyond = q[-1] if q[-1] >= high else q[0]
+            raise IdentificationError(
+                f"the breakpoint {beyond:g} V of input {name} is never passed: it is driven from {low:g} to "
+                f"{high:g} V"
+            )
+    begun = tuple(starts) or (Start("rest"),) * len(records)
+    task = _Task(records, begun, layout, tuple(breakpoints_v), delay_samples, tuple(through))
+    moments = task.moments()
+    columns = [_Columns.of(layout, o, breakpoints_v) for o in range(len(thresholds_v))]
+    free = [_solved(column, moment) for column, moment in zip(columns, moments, strict=True)]
+    found, held = free, []
+    if method != "least_squares":
+        gains = np.array([c.gains(s.coefficients, task) for c, s in zip(columns, free, strict=True)])
+        for o, k in direct_pairs(gains):
+            least = LEAST_SLOPE * float(gains[o, k])
+            slopes = columns[o].joint_slopes(free[o].coefficients, k)
+            if (np.sign(least) * slopes < abs(least)).any():
+                found[o] = _solved(columns[o], moments[o], columns[o].bounds(k, least))
+                held.append((o, k))
+    return _fit(task, thresholds_v, columns, moments, found, held)
+
+
+def enough_dead_zones(
+    records: Sequence[Record],
+    thresholds_v: Thresholds,
+    *,
+    starts: Sequence[Start] = (),
+    delay_samples: int = 0,
+    through: Sequence[LinearBlock] = (),
+) -> int:
+    """Fewest dead-zones of every input whose error on held-out stretches is within two percent of the least.
+
+    Every fourth of 16 stretches of each record is held out, as for the number of operators; 0 says that the
+    records show none. Breakpoints near the ends of the range rest on few samples: more of them than the
+    records call for go wrong beyond it.
+
+    Parameters
+    ----------
+    records, thresholds_v, starts, delay_samples, through : as for ``fit_asymmetric``
+    """
+    layout = Layout.of(thresholds_v)
+    begun = tuple(starts) or (Start("rest"),) * len(records)
+    few, first = shortened(records, begun, CURVE_SAMPLES)
+    spans, errors = ranges(few, first), []
+    for count in COUNTS:
+        zones = tuple(breakpoints_in(few, count))
+        task = _Task(few, first, layout, zones, delay_samples, tuple(through))
+        halves = zip(task.moments(held_out=False), task.moments(held_out=True), strict=True)
+        left = []
+        for o, (train, test) in enumerate(halves):
+            found = _solved(_Columns.of(layout, o, zones), train).coefficients
+            merge = _Columns.of(layout, o, zones).merge
+            squares = squares_left(test.gram, test.cross[:, 0], float(test.power[0]), merge @ found)
+            left.append(np.sqrt(squares / max(test.samples, 1)) / spans[o])
+        errors.append(float(np.mean(left)))
+    return next(n for n, error in zip(COUNTS, errors, strict=True) if error <= (1.0 + ENOUGH) * min(errors))
+
+
+class _Task(NamedTuple):
+    """Records and what stands behind the static block."""
+
+    records: Sequence[Record]
+    starts: Sequence[Start]
+    layout: Layout
+    breakpoints_v: tuple[Array, ...]
+    delay_samples: int
+    through: tuple[LinearBlock, ...]
+
+    def moments(self, held_out: bool | None = None) -> list[Moments]:
+        """Moments of each output with all columns, over all records or their stretches held out or not."""
+        p = len(self.records[0].y_um)
+        every = range(len(self.records))
+        if not self.through:
+            parts = [self._of_record(i, range(p), None, held_out) for i in every]
+            return [pooled(parts).of_output(o) for o in range(p)]
+        return [pooled([self._of_record(i, [o], o, held_out) for i in every]) for o in range(p)]
+
+    def _of_record(self, i: int, outputs: Sequence[int], path: int | None, held_out: bool | None) -> Moments:
+        record, start = self.records[i], self.starts[i]
+        u, y = delayed(record, start, self.delay_samples), record.y_um[list(outputs)]
+        plays, zones = sum(map(len, self.layout.grids)), sum(map(len, self.breakpoints_v))
+        filters = [] if path is None else path_filters(self.through, i, path, plays, len(record.y_um))
+        ramps = _ramps(u, [q - r for q, r in zip(self.breakpoints_v, record.rest_v, strict=True)])
+        if filters and zones:
+            [behind] = path_filters(self.through, i, outputs[0], zones, len(record.y_um))
+            ramps = _passed(ramps, start, behind)
+
+        def blocks() -> Iterator[tuple[Array, Array]]:
+            for k, x in regressor_blocks(u, start, self.layout.grids, filters):
+                samples = np.arange(k, k + x.shape[1])
+                rows = np.vstack([x, ramps[:, samples]])
+                if held_out is None:
+                    yield rows, y[:, samples]
+                    continue
+                chosen = (samples * SEGMENTS // record.samples % HELD_OUT == HELD_OUT - 1) == held_out
+                if chosen.any():
+                    yield rows[:, chosen], y[:, samples[chosen]]
+
+        return moments_of(blocks(), plays + zones, len(y))
+
+
+def _ramps(u_v: Array, counted_v: Sequence[Array]) -> Array:
+    """Rise within each zone (zone, sample) [V], from where the record counts."""
+    rows = [np.empty((0, u_v.shape[1]))]
+    for u, q in zip(u_v, counted_v, strict=True):
+        depth = np.append(np.diff(q), np.inf)[: len(q)]
+        for a, d in zip(q, depth, strict=True):
+            rows.append(np.clip(u - a, 0.0, d)[None, :] - min(max(-a, 0.0), d))
+    return np.vstack(rows)
+
+
+def _passed(ramps: Array, start: Start, path: Filter) -> Array:
+    """Ramps behind their path."""
+    passed, state = path.respond(ramps, path.rest())
+    return path.respond(ramps, state)[0] if start.kind == "repeated" else passed
+
+
+class _Columns(NamedTuple):
+    """Where the slopes of one output stand: those of its plays, then of the dead-zones of all inputs."""
+
+    merge: Array
+    plays: tuple[slice, ...]
+    zones: tuple[slice, ...]
+
+    @classmethod
+    def of(cls, layout: Layout, o: int, breakpoints_v: Sequence[Array]) -> _Columns:
+        merge = layout.merge[o]
+        rows, first = merge.shape
+        more = sum(map(len, breakpoints_v))
+        whole = np.zeros((rows + more, first + more))
+        whole[:rows, :first], whole[rows:, first:] = merge, np.eye(more)
+        ends = first + np.cumsum([len(q) for q in breakpoints_v])
+        zones = tuple(slice(int(e) - len(q), int(e)) for e, q in zip(ends, breakpoints_v, strict=True))
+        return cls(whole, layout.parts[o], zones)
+
+    def joint_slopes(self, slopes: Array, k: int) -> Array:
+        """Slopes (engaged, zone) of the pair of input k."""
+        zones = np.append(0.0, slopes[self.zones[k]])
+        plays = slopes[self.plays[k]]
+        return np.asarray(np.add.outer(plays if plays.size else np.zeros(1), zones))
+
+    def gains(self, slopes: Array, task: _Task) -> Array:
+        """Mean slope of every input (input,) over the voltages driven [um/V]."""
+        found = []
+        reach = half_swing(task.records)
+        _, tops = _driven(task.records)
+        for k, q in enumerate(task.breakpoints_v):
+            grid = task.layout.grids[k]
+            r = grid[-(self.plays[k].stop - self.plays[k].start) :] if grid.size else grid
+            weights = np.diff(slopes[self.plays[k]], prepend=0.0)
+            rise = float(weights @ (reach[k] - r[: len(weights)])) if weights.size else 0.0
+            bends = np.diff(slopes[self.zones[k]], prepend=0.0)
+            rise += 0.5 * float(bends @ (tops[k] - q)) if bends.size else 0.0
+            found.append(rise / reach[k] if reach[k] > 0.0 else 0.0)
+        return np.array(found)
+
+    def bounds(self, k: int, least: float) -> Bounds:
+        """Slopes S_j = t + x_j, D_m = x_m - t of input k with t >= c, x_j >= 0 and x_m >= c; others free."""
+        size = self.merge.shape[1]
+        basis, side, bound = np.eye(size, size + 1), np.zeros(size + 1), np.zeros(size + 1)
+        way = float(np.sign(least))
+        side[self.plays[k]] = side[self.zones[k]] = side[size] = way
+        bound[self.zones[k]] = bound[size] = least
+        basis[self.plays[k], size], basis[self.zones[k], size] = 1.0, -1.0
+        return Bounds(basis, side, bound)
+
+
+def _solved(columns: _Columns, moment: Moments, bounds: Bounds | None = None) -> Solution:
+    gram = columns.merge.T @ moment.gram @ columns.merge
+    cross = columns.merge.T @ moment.cross[:, 0]
+    return solve(gram, cross, float(moment.power[0]), moment.freedom, bounds=bounds)
+
+
+def _fit(
+    task: _Task,
+    thresholds_v: Thresholds,
+    columns: Sequence[_Columns],
+    moments: Sequence[Moments],
+    found: Sequence[Solution],
+    held: Sequence[tuple[int, int]],
+) -> AsymmetricFit:
+    """Weights from slopes, with what is said of them."""
+    pairs, zones, known, offsets = [], [], [], []
+    for row, own, moment, solution in zip(thresholds_v, columns, moments, found, strict=True):
+        parts = [part for both in zip(own.plays, own.zones, strict=True) for part in both]
+        weights = [np.diff(solution.coefficients[part], prepend=0.0) for part in parts]
+        spread = np.vstack([np.diff(solution.spread[part], axis=0, prepend=0.0) for part in parts])
+        ends = np.cumsum([len(w) for w in weights])[:-1]
+        errors = np.split(np.sqrt(np.sum(spread**2, axis=1)), ends)
+        each = list(zip(weights, errors, strict=True))
+        pairs.append(tuple(Pair(r, *both) for r, both in zip(row, each[::2], strict=True)))
+        bends = zip(task.breakpoints_v, each[1::2], strict=True)
+        zones.append(tuple(DeadZones(q, *both) for q, both in bends))
+        at_bound = int(solution.at_bound[: len(solution.coefficients)].sum())
+        known.append(WeightCovariance(triangle(spread), at_bound))
+        offsets.append(moment.means[:, -1] - moment.means[:, :-1] @ (own.merge @ solution.coefficients))
+    plays, rest = PrandtlIshlinskii(tuple(pairs)), task.records[0].rest_v
+    return AsymmetricFit(
+        hysteresis=Asymmetric(plays, tuple(zones), rest, tuple(known)),
+        offsets_um=np.column_stack(offsets),
+        rms_um=np.array([solution.residual_rms for solution in found]),
+        samples=moments[0].samples,
+        held=tuple(held),
+    )

@@ -1,0 +1,248 @@
+"""Rate-dependent plays from records at several rates: two numbers searched, weights projected out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import LinearBlock
+from hammerstein.errors import IdentificationError
+from hammerstein.hysteresis import RateDependent, RatePlays
+from hammerstein.identification.static.history import shortened
+from hammerstein.identification.static.normal_equations import (
+    Bounds,
+    Moments,
+    Solution,
+    moments_of,
+    pooled,
+    solve,
+)
+from hammerstein.identification.static.regressors import Start, delayed
+from hammerstein.identification.static.static_block import (
+    LEAST_SLOPE,
+    direct_pairs,
+    half_swing,
+    path_filters,
+    refuse_unreached,
+)
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+
+SEARCH_SAMPLES = 50_000
+"""Samples with which growth and bandwidth are searched."""
+BLOCK = 8192
+STRETCHES = 8
+TWO_RATES = 1.5
+"""Ratio of the fastest to the slowest stretch from which records have two rates."""
+FIRST_SHARES = (0.01, 0.03, 0.1, 0.25)
+"""Growth tried first: parts of half the swing by which a threshold grows at the fastest rate."""
+FIRST_BANDWIDTHS = (0.5, 2.0, 8.0)
+"""Bandwidth tried first, in parts of the fastest rate of the records."""
+STABLE = 0.95
+"""Largest loop gain of the inverse that a fit may have."""
+MOST_EVALUATIONS = 160
+
+
+@dataclass(frozen=True, eq=False)
+class RateFit:
+    """Rate-dependent plays found by regression, and what is left (output,) [um]."""
+
+    hysteresis: RateDependent
+    rms_um: Array
+
+
+def fit_rate_dependent(
+    records: Sequence[Record],
+    grids: Sequence[Array],
+    *,
+    invertible: bool = True,
+    starts: Sequence[Start] = (),
+    delay_samples: int = 0,
+    through: Sequence[LinearBlock] = (),
+) -> RateFit:
+    """Growth b of each input, bandwidth f of the rate, and weights of all pairs.
+
+        R_i = r_i + b |rho|  for all plays but play(0), whose threshold stays 0
+
+    Only b and f are searched, the weights follow by least squares (variable projection: Golub and Pereyra,
+    SIAM J. Numer. Anal. 10 (1973) 413-432). With ``invertible`` the weights of the direct pairs keep the sign
+    of the gain, so that every set of plays that can move together has an inverse, and the loop gain of the
+    inverse stays below 0.95.
+
+    Parameters
+    ----------
+    records : at two rates at least, all with the same axes and sample time
+    grids : thresholds of each input at rest [V], from 0; the outputs share them
+    invertible, starts, delay_samples, through : as for ``fit_static``
+
+    Raises
+    ------
+    IdentificationError : records at one rate only, at several sample times, or a smallest threshold above 0
+    """
+    if any(grid.size == 0 or grid[0] != 0.0 for grid in grids):
+        raise IdentificationError("rate-dependent plays need a smallest threshold of 0 on every input")
+    refuse_unreached(records, grids)
+    if len({record.sample_time_s for record in records}) > 1:
+        raise IdentificationError("rate-dependent plays are fitted to records at one sample time; resample")
+    fastest = _refuse_one_rate(records)
+    begun = tuple(starts) or (Start("rest"),) * len(records)
+    few, first = shortened(records, begun, SEARCH_SAMPLES)
+    quick = _Task(few, first, tuple(grids), delay_samples, tuple(through), invertible)
+    growth, bandwidth_hz = _searched(quick, fastest)
+    whole = quick._replace(records=records, starts=begun)
+    solutions = whole.solutions(growth, bandwidth_hz)
+    ends = np.cumsum([len(grid) for grid in grids])[:-1]
+    weights = tuple(tuple(np.split(whole.weights(s.coefficients), ends)) for s in solutions)
+    plays = whole.plays(growth, bandwidth_hz)
+    return RateFit(RateDependent(plays, weights), np.array([s.residual_rms for s in solutions]))
+
+
+def _refuse_one_rate(records: Sequence[Record]) -> Array:
+    """Fastest rate of each input over swing, an angular frequency (input,) [rad/s], where there are two."""
+    fastest = []
+    for k, name in enumerate(records[0].inputs):
+        rates = []
+        swing = max(float(np.ptp(record.u_v[k])) for record in records)
+        for record in records:
+            for part in np.array_split(record.u_v[k], STRETCHES):
+                if len(part) > 2 and np.ptp(part) > 0.05 * swing:
+                    slope = np.diff(part) / record.sample_time_s
+                    rates.append(float(np.sqrt(np.mean(slope**2))) / (0.5 * swing))
+        if not rates or max(rates) < TWO_RATES * min(rates):
+            raise IdentificationError(
+                f"input {name} is driven at one rate, which cannot tell how its thresholds grow; add one "
+                "that is at least half as fast again, or use hysteresis prandtl_ishlinskii"
+            )
+        fastest.append(max(rates))
+    return np.array(fastest)
+
+
+def _searched(task: _Task, fastest: Array) -> tuple[Array, float]:
+    """Growth of each input (input,) [s] and bandwidth of the rate [Hz] with the least error."""
+    from scipy.optimize import minimize
+
+    reach = half_swing(task.records)
+
+    def cost(logs: Array) -> float:
+        growth, bandwidth_hz = np.exp(logs[:-1]), float(np.exp(logs[-1]))
+        block = RateDependent(task.plays(growth, bandwidth_hz), task.no_weights())
+        gain = float(block.on_grid(task.records[0].sample_time_s).loop_gain().max())
+        if task.invertible and gain >= STABLE:
+            return 1e3 * gain
+        return float(
+            np.sum([np.log(max(s.residual_rms, 1e-300)) for s in task.solutions(growth, bandwidth_hz)])
+        )
+
+    grid = [
+        np.append(np.log(share * reach / (fastest * reach)), np.log(part * fastest.max() / (2.0 * np.pi)))
+        for share in FIRST_SHARES
+        for part in FIRST_BANDWIDTHS
+    ]
+    start = min(grid, key=cost)
+    simplex = np.vstack([start, start + 0.4 * np.eye(len(start))])
+    found = minimize(
+        cost,
+        start,
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "maxfev": MOST_EVALUATIONS, "xatol": 1e-4, "fatol": 1e-7},
+    ).x
+    return np.exp(found[:-1]), float(np.exp(found[-1]))
+
+
+class _Task(NamedTuple):
+    """What stays fixed while growth and bandwidth are searched."""
+
+    records: Sequence[Record]
+    starts: Sequence[Start]
+    grids: tuple[Array, ...]
+    delay_samples: int
+    through: tuple[LinearBlock, ...]
+    invertible: bool
+
+    def plays(self, growth_s: Array, bandwidth_hz: float) -> tuple[RatePlays, ...]:
+        """Plays of each input with one growth for all but play(0)."""
+        return tuple(
+            RatePlays(r, np.append(0.0, np.full(len(r) - 1, b)), bandwidth_hz)
+            for r, b in zip(self.grids, growth_s.tolist(), strict=True)
+        )
+
+    def no_weights(self) -> tuple[tuple[Array, ...], ...]:
+        """Weights of nothing."""
+        return (tuple(np.zeros(len(r)) for r in self.grids),)
+
+    def solutions(self, growth_s: Array, bandwidth_hz: float) -> list[Solution]:
+        """Slopes of each output with given growth and bandwidth."""
+        p, every = len(self.records[0].y_um), range(len(self.records))
+        plays = self.plays(growth_s, bandwidth_hz)
+        if self.through:
+            moments = [pooled([self._moments(i, [o], plays) for i in every]) for o in range(p)]
+        else:
+            parts = pooled([self._moments(i, range(p), plays) for i in every])
+            moments = [parts.of_output(o) for o in range(p)]
+        free = [solve(m.gram, m.cross[:, 0], float(m.power[0]), m.freedom) for m in moments]
+        if not self.invertible:
+            return free
+        gains = np.array([self._gains(s.coefficients) for s in free])
+        found = list(free)
+        for o, k in direct_pairs(gains):
+            bounds, m = self._bounds(k, float(gains[o, k])), moments[o]
+            found[o] = solve(m.gram, m.cross[:, 0], float(m.power[0]), m.freedom, bounds=bounds)
+        return found
+
+    def weights(self, slopes: Array) -> Array:
+        """Weights of all plays of one output from its slopes."""
+        ends = np.cumsum([len(grid) for grid in self.grids])[:-1]
+        return np.concatenate([np.diff(part, prepend=0.0) for part in np.split(slopes, ends)])
+
+    def _gains(self, slopes: Array) -> Array:
+        """Gain of every input (input,) at the swing of the records [um/V]."""
+        ends = np.cumsum([len(grid) for grid in self.grids])[:-1]
+        parts = zip(np.split(self.weights(slopes), ends), self.grids, half_swing(self.records), strict=True)
+        return np.array([float(w @ (reach - r)) / reach for w, r, reach in parts])
+
+    def _bounds(self, k: int, gain: float) -> Bounds:
+        """Weights of input k keep the sign of its gain, play(0) a share of it; others are free."""
+        sizes = [len(grid) for grid in self.grids]
+        first = sum(sizes[:k])
+        own = slice(first, first + sizes[k])
+        basis, side, bound = np.eye(sum(sizes)), np.zeros(sum(sizes)), np.zeros(sum(sizes))
+        basis[own, own] = np.tri(sizes[k])
+        side[own], bound[first] = np.sign(gain), LEAST_SLOPE * gain
+        return Bounds(basis, side, bound)
+
+    def _moments(self, i: int, outputs: Sequence[int], plays: Sequence[RatePlays]) -> Moments:
+        record, start = self.records[i], self.starts[i]
+        u, y = delayed(record, start, self.delay_samples), record.y_um[list(outputs)]
+        x = _differences(u, plays, record.sample_time_s, start)
+        if self.through:
+            [path] = path_filters(self.through, i, outputs[0], len(x), len(record.y_um))
+            passed, state = path.respond(x, path.rest())
+            x = path.respond(x, state)[0] if start.kind == "repeated" else passed
+        parts = range(start.first, x.shape[1], BLOCK)
+        return moments_of(((x[:, k : k + BLOCK], y[:, k : k + BLOCK]) for k in parts), len(x), len(y))
+
+
+def _differences(u_v: Array, plays: Sequence[RatePlays], sample_time_s: float, start: Start) -> Array:
+    """Differences of neighbouring plays (column, sample), input by input."""
+    from hammerstein.hysteresis.rate_dependent_kernels import play_outputs
+
+    rows = []
+    for u, own in zip(u_v, plays, strict=True):
+        pole = np.array([np.exp(-2.0 * np.pi * own.bandwidth_hz * sample_time_s)])
+        grid = (
+            own.thresholds_v[None, :].copy(),
+            own.growth_s[None, :].copy(),
+            np.array([own.lambda_s_per_v]),
+        )
+        memory = (np.zeros((1, len(own.thresholds_v))), np.zeros((1, 2)), np.zeros(1))
+        outputs = np.empty((len(own.thresholds_v), len(u)))
+        for _ in range(2 if start.kind == "repeated" else 1):
+            play_outputs(np.ascontiguousarray(u[None, :]), sample_time_s, pole, *grid, *memory, outputs)
+        outputs[:-1] -= outputs[1:].copy()
+        rows.append(outputs)
+    return np.vstack(rows)

@@ -1,0 +1,64 @@
+"""From the files of a trial to the next drive."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.compensators.cycle import Cycle, design_of
+from hammerstein.compensators.drive_file import Terms, read_path
+from hammerstein.errors import InputError
+from hammerstein.learning.lesson import Lesson, lesson
+from hammerstein.learning.unsure import Unsure
+from hammerstein.model import HammersteinModel
+from hammerstein.signals import read_signal
+
+Array = NDArray[np.float64]
+
+
+def learn_from_files(
+    model_path: str,
+    path: Path,
+    law: str,
+    options: Mapping[str, Any],
+    trial: tuple[Path, Path],
+    unsure: Unsure,
+    terms: Terms,
+) -> tuple[Cycle, Lesson]:
+    """Next period of voltages, and what the trial taught.
+
+    Parameters
+    ----------
+    path : one period of the path
+    trial : the drive file that was played, and what the sensor read: ``time_s`` and one column an output in
+        um, whole settled periods, zero where the actuator stood before
+    unsure : how sure the model is
+
+    Raises InputError for files that do not belong together, and what ``cycle_of`` does.
+    """
+    design = design_of(model_path, path, law, options, terms)
+    samples, time_s = design.reference_um.shape[1], design.model.instruments.drive.sample_time_s
+    drive = _drive_of(trial[0], design.model, samples)
+    _, measured, resampled = read_path(trial[1], design.model, time_s)
+    if resampled:
+        raise InputError(str(trial[1]), f"is not sampled every {time_s:g} s, as the drive is; record it so")
+    bandwidth = design.model.instruments.sensor.bandwidth_hz
+    found = lesson(design.model, design.law, design.reference_um, drive, measured, unsure, bandwidth)
+    return design.cycle(found.drive_v, terms), found
+
+
+def _drive_of(path: Path, model: HammersteinModel, samples: int) -> Array:
+    """Voltages (m, N) of a drive file, by the names of its columns."""
+    _, values, names = read_signal(path)
+    wanted = [f"drive_{name}_v" for name in model.inputs]
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        raise InputError(str(path), f"has no column {missing[0]}; give the drive file that was played")
+    drive = np.ascontiguousarray(values[[names.index(name) for name in wanted]])
+    if drive.shape[1] != samples:
+        raise InputError(str(path), f"has {drive.shape[1]} rows; a period of the path has {samples}")
+    return drive

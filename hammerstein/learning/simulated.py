@@ -1,0 +1,64 @@
+"""Trials on a simulated actuator: what a person does at the bench, and what the true positions were."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.blocks import Law
+from hammerstein.compensators.cycle import centred, rms
+from hammerstein.learning.lesson import Lesson, lesson
+from hammerstein.learning.unsure import Unsure
+from hammerstein.model import HammersteinModel
+from hammerstein.simulation import Plant
+
+Array = NDArray[np.float64]
+
+SETTLING, MEASURED = 5, 20  # periods
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedTrial:
+    """One trial: the true error of its last period, which no learner sees, and what it taught."""
+
+    true_rms_um: float
+    lesson: Lesson
+
+
+def simulated_trials(
+    plant: Plant,
+    model: HammersteinModel,
+    law: Law[Any],
+    reference_um: Array,
+    trials: int,
+    seed: int = 0,
+    unsure: Unsure | None = None,
+) -> list[SimulatedTrial]:
+    """Play, measure and learn on an actuator that is not the model.
+
+    The drive goes through the plant's converter, the readings through its sensor with its noise; the
+    learner knows the model and the bandwidth of the sensor alone. Learning ends where the noise begins.
+
+    Parameters
+    ----------
+    plant : the actuator in its set-up
+    model, law : what is known of it, and the inverse
+    reference_um : (p, N) one period of the path
+    trials : at most
+    """
+    samples = reference_um.shape[1]
+    bandwidth = plant.instruments.sensor.bandwidth_hz
+    drive, done = centred(law, model, reference_um), []
+    for number in range(trials):
+        response = plant.respond(np.tile(drive, (1, SETTLING + MEASURED)), [seed, number])
+        true = rms(response.position_um[:, -samples:] - reference_um)
+        read = response.reading_um[:, SETTLING * samples :]
+        taught = lesson(model, law, reference_um, drive, read, unsure, bandwidth)
+        done.append(SimulatedTrial(true, taught))
+        if taught.finished:
+            break
+        drive = taught.drive_v
+    return done

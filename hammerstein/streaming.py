@@ -1,0 +1,79 @@
+"""A law in a loop that writes to a device: sample by sample or block by block."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hammerstein.blocks import Law
+from hammerstein.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+class Stream:
+    """A law at work, with its memory inside.
+
+    It leaves no garbage behind: what a step needs is freed at its end, so that the collector has nothing to
+    stop for. The voltages are those of ``law.step``, to the last bit.
+
+    Attributes
+    ----------
+    law : the law
+    state : memory after the last sample, to be kept and given back; it is never written to
+
+    Examples
+    --------
+    >>> import hammerstein
+    >>> model = hammerstein.HammersteinModel.load("duo_bimorph_static")
+    >>> law = hammerstein.ExactInverse().design(model, range_v=10.0, sample_time_s=50e-6)
+    >>> loop = hammerstein.stream(law)
+    >>> loop.step([5.0, 0.0]).round(3)
+    array([1.286, 0.087])
+    >>> loop.block([[6.0, 7.0], [0.0, 0.0]]).shape
+    (2, 2)
+    """
+
+    def __init__(self, law: Law[Any], state: Any = None):
+        self.law = law
+        self.state = law.rest() if state is None else state
+        self._drive = np.empty(law.n_inputs)
+
+    def step(self, reference_um: ArrayLike) -> Array:
+        """Voltages (m,) to send now for one sample of reference (p,); the same array in every step.
+
+        Raises InputError for a reference that is not finite or has another number of axes; the memory is
+        then that of the sample before.
+        """
+        drive, self.state = self.law.step(reference_um, self.state)
+        self._drive[:] = drive
+        return self._drive
+
+    def block(self, reference_um: ArrayLike) -> Array:
+        """Voltages (m, N) for a block of reference (p, N), of any length."""
+        drive, self.state = self.law.respond(reference_um, self.state)
+        return drive
+
+
+def stream(compensator: Law[Any], state: Any = None) -> Stream:
+    """Run a designed law in a loop of your own.
+
+    Parameters
+    ----------
+    compensator : what ``design`` gave
+    state : memory to begin with, such as that of another stream or of ``law.primed``; at rest if not given
+
+    Raises
+    ------
+    InputError : a compensator that was not designed, or one that reads the sensor
+    """
+    if not isinstance(compensator, Law):
+        what = type(compensator).__name__
+        raise InputError(
+            "stream",
+            f"{what} is no sensorless law; design one first, as in ExactInverse().design(model, range_v, "
+            "sample_time_s). A controller that reads the sensor is used by its request and correct",
+        )
+    return Stream(compensator, state)

@@ -1,0 +1,116 @@
+"""The table of errors in the README: ranges over twelve seeds of noise.
+
+    python tests/readme_figures.py            print it (about two minutes)
+    python tests/readme_figures.py --write    put it into the README
+    python tests/readme_figures.py --check    exit code 1 where the README says something else
+
+``test_readme_figures`` runs one seed of it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+README = ROOT / "README.md"
+SEEDS = tuple(range(1, 13))
+HEADER = ("| true position, twelve seeds of noise | [um] |", "| --- | ---: |")
+PAPER = ("paper, 50 Hz", "paper, 100 Hz", "paper, 150 Hz", "paper, 200 Hz")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One line of the table: all values of a figure in the rows of some compensators.
+
+    words : what stands in the line; scenario : its file; labels : compensators
+    metric : figure of merit, in um; amplitude_um : of the path, where the scenario has several
+    """
+
+    words: str
+    scenario: str
+    labels: tuple[str, ...]
+    metric: str = "euclidean_max_true_um"
+    amplitude_um: float | None = None
+
+    def values(self, seed: int) -> list[float]:
+        """Values with one seed."""
+        from hammerstein.experiment.run import run
+        from hammerstein.scenario import load_scenario
+
+        whole = load_scenario(ROOT / "scenarios" / f"{self.scenario}.toml")
+        own = tuple(c for c in whole.compensators if c.label in self.labels)
+        report = run(whole.model_copy(update={"seed": seed, "compensators": own, "claims": ()}))
+        return [
+            float(row.figures[self.metric])
+            for row in report.rows
+            if self.amplitude_um in (None, row.amplitude_um)
+            and row.excited_axis in ("all", row.measured_axis)
+        ]
+
+
+DYNAMICS = ("with dynamics",)
+FIGURES = (
+    Figure("rms, sines of 20 um, 10 to 420 Hz: with dynamics", "beyond_error", DYNAMICS, "rms_true_um"),
+    Figure("the same: the paper's compensators", "beyond_error", PAPER, "rms_true_um"),
+    Figure("worst, circles of 50 um at 50, 100, 200 Hz: with dynamics", "beyond_circles", DYNAMICS),
+    Figure("worst, spiral from 50 um: with dynamics", "beyond_spiral", DYNAMICS),
+    Figure("worst, Lissajous 3:2, 48 um: with dynamics", "beyond_lissajous_3_2", DYNAMICS, amplitude_um=48.0),
+    Figure("worst, Lissajous 4:3, 48 um: with dynamics", "beyond_lissajous_4_3", DYNAMICS, amplitude_um=48.0),
+    Figure(
+        "worst, 28 other thresholds, circle of 50 um: the paper's partition",
+        "beyond_other_thresholds",
+        ("thresholds uniform in time",),
+    ),
+    Figure("the same: fitted thresholds", "beyond_other_thresholds", ("fitted thresholds",)),
+)
+
+
+def line(figure: Figure, values: Iterable[float]) -> str:
+    """Line of the table with the least and the largest value."""
+    found = list(values)
+    return f"| {figure.words} | {_two_digits(min(found))} to {_two_digits(max(found))} |"
+
+
+def _two_digits(value: float) -> str:
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def printed(readme: str) -> dict[str, tuple[float, float]]:
+    """Range of each line of the table as the README prints it."""
+    found = {}
+    for row in readme.splitlines():
+        cells = [cell.strip() for cell in row.strip("|").split("|")]
+        if len(cells) == 2 and cells[0] in {figure.words for figure in FIGURES}:
+            low, high = cells[1].split(" to ")
+            found[cells[0]] = (float(low), float(high))
+    return found
+
+
+def table(seeds: Sequence[int] = SEEDS) -> str:
+    """Give the whole table."""
+    rows = [line(figure, [v for seed in seeds for v in figure.values(seed)]) for figure in FIGURES]
+    return "\n".join((*HEADER, *rows))
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Do what the command line asks for."""
+    import os
+
+    os.environ["HAMMERSTEIN_CACHE"] = ""
+    readme, made = README.read_text(encoding="utf-8"), table()
+    print(made)
+    first = readme.index(HEADER[0])
+    last = readme.index("\n\n", first)
+    if "--write" in arguments:
+        README.write_text(readme[:first] + made + readme[last:], encoding="utf-8")
+    elif "--check" in arguments and readme[first:last] != made:
+        print("\nREADME.md says something else: python tests/readme_figures.py --write", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,173 @@
+"""Plays and dead-zones from records, against the block that made them and plain least squares."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import theory
+
+from hammerstein.dynamics import AxesDynamics, Axis, discretise
+from hammerstein.errors import IdentificationError
+from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
+from hammerstein.hysteresis.invertibility import invertibility
+from hammerstein.identification.recorded import counted
+from hammerstein.identification.static.asymmetric import breakpoints_in, enough_dead_zones, fit_asymmetric
+from hammerstein.identification.static.regressors import Start
+from hammerstein.records.record import Record
+
+SEED = 16
+R = np.array([0.0, 0.6, 1.4, 2.5])
+Q = np.array([-2.0, 0.5, 2.0])
+
+
+def wave(samples=4000, turns=9.0, decay=0.7, phase=0.0):
+    time = np.linspace(0.0, 2.0 * np.pi * turns, samples)
+    return 5.0 * np.sin(time + phase) * np.linspace(1.0, 1.0 - decay, samples) - 5.0 * np.sin(phase)
+
+
+def truth(rest=(0.0, 0.0)):
+    plays = [[Pair(R, [3.0, 0.5, 0.6, 0.7]), Pair(R, [0.2, -0.1, 0.05, 0.02])],
+             [Pair(R, [0.1, 0.1, -0.2, 0.1]), Pair(R, [2.5, 0.3, 0.8, 0.2])]]  # fmt: skip
+    zones = [[DeadZones(Q, [0.6, -0.9, 0.5]), DeadZones(Q, [0.1, -0.1, 0.1])],
+             [DeadZones(Q, [0.05, 0.1, -0.1]), DeadZones(Q, [-0.5, 0.7, 0.4])]]  # fmt: skip
+    return Asymmetric(PrandtlIshlinskii(plays), zones, np.array(rest))
+
+
+def records_of(block, noise=0.0):
+    """Two records, each begun at another voltage, at rest there."""
+    generator, found = np.random.default_rng(SEED), []
+    for first, phase in ((0.0, 0.0), (-1.0, 0.4)):
+        u = np.stack([wave(phase=phase), wave(turns=7.3, decay=0.5, phase=phase)])
+        u = u - u[:, :1] + first
+        y = block.counted_from(u[:, 0]).respond(u - u[:, :1])[0] + np.array([[11.0], [-7.0]])
+        found.append(counted(Record(u, y + noise * generator.standard_normal(y.shape), 1e-3)))
+    return found
+
+
+@pytest.mark.parametrize("method", ["least_squares", "invertible"])
+def test_weights_of_both_are_found_again_from_records_with_working_points_of_their_own(method):
+    block = truth()
+    fit = fit_asymmetric(records_of(block), [[R, R]] * 2, [Q, Q], method=method)
+    for ours, theirs in zip(fit.hysteresis.weights, block.weights, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-8)
+    np.testing.assert_allclose(fit.offsets_um, [[11.0, -7.0]] * 2, atol=1e-8)
+    assert fit.held == ()
+
+
+def test_it_is_plain_least_squares_on_plays_and_dead_zones():
+    record = records_of(truth(), 0.05)[0]
+    fit = fit_asymmetric([record], [[R, R]] * 2, [Q, Q], method="least_squares")
+    sent = record.u_v + record.rest_v[:, None]
+    columns = [theory.play(record.u_v[k], r) for k in range(2) for r in R]
+    columns += [theory.dead_zone(sent[k], q) for k in range(2) for q in Q]
+    matrix = np.column_stack([*columns, np.ones(record.samples)])
+    for o in range(2):
+        w = np.linalg.lstsq(matrix, record.y_um[o], rcond=None)[0]
+        expected = np.concatenate([w[:4], w[8:11], w[4:8], w[11:14]])
+        np.testing.assert_allclose(fit.hysteresis.weights[o], expected, atol=1e-9)
+        left = record.y_um[o] - matrix @ w
+        assert fit.rms_um[o] == pytest.approx(np.sqrt(np.sum(left**2) / (record.samples - 1)), rel=1e-9)
+
+
+def test_standard_errors_are_those_of_repeated_records():
+    found, told = [], None
+    for seed in range(60):
+        u = wave()
+        y = np.asarray(
+            theory.asymmetric([u], [[R]], [[[3.0, 0.5, 0.6, 0.7]]], [[Q]], [[[0.6, -0.9, 0.5]]], [0.0])
+        )
+        y = y + 0.05 * np.random.default_rng(seed).standard_normal(y.shape)
+        fit = fit_asymmetric([Record([u], y, 1e-3)], [[R]], [Q], method="least_squares")
+        found.append(fit.hysteresis.weights[0])
+        told = fit.hysteresis.weight_covariance[0].covariance
+    np.testing.assert_allclose(np.std(found, axis=0), np.sqrt(np.diag(told)), rtol=0.35)
+    zones = fit.hysteresis.zones[0][0]
+    np.testing.assert_allclose(zones.weight_errors_um_per_v, np.sqrt(np.diag(told))[4:], rtol=1e-9)
+
+
+def test_the_invertible_fit_is_the_best_of_all_that_are_within_the_inequalities():
+    """Against a fine scan of t, each t with plain bounds: a convex problem has one least value."""
+    from scipy.optimize import lsq_linear
+
+    block = Asymmetric(
+        PrandtlIshlinskii([[Pair(R, [3.0, -2.0, 1.5, 1.0])]]), [[DeadZones(Q, [-1.5, 1.0, -0.4])]], [0.0]
+    )
+    u = wave()
+    record = Record([u], block.respond([u])[0], 1e-3)
+    assert not invertibility(block, 5.0).invertible
+    fit = fit_asymmetric([record], [[R]], [Q])
+    assert fit.held == ((0, 0),)
+    assert invertibility(fit.hysteresis, 5.0).invertible
+    plays = np.stack([theory.play(u, r) for r in R])
+    plays[:-1] -= plays[1:].copy()
+    zones = np.stack([theory.dead_zone(u, q) for q in Q])
+    zones[:-1] -= zones[1:].copy()
+    matrix = np.vstack([plays, zones]).T
+    matrix, y = matrix - matrix.mean(axis=0), record.y_um[0] - record.y_um[0].mean()
+    slopes = np.concatenate([np.cumsum(fit.hysteresis.plays.pairs[0][0].weights_um_per_v),
+                             fit.hysteresis.zones[0][0].slopes])  # fmt: skip
+    least = min(s + z for s in slopes[:4] for z in (0.0, *slopes[4:]))
+    best = np.inf
+    for t in np.linspace(least, 3.0, 120):
+        low = np.concatenate([np.full(4, t), np.full(3, least - t)])
+        best = min(best, 2.0 * lsq_linear(matrix, y, (low, np.full(7, np.inf)), tol=1e-13).cost)
+    ours = np.sum((matrix @ slopes - y) ** 2)
+    assert least > 0.0
+    assert ours <= best * (1.0 + 1e-9)
+    assert ours == pytest.approx(best, rel=1e-3)
+
+
+def test_through_a_linear_block_the_weights_are_found_all_the_same():
+    block = truth()
+    axes = (Axis(resonance_hz=60.0, damping_ratio=0.2), Axis(resonance_hz=75.0, damping_ratio=0.3))
+    dynamics = AxesDynamics(axes=axes)
+    u = np.stack([wave(), wave(turns=7.3, decay=0.5)])
+    path = discretise(dynamics, 1e-3)
+    y = path.respond(block.respond(u)[0])[0][:2]
+    fit = fit_asymmetric([Record(u, y, 1e-3)], [[R, R]] * 2, [Q, Q], method="least_squares", through=[path])
+    for ours, theirs in zip(fit.hysteresis.weights, block.weights, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-7)
+
+
+def test_the_number_of_dead_zones_is_what_the_records_call_for():
+    u = wave(samples=8000, turns=23.0)
+    made = {0: [0.0] * 3, 3: [0.6, -0.9, 0.5]}
+    for count, bends in made.items():
+        q = breakpoints_in([Record([u], [u], 1e-3)], 3)[0]
+        v = theory.asymmetric([u], [[R]], [[[3.0, 0.5, 0.6, 0.7]]], [[q]], [[bends]], [0.0])
+        y = v + 0.02 * np.random.default_rng(SEED).standard_normal(v.shape)
+        assert enough_dead_zones([Record([u], y, 1e-3)], [[R]]) == count
+
+
+def test_a_smallest_threshold_above_zero_and_breakpoints_never_passed_are_refused():
+    with pytest.raises(IdentificationError, match="smallest threshold of 0"):
+        fit_asymmetric(records_of(truth()), [[R[1:], R]] * 2, [Q, Q])
+    with pytest.raises(IdentificationError, match=r"7 V of input u2 is never passed"):
+        fit_asymmetric(records_of(truth()), [[R, R]] * 2, [Q, np.array([1.0, 7.0])])
+
+
+DBO = Path(__file__).parents[2] / "shared" / "data" / "dbo_piezo_micromanipulator"
+
+
+@pytest.mark.skipif(not DBO.is_dir(), reason="the records of the micromanipulator are not here")
+@pytest.mark.parametrize(("delay", "fitted", "held_back"), [(1, 0.56, 0.95), (2, 0.50, 0.65)])
+def test_micromanipulator(delay, fitted, held_back):
+    """Means removed, all rows after the first two seconds; the figures that were asked for."""
+    from hammerstein.identification.operators import input_grids
+    from hammerstein.identification.static.regressors import delayed
+
+    def read(name):
+        table = np.loadtxt(DBO / name)
+        return counted(Record([table[:, 0]], [table[:, 4]], 5e-3))
+
+    record, held = read("Model_Vi_Do.dat"), read("Test_Vi_Do_Di.dat")
+    grid, start = input_grids([record], 15)[0], Start("rest", 400)
+    grid[0] = 0.0
+    count = enough_dead_zones([record], [[grid]], starts=[start], delay_samples=delay)
+    fit = fit_asymmetric(
+        [record], [[grid]], breakpoints_in([record], count), starts=[start], delay_samples=delay
+    )
+    assert 100.0 * fit.rms_um[0] / np.ptp(record.y_um[0, 400:]) <= fitted
+    block = fit.hysteresis.counted_from(held.rest_v)
+    error = (held.y_um - block.respond(delayed(held, start, delay))[0])[0, 400:]
+    assert 100.0 * error.std() / np.ptp(held.y_um[0, 400:]) <= held_back

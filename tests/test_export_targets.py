@@ -1,0 +1,118 @@
+"""Exported C on other processors, under the sanitizers and before a checker, where each is installed."""
+
+import re
+import shutil
+import subprocess
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from export_cases import case
+
+from hammerstein.export.folder import write_export
+
+BOARD = Path(__file__).parent / "cortex_m4"
+EXPORTS = ("filtered", "inverse_multiplicative", "decoupled_inverse", "model", "started exact_inverse")
+LEFT = {
+    "2.4": "enumerations without a name hold the constants: they have no tag that could be used",
+    "8.7": "what a caller may use must be seen from outside",
+    "8.9": "tables stand together at the top, with what they are",
+    "10.6": "whole numbers 0, 1, 2 chosen by a comparison; the checker takes the choice for a composite one",
+    "14.1": "loops that count to a constant, and may end earlier by a comparison of numbers",
+}
+"""Rules of MISRA C:2012 that the code does not keep by the checker's reading, each with its reason."""
+
+
+def needs(*programs):
+    missing = [program for program in programs if shutil.which(program) is None]
+    return pytest.mark.skipif(bool(missing), reason=f"not installed: {', '.join(missing)}")
+
+
+@pytest.fixture(scope="module", params=EXPORTS)
+def folder(request, tmp_path_factory):
+    export, place = case(request.param), tmp_path_factory.mktemp("export")
+    write_export(export.request(), export.model, place)
+    return place
+
+
+def _law(folder):
+    return next(path for path in folder.glob("*.c") if path.name != "selftest.c")
+
+
+def _run(*command, folder, timeout=300):
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=timeout)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done
+
+
+@needs("aarch64-linux-gnu-gcc", "qemu-aarch64")
+def test_every_bit_agrees_on_aarch64(folder):
+    flags = ("-std=gnu99", "-O2", "-static", "-ffp-contract=off")
+    _run("aarch64-linux-gnu-gcc", *flags, "-o", "arm64", "selftest.c", _law(folder).name, folder=folder)
+    assert " 0 numbers differ" in _run("qemu-aarch64", "./arm64", folder=folder).stdout
+
+
+@needs("aarch64-linux-gnu-gcc", "qemu-aarch64")
+def test_fused_multiply_adds_are_noticed(folder):
+    """Without the flag that the Makefile sets, a processor that fuses gives other bits."""
+    flags = ("-std=gnu99", "-O2", "-static", "-ffp-contract=fast")
+    _run("aarch64-linux-gnu-gcc", *flags, "-o", "fused", "selftest.c", _law(folder).name, folder=folder)
+    done = subprocess.run(
+        ["qemu-aarch64", "./fused"], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1, done.stdout
+
+
+@needs("arm-none-eabi-gcc", "qemu-system-arm")
+def test_every_bit_agrees_on_a_cortex_m4_without_floating_point(folder):
+    core = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft")
+    asked = ("arm-none-eabi-gcc", *core, "-print-file-name=rdimon-crt0.o")
+    begin = _run(*asked, folder=folder).stdout.strip()
+    if not Path(begin).exists():
+        pytest.skip("newlib for arm-none-eabi is not installed")
+    flags = ("-std=c99", "-O2", "-ffp-contract=off", "--specs=rdimon.specs", "-nostartfiles")
+    linked = ("-T", str(BOARD / "board.ld"), str(BOARD / "start.c"), "selftest.c", _law(folder).name, begin)
+    _run("arm-none-eabi-gcc", *core, *flags, "-o", "m4.elf", *linked, folder=folder)
+    host = "enable=on,target=native,arg=selftest,arg=golden.csv"
+    board = ("-M", "mps2-an386", "-nographic", "-semihosting-config", host, "-kernel", "m4.elf")
+    assert " 0 numbers differ" in _run("qemu-system-arm", *board, folder=folder).stdout
+
+
+@needs("gcc")
+def test_no_access_outside_and_nothing_undefined(folder):
+    flags = ("-std=c99", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    done = subprocess.run(
+        ["gcc", *flags, "-ffp-contract=off", "-o", "sane", "selftest.c", _law(folder).name],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if "cannot find" in done.stderr:
+        pytest.skip("the sanitizers are not installed")
+    assert done.returncode == 0, done.stderr
+    _run("./sane", folder=folder)
+
+
+@needs("gcc")
+def test_no_compiler_warns(folder):
+    flags = ("-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wshadow", "-Wdouble-promotion", "-Werror")
+    for command in filter(shutil.which, ("gcc", "clang")):
+        _run(command, "-std=c99", *flags, "-c", _law(folder).name, "-o", "law.o", folder=folder)
+
+
+@needs("cppcheck")
+def test_what_the_checker_finds_has_a_reason(folder):
+    options = ("--std=c99", "--enable=warning,portability,performance", "--addon=misra", "--quiet")
+    told = ("--suppress=missingIncludeSystem", "--template={id}:{line}")
+    done = subprocess.run(
+        ["cppcheck", *options, *told, _law(folder).name],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if "Did not find addon" in done.stdout + done.stderr:
+        pytest.skip("cppcheck has no MISRA add-on here")
+    found = Counter(line.partition(":")[0] for line in done.stderr.splitlines() if ":" in line)
+    assert {name for name in found if not name.startswith("misra-c2012-")} == set()
+    assert {name.removeprefix("misra-c2012-") for name in found} <= set(LEFT)
+
+
+def test_the_guide_gives_the_reasons():
+    guide = (Path(__file__).parents[1] / "hammerstein" / "guide" / "deploy.md").read_text(encoding="utf-8")
+    assert all(re.search(rf"\| {re.escape(rule)} \| {reason} \|", guide) for rule, reason in LEFT.items())

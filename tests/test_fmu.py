@@ -1,0 +1,142 @@
+"""The unit of FMI 3.0: validated and simulated by FMPy, equal to Python to the last bit."""
+
+import shutil
+import zipfile
+
+import numpy as np
+import pytest
+from export_cases import T, case
+
+from hammerstein.commands.cli import main
+from hammerstein.export.compiling import compiler
+from hammerstein.export.folder import check_export, write_export
+from hammerstein.export.golden import adverse
+
+fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
+
+
+@pytest.fixture(scope="module", params=["exact_inverse", "filtered", "model"])
+def unit(request, tmp_path_factory):
+    export, folder = case(request.param), tmp_path_factory.mktemp("fmu")
+    write_export(export.request(form="fmu"), export.model, folder)
+    return export.code(form="fmu"), next(folder.glob("*.fmu"))
+
+
+class Instance:
+    """An instance of a unit, ready to step."""
+
+    def __init__(self, path, folder, name="one"):
+        from fmpy import extract
+        from fmpy.fmi3 import FMU3Slave
+
+        self.about = fmpy.read_model_description(str(path), validate=True)
+        if not (folder / "modelDescription.xml").exists():  # a library in use must not be replaced
+            extract(str(path), unzipdir=str(folder))
+        self.unit = FMU3Slave(
+            guid=self.about.guid, unzipDirectory=str(folder), instanceName=name,
+            modelIdentifier=self.about.coSimulation.modelIdentifier,
+        )  # fmt: skip
+        self.unit.instantiate()
+        self.unit.enterInitializationMode()
+        self.unit.exitInitializationMode()
+        names = {kind: [v.valueReference for v in self.about.modelVariables if v.causality == kind]
+                 for kind in ("input", "output")}  # fmt: skip
+        self.into, self.out = names["input"], names["output"]
+
+    def step(self, values, now=0.0, step=T):
+        self.unit.setFloat64(self.into, list(values))
+        self.unit.doStep(currentCommunicationPoint=now, communicationStepSize=step)
+        return np.array(self.unit.getFloat64(self.out))
+
+
+def test_the_unit_is_valid(unit):
+    code, path = unit
+    assert fmpy.read_model_description(str(path), validate=True).fmiVersion == "3.0"
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+    assert {f"sources/{code.name}.c", "sources/fmu.c", "sources/buildDescription.xml"} <= set(names)
+
+
+def test_every_bit_is_that_of_python(unit, tmp_path):
+    code, path = unit
+    signal = adverse(code.block, code.model, 2000)
+    instance = Instance(path, tmp_path)
+    found = np.stack([instance.step(row, k * T) for k, row in enumerate(signal.T)], axis=1)
+    assert (found.view(np.int64) == code.block.respond(signal)[0].view(np.int64)).all()
+
+
+def test_a_longer_step_takes_samples_with_the_input_held(unit, tmp_path):
+    code, path = unit
+    signal = adverse(code.block, code.model, 300)
+    instance = Instance(path, tmp_path)
+    found = np.stack([instance.step(row, 3 * k * T, 3 * T) for k, row in enumerate(signal.T)], axis=1)
+    assert (found == code.block.respond(np.repeat(signal, 3, axis=1))[0][:, 2::3]).all()
+
+
+@pytest.mark.parametrize("step", [0.5 * T, 1.5 * T, 0.0, -T, 2.01 * T, np.nan])
+def test_any_other_step_is_refused(unit, tmp_path, step):
+    code, path = unit
+    signal = adverse(code.block, code.model, 20)
+    instance = Instance(path, tmp_path)
+    with pytest.raises(Exception, match="fmi3DoStep"):
+        instance.step(signal[:, 1], 0.0, step)
+    found = instance.step(signal[:, 2])
+    assert (found == code.block.respond(signal[:, 2:3])[0][:, 0]).all()
+
+
+def test_several_instances_do_not_know_each_other(unit, tmp_path):
+    code, path = unit
+    one, other = Instance(path, tmp_path / "a", "one"), Instance(path, tmp_path / "a", "other")
+    signal = adverse(code.block, code.model, 200)
+    found, others = [], []
+    for row in signal.T:
+        found.append(one.step(row))
+        others.append(other.step(-row if code.is_model else 0.5 * row))
+    assert (np.stack(found, axis=1) == code.block.respond(signal)[0]).all()
+    moved = -signal if code.is_model else 0.5 * signal
+    assert (np.stack(others, axis=1) == code.block.respond(moved)[0]).all()
+
+
+def test_states_are_kept_restored_and_serialised(unit, tmp_path):
+    code, path = unit
+    signal = adverse(code.block, code.model, 400)
+    instance = Instance(path, tmp_path)
+    for row in signal[:, :200].T:
+        instance.step(row)
+    state = instance.unit.getFMUState()
+    kept = instance.unit.serializeFMUState(state)
+    ahead = [instance.step(row) for row in signal[:, 200:].T]
+    instance.unit.setFMUState(state)
+    assert (np.array([instance.step(row) for row in signal[:, 200:].T]) == np.array(ahead)).all()
+    fresh = Instance(path, tmp_path)
+    fresh.unit.setFMUState(fresh.unit.deserializeFMUState(kept))
+    assert (np.array([fresh.step(row) for row in signal[:, 200:].T]) == np.array(ahead)).all()
+
+
+def test_a_number_that_is_none_is_an_error(unit, tmp_path):
+    code, path = unit
+    instance = Instance(path, tmp_path)
+    with pytest.raises(Exception, match="fmi3DoStep"):
+        instance.step(np.full(code.shape.entering, np.nan))
+
+
+def test_fmpy_simulates_it(unit):
+    code, path = unit
+    signal = adverse(code.block, code.model, 100)
+    names = [v.name for v in fmpy.read_model_description(str(path)).modelVariables if v.causality == "input"]
+    rows = [(k * T, *column) for k, column in enumerate(signal.T)]
+    table = np.array(rows, dtype=[("time", "f8"), *((name, "f8") for name in names)])
+    result = fmpy.simulate_fmu(str(path), stop_time=99 * T, step_size=T, output_interval=T, input=table)
+    assert len(result) == 100
+    assert all(np.isfinite(result[name]).all() for name in result.dtype.names)
+
+
+def test_the_command_writes_a_unit_and_checks_it(tmp_path):
+    out = tmp_path / "unit"
+    with pytest.raises(SystemExit) as caught:
+        main(["export", "duo_bimorph", "--law", "none", "--format", "fmu", "--out", str(out)])
+    assert not caught.value.code
+    assert (out / "duo_bimorph_none.fmu").is_file()
+    assert "fmu.c" in check_export(out)
+    shutil.rmtree(out)

@@ -1,0 +1,22 @@
+"""The errors that the README prints are those of its command: one seed is run, all when asked for."""
+
+from pathlib import Path
+
+import pytest
+from readme_figures import FIGURES, printed
+
+README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+ROUNDED = 0.05  # of two digits
+
+
+def test_every_line_stands_in_the_readme():
+    assert set(printed(README)) == {figure.words for figure in FIGURES}
+
+
+@pytest.mark.parametrize("figure", FIGURES, ids=lambda figure: figure.words)
+def test_a_seed_lies_in_the_printed_range(figure):
+    low, high = printed(README)[figure.words]
+    values = figure.values(seed=7)
+    assert (1.0 - ROUNDED) * low <= min(values)
+    assert max(values) <= (1.0 + ROUNDED) * high
+    assert low < high < 100.0

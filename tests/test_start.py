@@ -1,0 +1,198 @@
+"""What a person without a clone has: a working folder, words on files, voltages on a model, help."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from hammerstein.commands.cli import app, main
+from hammerstein.model import HammersteinModel
+from hammerstein.regression.baseline import Baseline
+
+COMMANDS = [command.name or command.callback.__name__ for command in app.registered_commands]
+
+
+def call(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as caught:
+        main([str(argument) for argument in arguments])
+    return int(caught.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("start") / "my stage"
+    assert call("init", folder) == 0
+    return folder
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the working folder, in which a command may do what it likes."""
+    place = tmp_path / "here"
+    shutil.copytree(made, place)
+    monkeypatch.chdir(place)
+    return place
+
+
+def commands_of(page: Path) -> list[str]:
+    blocks = re.findall(r"^```\n(.*?)^```$", page.read_text(), flags=re.M | re.S)
+    return [line for block in blocks for line in block.splitlines()]
+
+
+def test_every_command_of_the_page_that_init_writes_runs(folder: Path) -> None:
+    commands = commands_of(folder / "README.md")
+    assert len(commands) >= 7
+    for command in commands:
+        assert call(*shlex.split(command)[1:]) == 0, command
+
+
+def test_its_model_is_the_one_that_its_own_command_gives(folder: Path) -> None:
+    before = HammersteinModel.load("stage.json")
+    command = next(c for c in commands_of(folder / "README.md") if " identify " in c)
+    assert call(*shlex.split(command)[1:], "--no-figures") == 0
+    assert HammersteinModel.load("stage.json").digest() == before.digest()
+    own = HammersteinModel.load("duo_bimorph").hysteresis.gain(10.0)
+    assert before.hysteresis.gain(10.0) == pytest.approx(own, abs=0.05)
+
+
+def test_nothing_is_ever_written_over(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "elsewhere").mkdir()
+    (folder / "elsewhere/path.csv").write_text("mine")
+    for target in (folder, folder / "elsewhere"):
+        before = {path: path.read_bytes() for path in target.rglob("*") if path.is_file()}
+        assert call("init", target) == 2
+        assert "path.csv already" in capsys.readouterr().err.replace("path.csv, ", "path.csv already ")
+        assert {path: path.read_bytes() for path in target.rglob("*") if path.is_file()} == before
+
+
+def test_the_paper_comes_with_its_accepted_numbers(tmp_path: Path) -> None:
+    assert call("init", tmp_path / "paper", "--paper") == 0
+    names = {path.stem for path in (tmp_path / "paper").glob("*.toml")}
+    held = {path.stem for path in (tmp_path / "paper/reports/baseline").glob("*.json")}
+    assert names == held == {path.stem for path in (Path(__file__).parents[1] / "scenarios").glob("*.toml")}
+    assert call("init", tmp_path / "paper", "--paper") == 2
+
+
+def test_play_does_what_compensate_predicts(folder: Path) -> None:
+    assert call("compensate", "stage.json", "path.csv", "--out", "drive.csv") == 0
+    assert call("play", "stage.json", "drive.csv", "--out", "played.csv") == 0
+    drive, played = (pd.read_csv(name, comment="#") for name in ("drive.csv", "played.csv"))
+    for axis in "xy":
+        predicted = drive[f"predicted_{axis}_um"].to_numpy()
+        assert played[f"position_{axis}_um"].to_numpy() == pytest.approx(predicted, abs=1e-9)
+        assert (played[f"played_u_{axis}_v"] == drive[f"drive_u_{axis}_v"]).all()
+
+
+def test_play_reads_plain_columns_and_adds_the_sensor(folder: Path) -> None:
+    time_s = 50e-6 * np.arange(400)
+    table = {"time_s": time_s, "first": 5.0 * np.sin(300.0 * time_s), "second": 0.0 * time_s}
+    pd.DataFrame(table).to_csv("plain.csv", index=False)
+    assert call("play", "duo_bimorph", "plain.csv", "--sensor") == 0
+    found = pd.read_csv("played.csv", comment="#")
+    wanted = HammersteinModel.load("duo_bimorph")
+    response = wanted.simulate(
+        np.vstack([table["first"], table["second"]]), 50e-6, instruments=wanted.instruments
+    )
+    assert found["reading_x_um"].to_numpy() == pytest.approx(response.reading_um[0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("time_s,a\n0,1\n1,2\n", "give one for each input of the model: u_x, u_y"),
+        ("time_s,a,b\n0,1,1\n1,2,2\n5,0,0\n", "not evenly spaced: row 2"),
+        ("a,b\n0,1\n", "needs a header with a column time_s"),
+    ],
+)
+def test_play_says_what_is_wrong(
+    folder: Path, capsys: pytest.CaptureFixture[str], table: str, message: str
+) -> None:
+    Path("bad.csv").write_text(table)
+    assert call("play", "stage.json", "bad.csv") == 2
+    assert message in capsys.readouterr().err
+    assert not Path("played.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [
+        ("stage.json", ["model", "u_x, u_y", "recorded"]),
+        ("circle.toml", ["scenario", "How round", "hysteresis and dynamics", "20, 50, 100"]),
+        ("record_x.csv", ["4200", "u_x", "-10 to 10"]),
+        ("stage_fit/fit.json", ["fit report", "record_x.csv"]),
+        ("reports/circle/report.json", ["report", "How round"]),
+        ("reports/baseline/circle.json", ["baseline", "rows"]),
+    ],
+)
+def test_show_tells_what_a_file_holds(
+    folder: Path, capsys: pytest.CaptureFixture[str], file: str, words: list[str]
+) -> None:
+    assert call("show", file) == 0
+    printed = capsys.readouterr().out
+    assert [word for word in words if word not in printed] == []
+    assert call("show", file, "--json") == 0
+
+
+@pytest.mark.parametrize(("name", "text"), [("no.json", "{"), ("other.json", "{}"), ("none.csv", None)])
+def test_show_says_what_is_wrong(
+    folder: Path, capsys: pytest.CaptureFixture[str], name: str, text: str | None
+) -> None:
+    if text is not None:
+        Path(name).write_text(text)
+    assert call("show", name) == 2
+    assert name in capsys.readouterr().err
+
+
+def help_of(*command: str) -> Result:
+    return CliRunner().invoke(app, [*command, "--help"], env={"COLUMNS": "80"})
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_help_has_one_example_that_works_as_typed(
+    name: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = help_of(name).output
+    (example,) = re.findall(r"^ *Example: (hammerstein .*)$", told, flags=re.M)
+    words = shlex.split(example.partition(" > ")[0])
+    assert words[1] == name
+    if name == "play":
+        assert call("compensate", "stage.json", "path.csv") == 0
+    assert call(*words[1:]) == 0, capsys.readouterr().err
+
+
+def test_quiet_prints_what_is_asked_for_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("-q", "run", ".", "--no-figures") == 0
+    assert capsys.readouterr().out == ""
+    assert call("-q", "run", ".", "--no-figures", "--json") == 0
+    assert capsys.readouterr().out.startswith("{")
+    assert call("-q", "show", "stage.json") == 0
+    assert "u_x" in capsys.readouterr().out
+    Path("reports/baseline/circle.json").unlink()
+    assert call("-q", "check", ".") == 1
+    assert capsys.readouterr().out == ""
+    assert call("check", ".") == 1  # the next command speaks again
+    assert "has no baseline" in capsys.readouterr().out
+
+
+def test_the_accepted_numbers_are_those_of_a_run(folder: Path) -> None:
+    baseline = Baseline.load(Path("reports/baseline/circle.json"))
+    errors = {
+        dict(key)["compensator"]: numbers["euclidean_max_true_um"]
+        for key, numbers in baseline.rows.items()
+        if dict(key)["frequency_hz"] == 100.0
+    }
+    others = [value for label, value in errors.items() if label != "hysteresis and dynamics"]
+    assert len(others) == 2
+    assert errors["hysteresis and dynamics"] < 0.2 * min(others)
+
+
+def test_completion_is_offered() -> None:
+    assert "--install-completion" in help_of().output

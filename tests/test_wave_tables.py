@@ -1,0 +1,160 @@
+"""One settled period of a periodic path, and the tables of devices: what is stated is what is played."""
+
+import json
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from export_cases import stage
+
+from hammerstein.commands.cli import main
+from hammerstein.compensators.cycle import cycle_of, rms
+from hammerstein.compensators.drive_file import Terms
+from hammerstein.compensators.wave_table import wave_table
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.instruments import Instruments
+from hammerstein.model import HammersteinModel
+from hammerstein.simulation import Plant
+
+T = 50e-6
+
+
+def _path(folder, samples, radius=20.0, ratio=(3, 2)):
+    """A Lissajous figure whose common period is the whole file."""
+    turn = 2.0 * np.pi * np.arange(samples) / samples
+    columns = {
+        "time_s": np.arange(samples) * T,
+        "x": radius * np.sin(ratio[0] * turn),
+        "y": radius * np.sin(ratio[1] * turn),
+    }
+    pd.DataFrame(columns).to_csv(folder / "path.csv", index=False)
+    return folder / "path.csv"
+
+
+def _replayed(drive_v, periods=12):
+    """Position (p, N) in the last of some periods, by the plant itself, without noise and rounding."""
+    model = HammersteinModel.load("duo_bimorph")
+    plant = Plant(model, Instruments.ideal(T))
+    return plant.respond(np.tile(drive_v, (1, periods)), [0]).position_um[:, -drive_v.shape[1] :]
+
+
+def _table_of(path, separator):
+    rows = [line for line in path.read_text().splitlines() if line[0] in "-0123456789"]
+    return np.array([[float(cell) for cell in row.split(separator)] for row in rows]).T
+
+
+def _call(*arguments):
+    with pytest.raises(SystemExit) as caught:
+        main([str(a) for a in arguments])
+    return caught.value.code or 0
+
+
+def _compensate(folder, capsys, *options):
+    out = folder / "table.txt"
+    code = _call("compensate", "duo_bimorph", folder / "path.csv", "--out", out, "--json", *options)
+    said = capsys.readouterr()
+    assert code == 0, said.err
+    return out, json.loads(said.out)
+
+
+def test_a_settled_period_repeats_itself(tmp_path):
+    """The fixed point of the loop: ten periods from the start end where the law believes them to."""
+    found = cycle_of("duo_bimorph", _path(tmp_path, 800), "hammerstein_inverse", {})
+    assert found.closure_um < 1e-9
+    played = _replayed(found.drive_v)
+    assert np.abs(played - found.played_um).max() < 1e-9
+    assert rms(played - found.reference_um) < 0.01  # steps of the converter, 0.3 mV
+
+
+def test_the_first_period_is_another_one(tmp_path):
+    found = cycle_of("duo_bimorph", _path(tmp_path, 800), "hammerstein_inverse", {})
+    model = HammersteinModel.load("duo_bimorph")
+    first = Plant(model, Instruments.ideal(T)).respond(found.drive_v, [0]).position_um
+    assert np.abs(first - found.played_um).max() > 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "separator", "scale"),
+    [
+        (("--table", "nv200", "--table-scale", "5,50"), ",", (5.0, 50.0)),
+        (("--table", "pi", "--table-scale", "1"), "\t", (1.0, 0.0)),
+        (("--table", "csv", "--table-points", "250"), ",", (1.0, 0.0)),
+    ],
+)
+def test_a_replay_reproduces_the_stated_error(tmp_path, capsys, options, separator, scale):
+    """Read the file back, hold each point, play it: the rms error is the stated one within 1 %."""
+    _path(tmp_path, 4000)
+    out, said = _compensate(tmp_path, capsys, *options)
+    table = (_table_of(out, separator) - scale[1]) / scale[0]
+    hold = 4000 // table.shape[1]
+    path = pd.read_csv(tmp_path / "path.csv")[["x", "y"]].to_numpy().T
+    played = _replayed(np.repeat(table, hold, axis=1))
+    assert rms(played - path) == pytest.approx(said["rms_um"][-1], rel=0.01)
+    assert said["rms_um"][0] <= said["rms_um"][1] * 1.001
+    if "nv200" in options:
+        assert table.shape[1] == 1000  # of 1024; 800 us would be too few a point
+    assert "No device was at hand" in out.read_text()
+
+
+def test_points_are_placed_for_the_least_played_error(tmp_path):
+    """Better than holding every fourth voltage, or the mean of four; no small change improves it."""
+    cycle = cycle_of("duo_bimorph", _path(tmp_path, 4000), "hammerstein_inverse", {})
+    table = wave_table(cycle, "nv200", (1.0, 0.0))
+    held = cycle.drive_v.reshape(2, 1000, 4)
+    others = [
+        rms(_replayed(np.repeat(t, 4, axis=1)) - cycle.reference_um)
+        for t in (held[:, :, 0], held.mean(axis=2))
+    ]
+    assert table.errors_um[1] < 0.8 * min(others)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        near = table.volts + 1e-3 * rng.standard_normal((2, 1000))
+        assert rms(_replayed(np.repeat(near, 4, axis=1)) - cycle.reference_um) > table.errors_um[1]
+
+
+def test_fewer_points_are_worse(tmp_path):
+    cycle = cycle_of("duo_bimorph", _path(tmp_path, 4000), "hammerstein_inverse", {})
+    errors = [wave_table(cycle, "csv", None, points).errors_um[1] for points in (1000, 500, 250)]
+    assert errors[0] < errors[1] < errors[2]
+
+
+def test_what_no_table_holds_is_refused(tmp_path):
+    cycle = cycle_of("duo_bimorph", _path(tmp_path, 2063), "hammerstein_inverse", {})
+    assert wave_table(cycle, "csv").hold == 1
+    with pytest.raises(InputError, match="table-scale"):
+        wave_table(cycle, "pi")
+    with pytest.raises(InputError, match="no whole number of points, at most 500"):
+        wave_table(cycle, "nv200", (1.0, 0.0), 500)
+    with pytest.raises(InputError, match="not one of pi, nv200, csv"):
+        wave_table(cycle, "wav")
+
+
+def test_a_path_out_of_reach_is_refused(tmp_path):
+    path = _path(tmp_path, 800, radius=90.0)
+    with pytest.raises(SimulationError, match="out of reach"):
+        cycle_of("duo_bimorph", path, "hammerstein_inverse", {})
+    cycle_of("duo_bimorph", path, "exact_inverse", {}, Terms(clip=True))
+
+
+def test_creep_that_never_settles_is_said(tmp_path):
+    model = stage()
+    model.save(tmp_path / "stage.json")
+    turn = 2.0 * np.pi * np.arange(200) / 200
+    pd.DataFrame({"time_s": np.arange(200) * T, "x": 10.0 + 8.0 * np.sin(turn)}).to_csv(
+        tmp_path / "p.csv", index=False
+    )
+    with pytest.raises(SimulationError, match="creep does this"):
+        cycle_of(str(tmp_path / "stage.json"), tmp_path / "p.csv", "hammerstein_inverse", {})
+
+
+def test_the_command_refuses_half_a_request(tmp_path, capsys):
+    path = _path(tmp_path, 800)
+    out = tmp_path / "drive.csv"
+    assert _call("compensate", "duo_bimorph", path, "--table-scale", "1", "--out", out) == 2
+    assert _call("compensate", "duo_bimorph", path, "--table", "wav", "--out", out) == 2
+    assert _call("compensate", "duo_bimorph", path, "--table", "pi", "--table-scale", "0", "--out", out) == 2
+    assert not out.exists()
+    assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", out) == 0
+    assert re.search("One settled period of 0.04 s", capsys.readouterr().out)
+    assert len(pd.read_csv(out, comment="#")) == 800
