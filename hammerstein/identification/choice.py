@@ -104,7 +104,7 @@ def parameters_of(candidate: Candidate) -> int:
     """Free numbers of a model: weights, thresholds that are shared by the outputs, and the linear block."""
     hysteresis, dynamics = candidate.hysteresis, candidate.dynamics
     weights = sum(sum(row) for row in hysteresis.operators)
-    plays = hysteresis.bank.n if isinstance(hysteresis, PrandtlIshlinskii) else []
+    plays: Sequence[int] = hysteresis.bank.n.tolist() if isinstance(hysteresis, PrandtlIshlinskii) else []
     thresholds = int(sum(n for n in plays if n > 1))
     if isinstance(dynamics, StaticDynamics):
         return weights + thresholds

@@ -154,6 +154,8 @@ def identify(
     (array([3., 1., 1.]), True)
     """
     settings = settings or Settings()
+    if settings.hysteresis != "prandtl_ishlinskii":
+        settings = settings.without_auto()
     if settings.hysteresis == "rate_dependent" and settings.delay_samples is None:
         settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
     tell = progress or (lambda _: None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -81,6 +81,15 @@ class Settings:
         mistakes = [*self._unknown_choices(), *self._misfits(), *self._bad_numbers()]
         if mistakes:
             raise InputError("identification", mistakes)
+
+    def without_auto(self) -> Settings:
+        """The same with plain choices for what would be found from the records by plays alone.
+
+        A kind of hysteresis that is no bank of plays would be chosen by what plays make of its own effects: a
+        lag for thresholds that grow with the rate.
+        """
+        plain: dict[str, Any] = {"operators": 15, "partition": "time", "dynamics": "none", "creep_modes": 0}
+        return replace(self, **{k: v for k, v in plain.items() if str(getattr(self, k)) == "auto"})
 
     def _unknown_choices(self) -> list[Mistake]:
         return [
