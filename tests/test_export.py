@@ -44,7 +44,12 @@ def test_every_bit_is_that_of_python(name):
 
 @needs_compiler
 @pytest.mark.parametrize(
-    ("name", "samples"), [("exact_inverse", MILLION), ("hammerstein_inverse", 100_000), ("model", 100_000)]
+    ("name", "samples"),
+    [
+        ("exact_inverse", MILLION),
+        pytest.param("hammerstein_inverse", 100_000, marks=pytest.mark.long),
+        ("model", 100_000),
+    ],
 )
 def test_every_optimisation_of_every_compiler_gives_the_same_bits(name, samples):
     found = [command for command in ("gcc", "clang") if shutil.which(command)]

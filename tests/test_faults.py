@@ -165,6 +165,7 @@ def test_a_task_that_ends_its_process_is_tried_twice_and_does_not_stop_the_other
     assert sorted(log.read_text()) == sorted("abccdefg")
 
 
+@pytest.mark.long
 def test_a_scenario_whose_process_dies_twice_is_reported_and_the_rest_goes_on(folder, started):
     (folder / "sitecustomize.py").write_text(
         "import os, signal, hammerstein.experiment.run as e\n"

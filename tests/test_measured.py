@@ -117,7 +117,10 @@ def test_nested_loops_together_are_missed_and_named():
 
 
 @needs_cubespec
-@pytest.mark.parametrize(("level_mv", "percent"), [(100, 8.4), (200, 8.0), (300, 5.6)])
+@pytest.mark.parametrize(
+    ("level_mv", "percent"),
+    [(100, 8.4), *(pytest.param(*more, marks=pytest.mark.long) for more in ((200, 8.0), (300, 5.6)))],
+)
 def test_mirror_needs_dynamics_and_no_hysteresis(level_mv, percent):
     def read(part):
         files = [CUBESPEC / f"{axis}_{level_mv}mV_{part}.npy" for axis in "uy"]

@@ -91,7 +91,7 @@ def test_identify_says_how_thresholds_grow_and_what_it_gains():
     assert any("grow by" in note for note in fit.notes)
 
 
-@pytest.mark.parametrize("hz", [1.0, 10.0, 50.0, 100.0, 200.0])
+@pytest.mark.parametrize("hz", [pytest.param(1.0, marks=pytest.mark.long), 10.0, 50.0, 100.0, 200.0])
 def test_compensated_sines_stay_within_half_a_percent_from_1_to_200_hz(hz):
     """rms error of both axes in percent of the amplitude; the classical compensator beside it."""
     plant, cycle = stack().on_grid(T).hysteresis, round(1 / hz / T)
