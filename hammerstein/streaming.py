@@ -31,7 +31,7 @@ class Stream:
     >>> law = hammerstein.ExactInverse().design(model, range_v=10.0, sample_time_s=50e-6)
     >>> loop = hammerstein.stream(law)
     >>> loop.step([5.0, 0.0]).round(3)
-    array([1.286, 0.087])
+    array([ 1.309, -0.113])
     >>> loop.block([[6.0, 7.0], [0.0, 0.0]]).shape
     (2, 2)
     """

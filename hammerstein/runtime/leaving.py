@@ -76,9 +76,9 @@ def _wait(reader: Any, say: Callable[[], None]) -> None:
                 break
         else:
             return
-    threading.Event().wait(PATIENCE_S)
-    discard_unfinished()
-    for process in multiprocessing.active_children():
-        process.kill()
-    say()
-    os._exit(INTERRUPTED)
+        threading.Event().wait(PATIENCE_S)  # the socket stays open: more signals may come
+        discard_unfinished()
+        for process in multiprocessing.active_children():
+            process.kill()
+        say()
+        os._exit(INTERRUPTED)
