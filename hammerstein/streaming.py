@@ -30,8 +30,9 @@ class Stream:
     >>> model = hammerstein.HammersteinModel.load("duo_bimorph_static")
     >>> law = hammerstein.ExactInverse().design(model, range_v=10.0, sample_time_s=50e-6)
     >>> loop = hammerstein.stream(law)
-    >>> loop.step([5.0, 0.0]).round(3)
-    array([ 1.309, -0.113])
+    >>> drive_v = loop.step([5.0, 0.0])
+    >>> model.hysteresis.respond(drive_v[:, None])[0].round(9).ravel() + 0.0
+    array([5., 0.])
     >>> loop.block([[6.0, 7.0], [0.0, 0.0]]).shape
     (2, 2)
     """

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 from matplotlib.figure import Figure
+from pydantic import Field
 
 import hammerstein
 from hammerstein import HammersteinModel, PrandtlIshlinskii
@@ -18,7 +19,7 @@ class Scaled(hammerstein.Compensator):
     """The exact inverse of a model whose weights are all scaled: what does a wrong gain cost?"""
 
     law: Literal["scaled"] = "scaled"
-    factor: float = 1.05
+    factor: float = Field(default=1.05, ge=0.5, le=2.0)
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Design the inverse of the scaled model."""
