@@ -7,8 +7,17 @@ from typing import Annotated, Any
 
 import typer
 
+from hammerstein.commands.law_options import (
+    AcceptFlagged,
+    Conditioned,
+    FilterHz,
+    LawGain,
+    Range,
+    SofteningV,
+    Start,
+    volts,
+)
 from hammerstein.commands.terminal import complain, tell, tell_json
-from hammerstein.commands.volts import volts
 
 FORMATS = ("c", "fmu")
 
@@ -29,24 +38,14 @@ def export(
     preview_s: Annotated[
         float | None, typer.Option("--preview", metavar="S", help="How far ahead the reference is known.")
     ] = None,
-    filter_hz: Annotated[float | None, typer.Option(help="Bandwidth of the reference filter.")] = None,
-    softening_v: Annotated[float | None, typer.Option(help="Voltage that spreads the jump.")] = None,
-    gain: Annotated[str | None, typer.Option(help="Of inverse_multiplicative: auto or identity.")] = None,
-    range_v: Annotated[
-        str | None,
-        typer.Option("--range", metavar="LOW,HIGH", help="Voltages it may use; those of the records."),
-    ] = None,
-    start: Annotated[
-        str | None,
-        typer.Option(metavar="V[,V]", help="Voltage before the first sample; the path counts from there."),
-    ] = None,
-    conditioned: Annotated[
-        bool, typer.Option("--conditioned", help="It was driven to HIGH, then LOW, before the start.")
-    ] = False,
+    filter_hz: FilterHz = None,
+    softening_v: SofteningV = None,
+    gain: LawGain = None,
+    range_v: Range = None,
+    start: Start = None,
+    conditioned: Conditioned = False,
     float32: Annotated[bool, typer.Option("--float32", help="Compute in single precision.")] = False,
-    accept_flagged: Annotated[
-        bool, typer.Option("--accept-flagged", help="Accept a model that its fit report flags.")
-    ] = False,
+    accept_flagged: AcceptFlagged = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Turn a law, or the model itself, into code that runs without Python."""

@@ -13,8 +13,17 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from hammerstein.commands.law_options import (
+    AcceptFlagged,
+    Conditioned,
+    FilterHz,
+    LawGain,
+    Range,
+    SofteningV,
+    Start,
+    volts,
+)
 from hammerstein.commands.terminal import complain, hushed, show, tell, tell_json
-from hammerstein.commands.volts import volts
 from hammerstein.escaping import clean
 
 if TYPE_CHECKING:
@@ -355,7 +364,7 @@ def _write_cycle(
         said, errors, text = table.statements(), list(table.errors_um), table.text()
     write_atomic(out, text)
     if as_json:
-        tell(json.dumps({"drive": str(out), "rms_um": errors, "statements": said}))
+        tell_json({"drive": str(out), "rms_um": errors, "statements": said})
         return
     for words in said:
         tell(words)
@@ -387,7 +396,7 @@ def _write_lesson(
     said = [taught.statement(), *found.statements()]
     if as_json:
         figures = {"error_rms_um": taught.error_rms_um, "noise_um": taught.noise_um}
-        tell(json.dumps({"drive": str(out), "finished": taught.finished, **figures, "statements": said}))
+        tell_json({"drive": str(out), "finished": taught.finished, **figures, "statements": said})
         return
     for words in said:
         tell(words)
@@ -399,21 +408,13 @@ def compensate(
     reference: Annotated[Path, typer.Argument(help="CSV: time_s, then one column an axis, in um.")],
     law: Annotated[str, typer.Option(help="As in a scenario.")] = "hammerstein_inverse",
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where the voltages go.")] = Path("drive.csv"),
-    filter_hz: Annotated[float | None, typer.Option(help="Bandwidth of the reference filter.")] = None,
+    filter_hz: FilterHz = None,
     preview_s: Annotated[float | None, typer.Option(help="How far ahead the reference is known.")] = None,
-    softening_v: Annotated[float | None, typer.Option(help="Voltage that spreads the jump.")] = None,
-    gain: Annotated[str | None, typer.Option(help="Of inverse_multiplicative: auto or identity.")] = None,
-    range_v: Annotated[
-        str | None,
-        typer.Option("--range", metavar="LOW,HIGH", help="Voltages it may use; those of the records."),
-    ] = None,
-    start: Annotated[
-        str | None,
-        typer.Option(metavar="V[,V]", help="Voltage before the first row; the path counts from there."),
-    ] = None,
-    conditioned: Annotated[
-        bool, typer.Option("--conditioned", help="It was driven to HIGH, then LOW, before the start.")
-    ] = False,
+    softening_v: SofteningV = None,
+    gain: LawGain = None,
+    range_v: Range = None,
+    start: Start = None,
+    conditioned: Conditioned = False,
     cycle: Annotated[
         bool,
         typer.Option("--cycle", help="The path is a period of a periodic one; write one that settled."),
@@ -436,9 +437,7 @@ def compensate(
     beyond_records: Annotated[
         bool, typer.Option("--beyond-records", help="Accept voltages that were never recorded.")
     ] = False,
-    accept_flagged: Annotated[
-        bool, typer.Option("--accept-flagged", help="Accept a model that its fit report flags.")
-    ] = False,
+    accept_flagged: AcceptFlagged = False,
     as_json: AsJson = False,
 ) -> None:
     """Turn a reference into the voltages to send, with the predicted response."""
