@@ -187,17 +187,19 @@ def run(
 
     What was worked out before is kept, and not done twice.
     """
-    from hammerstein.commands.tables import claims_table, kept_aside, result_table
     from hammerstein.errors import InputError
     from hammerstein.experiment.batch import load_all
     from hammerstein.files import refuse_unwritable
-    from hammerstein.reporting.claims_page import CLAIMS, PAGE, write_claims, write_page
+    from hammerstein.reporting.claims_page import CLAIMS, PAGE
     from hammerstein.reporting.folder import Writer
     from hammerstein.reporting.html.interactive import refuse_without_library
-    from hammerstein.reporting.html.overview import OVERVIEW, write_overview
+    from hammerstein.reporting.html.overview import OVERVIEW
     from hammerstein.runtime import store as kept_results
     from hammerstein.storage.staging import prepare
 
+    if dry_run:
+        _show_plan(paths, jobs)
+        return
     refuse_unwritable("--out", out)
     if page is not None:
         refuse_unwritable("--page", page)
@@ -205,12 +207,6 @@ def run(
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
-    if dry_run:
-        from hammerstein.commands.tables import plan_table
-        from hammerstein.experiment.plan import plan_of
-
-        show(plan_table({name: plan_of(scenario, jobs) for name, scenario in scenarios.items()}, jobs))
-        return
     if interactive:
         refuse_without_library()
     store, useless = kept_results.opened(fresh)
@@ -227,6 +223,28 @@ def run(
     for trouble in dict.fromkeys(outcome.unkept for outcome in outcomes if outcome.unkept):
         complain(trouble)
     outcomes.sort(key=lambda outcome: outcome.name)
+    reports = _summed_up(outcomes, out, page)
+    _tell_reports(outcomes, reports, out, as_json)
+    if open_ and reports:
+        _open(_first_page(reports, out))
+    _fail_with(outcomes)
+
+
+def _show_plan(paths: Sequence[Path], jobs: int) -> None:
+    """Print what would be run."""
+    from hammerstein.commands.tables import plan_table
+    from hammerstein.experiment.batch import load_all
+    from hammerstein.experiment.plan import plan_of
+
+    show(plan_table({name: plan_of(one, jobs) for name, one in load_all(paths).items()}, jobs))
+
+
+def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None) -> list[Report]:
+    """Write what stands over several reports: claims, the page of all figures, the overview."""
+    from hammerstein.commands.tables import kept_aside
+    from hammerstein.reporting.claims_page import write_claims, write_page
+    from hammerstein.reporting.html.overview import write_overview
+
     reports = [outcome.report for outcome in outcomes if outcome.report is not None]
     claimed = [report for report in reports if report.verdicts]
     kept = [place for outcome in outcomes for place in outcome.kept]
@@ -240,21 +258,24 @@ def run(
     kept += write_overview(reports, out) if len(reports) > 1 else ()
     for place in kept:
         complain(kept_aside(place))
+    return reports
+
+
+def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: Path, as_json: bool) -> None:
+    """Print the results, and where the reports are."""
+    from hammerstein.commands.tables import claims_table, result_table
+
     if as_json:
         errors = [str(outcome.error) for outcome in outcomes if outcome.error]
-        contents = [json.loads(report.to_json()) for report in reports]
-        tell_json({"reports": contents, "errors": errors})
-    else:
-        if reports:
-            show(result_table(reports))
-        if claimed:
-            show(claims_table(claimed))
-        if reports:
-            tell(f"{len(reports)} of {len(outcomes)} reports written in {out}")
-            tell(f"look at {_first_page(reports, out)}")
-    if open_ and reports:
-        _open(_first_page(reports, out))
-    _fail_with(outcomes)
+        tell_json({"reports": [json.loads(report.to_json()) for report in reports], "errors": errors})
+        return
+    if reports:
+        show(result_table(reports))
+    if claimed := [report for report in reports if report.verdicts]:
+        show(claims_table(claimed))
+    if reports:
+        tell(f"{len(reports)} of {len(outcomes)} reports written in {out}")
+        tell(f"look at {_first_page(reports, out)}")
 
 
 def _first_page(reports: Sequence[Report], out: Path) -> Path:
