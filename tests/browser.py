@@ -74,8 +74,9 @@ class Page:
         self.call("Emulation.setDeviceMetricsOverride", **size)
         self.complaints.clear()
         self.requests.clear()
-        self.call("Page.navigate", url=path.resolve().as_uri())
-        self.wait("document.readyState === 'complete' && location.protocol === 'file:'")
+        address = path.resolve().as_uri()
+        self.call("Page.navigate", url=address)
+        self.wait(f"document.readyState === 'complete' && location.href === {json.dumps(address)}")
 
     def value(self, script: str) -> Any:
         """Value of a piece of JavaScript."""

@@ -278,7 +278,7 @@ def test_tables_sort_and_filter(folder: Path, page: Page) -> None:
 
 def test_the_overview_is_searched(folder: Path, page: Page) -> None:
     opened(page, folder / "reports/index.html")
-    assert page.value("[...document.images].every(i => i.complete && i.naturalWidth > 0)")
+    page.wait("[...document.images].every(i => i.complete && i.naturalWidth > 0)")
     page.value(TYPE % "ROUND small")
     shown = "[...document.querySelectorAll('.card')].filter(card => !card.hidden)"
     assert page.value(f"{shown}.map(card => card.querySelector('a').textContent)") == [
