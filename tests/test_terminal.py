@@ -102,9 +102,9 @@ def test_a_reader_who_has_seen_enough_is_no_mistake(folder):
     assert process.returncode == 0
 
 
-# What the interpreter does before our first line answers Ctrl-C with a traceback of its own.
+# What the interpreter does before our first line, loading it included, answers a signal in its own way.
 BEGUN = "import sys; sys.stderr.write('\\n'); sys.stderr.flush(); sys.argv[0] = 'hammerstein'; "
-OURS = BEGUN + "from hammerstein.__main__ import main; main()"
+OURS = "from hammerstein.__main__ import main; " + BEGUN + "main()"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
