@@ -5,12 +5,25 @@ import pytest
 import theory
 
 from hammerstein.errors import InputError
+from hammerstein.identification.settings import Settings
 from hammerstein.records.record import read_records
 
 N = 400
 TIME = 5e-3 * np.arange(N)
 U = 10.0 * np.sin(2.0 * np.pi * np.arange(N) / 200)
 THRESHOLDS = np.array([0.07, 1.0, 3.0, 6.0])
+
+
+def plain(**options):
+    """Settings of the paper's static block: nothing is searched that is not asked for."""
+    simple = {
+        "operators": 15,
+        "partition": "time",
+        "dynamics": "none",
+        "creep_modes": 0,
+        "error_curve": False,
+    }
+    return Settings(**(simple | options))
 
 
 def plays(u, thresholds, start=0.0):

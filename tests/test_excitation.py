@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 import theory
+from record_cases import plain
 
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.identify import identify
-from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 
-QUICK = Settings(operators=5, error_curve=False, delay_samples=0)
+QUICK = plain(operators=5, error_curve=False, delay_samples=0)
 THRESHOLDS = [[np.array([0.0, 1.0, 3.0])] * 2] * 2
 WEIGHTS = [
     [np.array([3.0, 1.0, 0.5]), np.array([0.2, 0.1, 0.0])],
@@ -73,7 +73,7 @@ def test_every_input_keeps_its_own_amplitude():
 def test_dynamics_that_the_records_do_not_tell_are_the_first_thing_said():
     slow = measured(np.vstack([SINE, np.roll(SINE, 700)]))
     known = {"thresholds_v": THRESHOLDS[0][0].tolist(), "error_curve": False, "delay_samples": 0}
-    settings = Settings(**known, dynamics="second_order")
+    settings = plain(**known, dynamics="second_order")
     _, fit = identify([slow], settings)
     assert fit.kind == "static_hysteresis"
     assert fit.verdict.startswith("Dynamics were asked for, but the records tell none: THIS MODEL IS STATIC.")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import theory
+from record_cases import plain
 
 from hammerstein.dynamics import AxesDynamics, Axis, discretise
 from hammerstein.errors import InputError
 from hammerstein.identification.identify import identify
 from hammerstein.identification.operators import input_grids
-from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.fitted_thresholds import fit_thresholds, merged
 from hammerstein.identification.static.regressors import BLOCK, Start, regressor_blocks
 from hammerstein.identification.static.static_block import fit_static
@@ -170,7 +170,7 @@ def test_under_noise_the_partition_that_is_right_is_not_made_worse():
     record = record_of(u, grids, weights, 0.05, generator)
     errors = {}
     for partition in ("time", "fitted"):
-        found, _ = identify([record], Settings(partition=partition, error_curve=False))
+        found, _ = identify([record], plain(partition=partition, error_curve=False))
         difference = found.hysteresis.respond(unseen)[0] - true
         errors[partition] = np.sqrt(np.mean(np.var(difference, axis=1)))
     assert errors["fitted"] <= 1.2 * errors["time"]
@@ -185,7 +185,7 @@ def test_under_noise_other_thresholds_are_followed_more_closely():
     true = theory.prandtl_ishlinskii(unseen, [grids, grids], weights)
     errors = {}
     for partition in ("time", "fitted"):
-        found, _ = identify([record], Settings(partition=partition, error_curve=False))
+        found, _ = identify([record], plain(partition=partition, error_curve=False))
         errors[partition] = np.ptp(found.hysteresis.respond(unseen)[0] - true, axis=1).max()
     assert errors["fitted"] < 0.5 * errors["time"]
 
@@ -213,7 +213,7 @@ def test_weights_keep_their_bounds_and_standard_errors():
     grids = [np.append(0.0, 1.0 + anywhere(generator, 5) * 0.85) for _ in range(2)]
     weights = [[smooth_weights(grids[k], 1.0 if o == k else 0.1) for k in range(2)] for o in range(2)]
     record = record_of(wandering(generator, 2), grids, weights, 0.01, generator)
-    found, fit = identify([record], Settings(operators=6, partition="fitted", error_curve=False))
+    found, fit = identify([record], plain(operators=6, partition="fitted", error_curve=False))
     assert fit.invertible
     for pair in (pair for row in found.hysteresis.pairs for pair in row):
         assert pair.weight_errors_um_per_v is not None
@@ -226,8 +226,8 @@ def test_auto_takes_the_number_from_the_time_partition():
     generator = np.random.default_rng(9)
     grids, weights = model(generator, 1, 3)
     record = record_of(excitation()[None], grids, weights, 0.02, generator)
-    _, timed = identify([record], Settings(operators="auto"))
-    _, fitted = identify([record], Settings(operators="auto", partition="fitted"))
+    _, timed = identify([record], plain(operators="auto"))
+    _, fitted = identify([record], plain(operators="auto", partition="fitted"))
     assert fitted.error_curve == timed.error_curve
     assert fitted.operators[0][0] <= timed.operators[0][0]
 
@@ -243,4 +243,4 @@ def test_auto_takes_the_number_from_the_time_partition():
 )
 def test_what_does_not_go_with_it_is_refused(options, match):
     with pytest.raises(InputError, match=match):
-        Settings(partition="fitted", **options)
+        plain(partition="fitted", **options)

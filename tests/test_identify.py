@@ -7,13 +7,13 @@ import json
 import numpy as np
 import pytest
 import theory
+from record_cases import plain
 
 from hammerstein.dynamics import StateSpaceDynamics, discretise
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.identify import identify
 from hammerstein.identification.linear.coupled import ModalCopies, behind_gain, fit_linear, fit_static_coupled
 from hammerstein.identification.score import Score
-from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.history import cautious_start, closed
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.verdict import invertibility_of, verdict
@@ -23,9 +23,6 @@ from hammerstein.records.record import Record, read_records
 from hammerstein.reporting.figures.identified import identified_figures, spectrum
 from hammerstein.reporting.figures.write import images
 from hammerstein.reporting.fit_page import fit_json, fit_page
-
-QUICK = {"error_curve": False}
-
 
 # Simulated: the published actuator through its drive and sensor ---------------------------------------------
 
@@ -70,7 +67,7 @@ def bimorph():
 @pytest.fixture(scope="module")
 def bimorph_fit(bimorph):
     _, records, (held, _) = bimorph
-    settings = Settings(operators=30, dynamics="second_order", sensor_bandwidth_hz=2000.0, **QUICK)
+    settings = plain(operators=30, dynamics="second_order", sensor_bandwidth_hz=2000.0)
     return identify(records, settings, validation=[held])
 
 
@@ -85,7 +82,7 @@ def test_simulated_actuator_is_found_through_drive_and_sensor(bimorph, bimorph_f
     error = said - position_um
     assert np.sqrt(np.mean(error**2, axis=1)).max() < 0.15
     assert fit.delay_samples == 0
-    assert {start.kind for start in fit.starts} == {"rest"}
+    assert {start.kind for start in fit.starts} == {"rest", "stepped"}  # multisines begin with a jump
     assert fit.validation["hammerstein"].mean_percent < 0.1 * fit.validation["linear_dynamics"].mean_percent
     assert "The hysteresis block earns its place" in fit.verdict
     assert fit.invertible
@@ -151,7 +148,7 @@ def test_coupled_dynamics_and_weights_are_told_apart():
         y = responses(a, b, c, theory.prandtl_ishlinskii(u, [[r] * 2] * 2, w))[:, 1024:]
         y = y + 1e-3 * generator.standard_normal(y.shape)
         records.append(Record(u[:, 1024:], y, 1e-3, period_samples=1024))
-    settings = Settings(thresholds_v=r, dynamics="state_space", order=4, **QUICK)
+    settings = plain(thresholds_v=r, dynamics="state_space", order=4)
     _, fit = identify(records, settings)
     assert fit.fit["hammerstein"].mean_percent < 0.1 * fit.fit["linear_dynamics"].mean_percent
     assert "The hysteresis block earns its place" in fit.verdict
@@ -196,12 +193,12 @@ def sine_record(lag=0.0, samples=1200, noise=0.0):
 
 def test_a_lagging_loop_never_gives_a_model_without_inverse_silently():
     record = sine_record(lag=0.96)
-    model, fit = identify([record], Settings(delay_samples=0, **QUICK))
+    model, fit = identify([record], plain(delay_samples=0))
     assert fit.invertible
     assert min(model.hysteresis.pairs[0][0].slopes) > 0.0
     assert "held at a bound" in fit.notes[0]
     assert "phase lag" not in fit.notes[0]  # one rate cannot tell it from hysteresis
-    free, said = identify([record], Settings(delay_samples=0, method="least_squares", **QUICK))
+    free, said = identify([record], plain(delay_samples=0, method="least_squares"))
     assert min(free.hysteresis.pairs[0][0].slopes) < 0.0
     assert not said.invertible
     assert "no inverse" in said.invertibility
@@ -212,7 +209,7 @@ def test_a_lagging_loop_never_gives_a_model_without_inverse_silently():
 def test_a_butterfly_is_flagged():
     u = 10.0 * np.sin(2.0 * np.pi * np.arange(1200) / 400)
     play = theory.play(u, 1.0)
-    _, fit = identify([Record([u], [0.1 * play**2], 5e-5)], Settings(delay_samples=0, **QUICK))
+    _, fit = identify([Record([u], [0.1 * play**2], 5e-5)], plain(delay_samples=0))
     assert any("no rising loop" in flag for flag in fit.flags)
     assert any("is missed by" in flag for flag in fit.flags)
 
@@ -239,7 +236,7 @@ def test_a_linear_block_without_inverse_is_blamed_with_its_frequency():
     blocked = StateSpaceDynamics(
         A=((0.0, 0.0), (1.0, 0.0)), B=((1.0,), (0.0,)), C=(tuple(c[0]),), D=((1.0,),), sample_time_s=1e-3
     )
-    model = identify([sine_record()], Settings(**QUICK))[0]
+    model = identify([sine_record()], plain())[0]
     ok, sentence = invertibility_of(model.hysteresis, blocked, 10.0, 1e-3, ("u1", "u2"))
     assert not ok
     assert "no usable inverse at 100 Hz" in sentence
@@ -248,36 +245,40 @@ def test_a_linear_block_without_inverse_is_blamed_with_its_frequency():
 def test_starts_are_told_from_the_records():
     u = 10.0 * np.sin(2.0 * np.pi * np.arange(1600) / 400)
     rest = Record([u], theory.prandtl_ishlinskii([u], [[theory.R_V]], [[theory.W_XX]]), 5e-5)
-    assert identify([rest], Settings(**QUICK))[1].starts == (Start("rest"),)
+    assert identify([rest], plain())[1].starts == (Start("rest"),)
     moving = Record([u[400:]], rest.y_um[:, 400:], 5e-5)
-    found = identify([moving], Settings(**QUICK))[1].starts[0]
-    assert found.kind == "repeated"
-    assert found.first == run_in(moving)
+    _, fit = identify([moving], plain(thresholds_v=theory.R_V))
+    assert fit.starts[0].kind == "turned"
+    assert fit.starts[0].turn_v[0][1] == pytest.approx(-10.0)  # there the sine turned before it went on
+    assert fit.fit["static_hysteresis"].rms_um[0] < 1e-9
+    known = identify([moving], plain(start="repeated"))[1].starts
+    assert known == (Start("repeated", run_in(moving)),)
     loop = Record([u[500:901]], rest.y_um[:, 500:901], 5e-5)
     assert closed(loop)
     assert cautious_start(loop) == Start("repeated")
-    assert identify([moving], Settings(start="rest", **QUICK))[1].starts == (Start("rest"),)
+    assert identify([moving], plain(start="rest"))[1].starts == (Start("rest"),)
 
 
-def test_a_dead_start_is_cut_off_and_said():
+def test_a_dead_start_is_used_as_it_is():
     record = sine_record(noise=0.01)
     still = np.zeros((1, 60))
     late = Record(np.hstack([still, record.u_v]), np.hstack([still + 3.0, record.y_um + 3.0]), 5e-5)
-    model, fit = identify([late], Settings(thresholds_v=theory.R_V, delay_samples=0, **QUICK))
-    assert "dead start of 60 samples" in fit.notes[0]
+    model, fit = identify([late], plain(thresholds_v=theory.R_V, delay_samples=0))
+    assert fit.starts == (Start("rest"),)
+    assert fit.offsets_um[0][0] == pytest.approx(3.0, abs=0.01)
     assert model.hysteresis.pairs[0][0].slopes == pytest.approx(np.cumsum(theory.W_XX), abs=0.3)
 
 
 def test_identification_is_pure():
     record = sine_record(noise=0.05)
-    first, again = (identify([record], Settings(operators=6)) for _ in range(2))
+    first, again = (identify([record], plain(operators=6)) for _ in range(2))
     assert first[0].to_json() == again[0].to_json()
     assert fit_json(*first) == fit_json(*again)
 
 
 def test_progress_is_told():
     told = []
-    identify([sine_record()], Settings(), progress=told.append)
+    identify([sine_record()], plain(), progress=told.append)
     assert "searching the delay" in told
     assert "fitting the static block" in told
 
@@ -287,28 +288,24 @@ def test_progress_is_told():
 
 def test_settings_name_every_mistake_at_once():
     with pytest.raises(InputError) as caught:
-        Settings(
-            operators=0, method="best", dynamics="state_space", creep_modes=2, ridge=-1.0, delay_samples=-1
-        )
+        plain(operators=0, method="best", dynamics="state_space", creep_modes=2, ridge=-1.0, delay_samples=-1)
     wheres = [mistake.where for mistake in caught.value.mistakes]
     assert wheres == ["method", "order", "creep_modes", "operators", "delay_samples", "ridge"]
     with pytest.raises(InputError, match="closed_form sees no dynamics"):
-        Settings(method="closed_form", dynamics="second_order")
-    with pytest.raises(InputError, match="cannot be auto"):
-        Settings(operators="auto", thresholds_v=[0.0])
+        plain(method="closed_form", dynamics="second_order")
     with pytest.raises(InputError, match="give a number or auto"):
-        Settings(operators="some")
+        plain(operators="some")
 
 
 def test_numbers_and_thresholds_must_fit_the_axes():
     record = sine_record()
     with pytest.raises(InputError, match=r"have shape \(1, 2\)"):
-        identify([record], Settings(operators=[[3, 4]], **QUICK))
+        identify([record], plain(operators=[[3, 4]]))
     with pytest.raises(InputError, match="1 rows of 1 arrays"):
-        identify([record], Settings(thresholds_v=[[[0.0], [1.0]]], **QUICK))
+        identify([record], plain(thresholds_v=[[[0.0], [1.0]]]))
     with pytest.raises(IdentificationError, match="never engaged"):
-        identify([record], Settings(thresholds_v=[0.0, 11.0], **QUICK))
-    assert identify([record], Settings(operators=[[3]], **QUICK))[1].operators == ((3,),)
+        identify([record], plain(thresholds_v=[0.0, 11.0]))
+    assert identify([record], plain(operators=[[3]]))[1].operators == ((3,),)
 
 
 def test_records_that_do_not_belong_together_are_refused():
@@ -326,10 +323,10 @@ def test_inputs_driven_together_are_not_taken_for_swapped_columns():
     phase = 2.0 * np.pi * np.arange(2400) / 400
     u = np.array([10.0 * np.sin(phase), 5.0 * np.sin(phase - 0.4) + 2.0 * np.sin(3.0 * phase)])
     y = np.array([[1.0, 0.0]]) @ u  # leads the second input for no other reason than the first
-    _, fit = identify([Record(u, y, 5e-5)], Settings(operators=3, delay_samples=0, **QUICK))
+    _, fit = identify([Record(u, y, 5e-5)], plain(operators=3, delay_samples=0))
     assert fit.fit["linear"].rms_um[0] < 1e-6
     with pytest.raises(InputError, match="swapped"):
-        identify([Record(u[1:], y, 5e-5)], Settings(operators=3, **QUICK))
+        identify([Record(u[1:], y, 5e-5)], plain(operators=3))
 
 
 def test_files_are_identified_with_the_columns_they_name(tmp_path):
@@ -338,7 +335,7 @@ def test_files_are_identified_with_the_columns_they_name(tmp_path):
     np.savetxt(tmp_path / "record.csv", table, delimiter=",", header="volt,nm", comments="")
     options = {"inputs": ["volt"], "outputs": ["nm"], "rate_hz": 20_000.0, "output_scale": 1e-3}
     records = read_records([tmp_path / "record.csv"], **options)
-    model, fit = identify(records, Settings(**QUICK), name="bench")
+    model, fit = identify(records, plain(), name="bench")
     assert model.name == "bench"
     assert (model.inputs, model.outputs) == (("volt",), ("nm",))
     assert fit.fit["static_hysteresis"].rms_um[0] == pytest.approx(0.02, rel=0.5)
@@ -356,7 +353,7 @@ def test_closed_form_takes_thresholds_uniform_in_voltage():
     u = 10.0 * np.sin(2.0 * np.pi * np.arange(1600) / 800)
     y = theory.prandtl_ishlinskii([u], [[[0.0, 2.5, 5.0, 7.5]]], [[[3.0, 1.0, 0.5, 0.5]]])
     record = Record([u], y, 1e-3)
-    settings = Settings(method="closed_form", partition="voltage", operators=4, error_curve=False)
+    settings = plain(method="closed_form", partition="voltage", operators=4)
     model, _ = identify([record], settings)
     pair = model.hysteresis.pairs[0][0]
     np.testing.assert_allclose(pair.thresholds_v, [0.0, 2.5, 5.0, 7.5])
@@ -370,7 +367,7 @@ def test_phase_lag_is_suspected_only_where_the_loop_was_seen_to_widen():
         Record([np.sin(2.0 * np.pi * n / period)], [4.0 * np.sin(2.0 * np.pi * (n - 8) / period)], 1e-3)
         for period in (800, 80)
     ]
-    known = Settings(operators=8, delay_samples=0, error_curve=False, start="repeated")
+    known = plain(operators=8, delay_samples=0, start="repeated")
     fast, both = (" ".join(identify(some, known)[1].notes) for some in (records[1:], records))
     assert "held at a bound" in fast
     assert "phase lag" not in fast

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from record_cases import message
+from record_cases import message, plain
 
 from hammerstein.dynamics import StateSpaceDynamics
 from hammerstein.identification.identify import identify
-from hammerstein.identification.settings import Settings
 from hammerstein.records.preparation import driven_inputs, estimate_delay, leads
 from hammerstein.records.readers import read_columns
 from hammerstein.records.record import Record, read_paired_records, read_records
@@ -23,8 +22,6 @@ CUBESPEC = DATA / "cubespec_fsm"
 needs_dbo = pytest.mark.skipif(not DBO.is_dir(), reason="the micromanipulator's records are not here")
 needs_ja = pytest.mark.skipif(not JA.is_dir(), reason="the magnetic loops are not here")
 needs_cubespec = pytest.mark.skipif(not CUBESPEC.is_dir(), reason="the mirror's records are not here")
-
-QUICK = {"error_curve": False}
 
 
 # Measured: one axis of a micromanipulator -------------------------------------------------------------------
@@ -51,7 +48,7 @@ def test_micromanipulator_is_followed_by_15_operators(
     micromanipulator, settings, fitted_percent, held_percent
 ):
     records, held = micromanipulator
-    _, fit = identify(records, Settings(**settings, **QUICK), validation=held)
+    _, fit = identify(records, plain(**settings), validation=held)
     assert fit.fit["static_hysteresis"].nrmse_percent[0] <= fitted_percent
     assert fit.validation["static_hysteresis"].nrmse_percent[0] <= held_percent
     assert fit.fit["linear"].nrmse_percent[0] > 5.0
@@ -63,7 +60,7 @@ def test_micromanipulator_is_followed_by_15_operators(
 
 @needs_dbo
 def test_micromanipulator_moves_too_slowly_to_tell_a_resonance(micromanipulator):
-    model, fit = identify(micromanipulator[0], Settings(dynamics="second_order", **QUICK))
+    model, fit = identify(micromanipulator[0], plain(dynamics="second_order"))
     assert fit.kind == "static_hysteresis"
     assert model.dynamics.kind == "static"
     assert fit.not_identifiable[0].startswith("resonance and damping of 5")
@@ -71,7 +68,7 @@ def test_micromanipulator_moves_too_slowly_to_tell_a_resonance(micromanipulator)
 
 @needs_dbo
 def test_error_against_operators_levels_off(micromanipulator):
-    _, fit = identify(micromanipulator[0], Settings(operators="auto"))
+    _, fit = identify(micromanipulator[0], plain(operators="auto"))
     errors = {point.operators: point.mean_percent for point in fit.error_curve}
     assert errors[1] > 5.0 * errors[15]
     assert errors[15] < 1.1 * min(errors.values())
@@ -98,7 +95,7 @@ def loops(name):
 )
 def test_low_fields_are_followed_and_saturation_is_flagged(name, low, saturating):
     records = loops(name)
-    fits = [identify([record], Settings(**QUICK))[1] for record in records]
+    fits = [identify([record], plain())[1] for record in records]
     for i in low:
         assert fits[i].fit["static_hysteresis"].nrmse_percent[0] <= 0.25
         assert fits[i].flags == ()
@@ -109,7 +106,7 @@ def test_low_fields_are_followed_and_saturation_is_flagged(name, low, saturating
 
 @needs_ja
 def test_nested_loops_together_are_missed_and_named():
-    _, fit = identify(loops("10_APPA_{}_M130_27s.mat"), Settings(**QUICK))
+    _, fit = identify(loops("10_APPA_{}_M130_27s.mat"), plain())
     assert any("experiment 1 is missed by" in flag for flag in fit.flags)
 
 
@@ -127,7 +124,7 @@ def test_mirror_needs_dynamics_and_no_hysteresis(level_mv, percent):
         axes = ("sample", "channel", "experiment", "period")
         return read_paired_records(*files, axes=axes, rate_hz=6400.0, output_scale=1e6)
 
-    settings = Settings(dynamics="state_space", order=28, operators=2, **QUICK)
+    settings = plain(dynamics="state_space", order=28, operators=2)
     model, fit = identify(read("train"), settings, validation=read("test"))
     for kind in ("linear_dynamics", "hammerstein"):
         assert np.mean(fit.validation[kind].output_percent) <= percent

@@ -107,33 +107,34 @@ def path_within(reach_um, samples=4000):
     return grow * (middle - size * np.cos(2.0 * np.pi * 3.0 * t) * (1.0 - 0.4 * t))
 
 
-@pytest.mark.parametrize("conditioned", [False, True])
-@pytest.mark.parametrize("seed", range(8))
-def test_from_record_to_amplifier(tmp_path, capsys, seed, conditioned):
+@pytest.fixture(scope="module", params=range(8))
+def identified(request, tmp_path_factory):
+    """Model file of an actuator drawn at random, found by the defaults, and its error held back."""
+    seed, folder = request.param, tmp_path_factory.mktemp(f"seed_{request.param}")
     rng = np.random.default_rng(100 + seed)
     inputs = 1 + seed % 2
     low, high, actuator = random_actuator(seed, inputs)
-    records, rest = write_records(tmp_path, actuator, low, high, rng, noise=2e-4)
-    after_the_records = actuator.plays.copy()
+    records, rest = write_records(folder, actuator, low, high, rng, noise=2e-4)
     columns = (
         ",".join(str(k + 1) for k in range(inputs)),
         ",".join(str(inputs + k + 1) for k in range(inputs)),
     )
-    model = tmp_path / "stage.json"
+    model = folder / "stage.json"
     options = ("--inputs", columns[0], "--outputs", columns[1], "--rate", RATE_HZ, "--no-figures")
-    fitting = (
-        "--validate",
-        records[-1],
-        "--operators",
-        10,
-        "--partition",
-        "voltage",
-        "--out",
-        model,
-        "--json",
-    )
-    assert call("identify", *records[:-1], *options, *fitting) == 0
-    held_um = np.array(json.loads(capsys.readouterr().out)["validation"]["static_hysteresis"]["rms_um"])
+    assert call("identify", *records[:-1], *options, "--validate", records[-1], "--out", model) == 0
+    fit = json.loads((folder / "stage_fit" / "fit.json").read_text())
+    held_um = np.array(fit["validation"][fit["kind"]]["rms_um"])
+    return model, held_um, low, high, actuator, rest
+
+
+@pytest.mark.parametrize("conditioned", [False, True])
+def test_from_record_to_amplifier(identified, tmp_path, capsys, conditioned):
+    model, held_um, low, high, actuator, rest = identified
+    inputs = len(rest)
+    actuator.plays[:] = rest[:, None]
+    for sizes in ((1.0, 0.3, 0.6, 0.8, 1.0), (0.95, 0.5, 0.7)):
+        actuator.drive(np.repeat(triangles(low, high, rest[0], sizes)[None], inputs, axis=0))
+    after_the_records = actuator.plays.copy()
     content = json.loads(model.read_text())
     assert content["format"] == "hammerstein-model/2"
     voltages = content["voltages"]

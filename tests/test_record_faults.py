@@ -4,11 +4,11 @@ import re
 
 import pytest
 import record_faults as made
+from record_cases import plain
 from record_faults import SHAPES, STEP_S, copied, measured
 
 from hammerstein.errors import HammersteinError
 from hammerstein.identification.identify import identify
-from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 
 WORDS = {
@@ -70,7 +70,7 @@ def diagnosis(us, ys):
             Record(u, y, STEP_S, ("u_x", "u_y"), ("x", "y"), f"r{k}.csv")
             for k, (u, y) in enumerate(zip(us, ys, strict=True))
         ]
-        _, fit = identify(records, Settings(operators=10, delay_samples=0, error_curve=False))
+        _, fit = identify(records, plain(operators=10, delay_samples=0))
     except HammersteinError as error:
         return str(error)
     return "\n".join([fit.verdict, *fit.flags, *fit.not_identifiable, *fit.notes])

@@ -10,7 +10,7 @@ from theory_linear import second_order_step
 
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
 from hammerstein.identification.candidates import dynamics_of
-from hammerstein.identification.linear.axis_task import AxisTask, axis_of
+from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
 from hammerstein.identification.linear.second_order import AxisFit, fit_axes, refine, search_axes
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import fit_static
@@ -94,7 +94,7 @@ def test_standard_errors_are_of_the_size_of_the_errors():
         records = campaign(0.2, seed, frequencies=(100.0, 250.0))
         starts = (Start("rest"),) * len(records)
         for o, truth in enumerate(AXES):
-            task = AxisTask(tuple(records), starts, (R, R), o, 0, 0, SENSOR_HZ)
+            task = AxisTask(tuple(records), starts, (R, R), o, AxisShape(), 0, SENSOR_HZ)
             point = refine(task, np.log(truth))
             scores += list((point.x - np.log(truth)) / point.errors)
     assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.6  # 24 normal scores
@@ -169,9 +169,9 @@ def test_unsure_damping_and_creep_are_stated():
 @pytest.mark.parametrize("sample_time_s", [T, 0.01])
 def test_quick_paths_are_those_of_the_model(sensor_hz, sample_time_s):
     x = np.concatenate([np.log([280.0, 0.12]), [0.05, np.log(0.02), -0.01, np.log(30.0)]])
-    task = AxisTask((), (), (R,), 0, 2, 0, sensor_hz)
+    task = AxisTask((), (), (R,), 0, AxisShape(creep_modes=2), 0, sensor_hz)
     for path, dynamics in (
-        (task.path(x, sample_time_s), AxesDynamics(axes=(axis_of(x),))),
+        (task.path(x, sample_time_s), AxesDynamics(axes=(axis_of(task.shape, x),))),
         (task.sensor(sample_time_s), StaticDynamics(n_outputs=1)),
     ):
         wanted = discretise(dynamics, sample_time_s, sensor_hz).response([0.0, 3.0, 40.0])[:, -1]
@@ -182,7 +182,7 @@ def test_derivatives_are_those_of_the_output():
     x = np.log([280.0, 0.12])
     x = np.concatenate([x, [0.05, np.log(0.02)]])
     records = campaign(0.0)
-    task = AxisTask(tuple(records), (Start("rest"),) * 8, (R, R), 0, 1, 0, SENSOR_HZ)
+    task = AxisTask(tuple(records), (Start("rest"),) * 8, (R, R), 0, AxisShape(creep_modes=1), 0, SENSOR_HZ)
     slopes = np.arange(1.0, 9.0)
     columns = np.random.default_rng(0).standard_normal((8, 300))
     block = task.derivatives(x, slopes, T)
@@ -196,8 +196,8 @@ def test_derivatives_are_those_of_the_output():
 
 def test_parameters_stay_within_what_the_records_can_show():
     records = campaign(0.0)[:1]
-    task = AxisTask(tuple(records), (Start("rest"),), (R, R[:0]), 0, 0, 0, SENSOR_HZ)
-    found = axis_of(refine(task, np.log([1e5, 1e-6])).x)
+    task = AxisTask(tuple(records), (Start("rest"),), (R, R[:0]), 0, AxisShape(), 0, SENSOR_HZ)
+    found = axis_of(task.shape, refine(task, np.log([1e5, 1e-6])).x)
     assert found.resonance_hz <= 0.45 / T
     assert found.damping_ratio >= 0.99e-4
 

@@ -210,10 +210,15 @@ def identify(
     validate: Annotated[
         list[Path] | None, typer.Option(metavar="FILE", help="Records held back; may be repeated.")
     ] = None,
-    operators: Annotated[str, typer.Option(help="Thresholds of each pair, or auto.")] = "15",
+    operators: Annotated[
+        str, typer.Option(help="Thresholds of each pair; auto: as many as the records call for.")
+    ] = "auto",
     partition: Annotated[
-        str, typer.Option(help="Thresholds: uniform in time or voltage, or fitted to the records.")
-    ] = "time",
+        str,
+        typer.Option(
+            help="Thresholds: uniform in time or voltage, fitted to the records, or auto: fitted if it pays."
+        ),
+    ] = "auto",
     thresholds: Annotated[
         str | None, typer.Option(metavar="V[,V]", help="Thresholds in V for all pairs, instead of these.")
     ] = None,
@@ -227,9 +232,13 @@ def identify(
         int | None, typer.Option(help="Of each input, with asymmetric; found if not given.")
     ] = None,
     ridge: Annotated[float, typer.Option(help="Penalty of the weights; 0: none.")] = 0.0,
-    dynamics: Annotated[str, typer.Option(help="none, second_order or state_space.")] = "none",
+    dynamics: Annotated[
+        str, typer.Option(help="none, lag, second_order, state_space, or auto: what lowers the error.")
+    ] = "auto",
     order: Annotated[int | None, typer.Option(help="Order of a state-space model.")] = None,
-    creep_modes: Annotated[int, typer.Option(help="Slow modes of each second-order axis.")] = 0,
+    creep_modes: Annotated[
+        str, typer.Option(help="Slow modes of each axis; auto: one if it lowers the error.")
+    ] = "auto",
     delay_samples: Annotated[
         int | None, typer.Option(help="Delay of the outputs; found if not given.")
     ] = None,

@@ -71,7 +71,7 @@ def _use_the_others() -> None:
     setup = prepare(scenario)
     responses = [setup.simulate(case) for case in setup.cases()]
     records = [Record(found.drive_v, found.reading_um, SAMPLE_TIME_S) for found in responses[:2]]
-    identify(records, Settings(dynamics="second_order", error_curve=False))
+    identify(records, Settings(operators=5, dynamics="second_order", error_curve=False))
     for _ in regressor_blocks(_path(), Start("rest"), [np.zeros(1)] * 2, with_derivatives=True):
         pass
 

@@ -9,11 +9,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from hammerstein.errors import InputError
 from hammerstein.quantities import Axes, CreepGain, Damping, Delay, Entry, Resonance, SampleTime, TimeConstant
@@ -53,22 +60,64 @@ class CreepMode(BaseModel):
 
 
 class Axis(BaseModel):
-    """One resonant axis of unit static gain before creep.
+    """One axis of unit static gain before creep: a resonance, a low-pass, both or none.
 
-    G(s) = w_n^2 / (s^2 + 2 z w_n s + w_n^2) * (1 + sum of g_i / (1 + T_i s))
+    G(s) = w_n^2 / (s^2 + 2 z w_n s + w_n^2) * 1 / (1 + T_l s) * (1 + sum of g_i / (1 + T_i s))
 
-    w_n = 2 pi resonance_hz is the undamped natural frequency, z the damping ratio.
+    w_n = 2 pi resonance_hz is the undamped natural frequency, z the damping ratio, T_l the time constant of a
+    low-pass, such as that of the amplifier. What is not given is left out.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    resonance_hz: Resonance = Field(description="undamped natural frequency")
-    damping_ratio: Damping
+    resonance_hz: Resonance | None = Field(default=None, description="undamped natural frequency")
+    damping_ratio: Damping | None = None
+    lag_s: TimeConstant | None = Field(default=None, description="time constant of a low-pass")
     creep: tuple[CreepMode, ...] = ()
+
+    @model_validator(mode="after")
+    def _whole_resonance(self) -> Self:
+        if (self.resonance_hz is None) != (self.damping_ratio is None):
+            raise ValueError("give resonance_hz and damping_ratio, or none of them")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_left_out(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        plain: dict[str, Any] = handler(self)
+        return {name: value for name, value in plain.items() if value is not None}
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        parts = []
+        if self.resonance_hz is not None:
+            parts.append(f"{self.resonance_hz:.4g} Hz (damping {self.damping_ratio:.3g})")
+        if self.lag_s is not None:
+            parts.append(f"lag of {self.lag_s:.3g} s")
+        return " and ".join(parts) or "none"
+
+    def system(self) -> control.StateSpace:
+        """Give the axis as a continuous ``control.StateSpace``."""
+        import control
+
+        parts = []
+        if self.creep:
+            parts.append(creep([c.gain for c in self.creep], [c.time_constant_s for c in self.creep]))
+        if self.resonance_hz is not None:
+            parts.append(cantilever(resonance_hz=self.resonance_hz, damping_ratio=self.damping_ratio or 0.0))
+        if self.lag_s is not None:
+            parts.append(control.ss([[-1.0 / self.lag_s]], [[1.0 / self.lag_s]], [[1.0]], [[0.0]]))
+        return math.prod(parts[1:], start=parts[0]) if parts else control.ss([], [], [], [[1.0]])
+
+    def block(self) -> LinearBlock:
+        """Give its matrices, in continuous time."""
+        if not (self.creep or self.resonance_hz or self.lag_s):
+            return _gain(1)
+        system = self.system()
+        return LinearBlock(system.A, system.B, system.C, system.D, CONTINUOUS)
 
 
 class AxesDynamics(BaseModel):
-    """One resonant axis for each output, not coupled with each other."""
+    """One axis for each output, not coupled with each other."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -83,19 +132,23 @@ class AxesDynamics(BaseModel):
 
     def describe(self) -> str:
         """Say in a few words what it is."""
-        axes = ", ".join(f"{a.resonance_hz:.4g} Hz (damping {a.damping_ratio:.3g})" for a in self.axes)
-        return f"resonant axes: {axes}" + (", with creep" if any(a.creep for a in self.axes) else "")
+        kind = "resonant axes" if any(a.resonance_hz for a in self.axes) else "axes"
+        axes = ", ".join(axis.describe() for axis in self.axes)
+        return f"{kind}: {axes}" + (", with creep" if any(a.creep for a in self.axes) else "")
 
     def system(self) -> control.StateSpace:
         """Give the block as a continuous ``control.StateSpace``."""
         import control
 
-        return control.append(*map(_axis_system, self.axes))
+        return control.append(*(axis.system() for axis in self.axes))
 
     def block(self) -> LinearBlock:
         """Give its matrices, in continuous time."""
-        system = self.system()
-        return LinearBlock(system.A, system.B, system.C, system.D, CONTINUOUS)
+        from scipy.linalg import block_diag
+
+        each = [axis.block() for axis in self.axes]
+        a, b, c, d = (block_diag(*(getattr(block, name) for block in each)) for name in "ABCD")
+        return LinearBlock(a, b, c, d, CONTINUOUS)
 
 
 class StaticDynamics(BaseModel):
@@ -284,13 +337,6 @@ def _gain(n: int) -> LinearBlock:
     return LinearBlock(np.empty((0, 0)), np.empty((0, n)), np.empty((n, 0)), np.eye(n), CONTINUOUS)
 
 
-def _axis_system(axis: Axis) -> control.StateSpace:
-    fast = cantilever(resonance_hz=axis.resonance_hz, damping_ratio=axis.damping_ratio)
-    if not axis.creep:
-        return fast
-    return creep([c.gain for c in axis.creep], [c.time_constant_s for c in axis.creep]) * fast
-
-
 @dataclass(frozen=True, eq=False)
 class LinearBlock:
     """A discrete linear block on one sample grid: x[k+1] = A x[k] + B v[k], y[k] = C x[k] + D v[k].
@@ -350,6 +396,14 @@ class LinearBlock:
     def rest(self) -> Array:
         """State (n,) of a block that was never driven."""
         return np.zeros(self.A.shape[0])
+
+    def settled(self, v_um: ArrayLike) -> Array:
+        """State (n,) after an input (m,) that was held for ever; nearest to zero where there is no rest."""
+        n = self.A.shape[0]
+        held = self.B @ np.asarray(v_um, dtype=np.float64)
+        if not held.any():
+            return self.rest()
+        return np.asarray(np.linalg.lstsq(np.eye(n) - self.A, held, rcond=None)[0])
 
     def respond(
         self, v_um: ArrayLike, start: Array | None = None, *, sample_time_s: float | None = None

@@ -110,6 +110,7 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
         partition=spec.partition,
         hysteresis=spec.hysteresis or "prandtl_ishlinskii",
         dynamics="second_order",
+        creep_modes=0,
         sensor_bandwidth_hz=_finite(plant.instruments.sensor.bandwidth_hz),
         error_curve=False,
     )
@@ -166,7 +167,7 @@ def _records(plant: Plant, spec: JointFitSpec, drive: _Excursion, seeds: list[in
     one, m = blocks[0], len(blocks)
     voltage = drive.rest_v[:, None] + block_diag(*blocks)
     response = plant.respond(voltage, seeds)
-    parts = [slice(k * len(one), (k + 1) * len(one)) for k in range(m)]
+    parts = [slice(k * len(one) + REST_SAMPLES, (k + 1) * len(one)) for k in range(m)]
     return [
         Record(
             response.drive_v[:, part],

@@ -9,15 +9,39 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.dynamics import AxesDynamics, LinearBlock, StateSpaceDynamics, StaticDynamics, discretise
+from hammerstein.dynamics import (
+    AxesDynamics,
+    Axis,
+    LinearBlock,
+    StateSpaceDynamics,
+    StaticDynamics,
+    discretise,
+)
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.fit import Kind
+from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
 from hammerstein.identification.linear.coupled import fit_linear, fit_static_coupled, refit_linear
-from hammerstein.identification.linear.second_order import AxesFit, AxisFit, FirstGuess, fit_axes
+from hammerstein.identification.linear.delay import static_delay
+from hammerstein.identification.linear.second_order import (
+    TINY,
+    AxesFit,
+    AxisFit,
+    FirstGuess,
+    checked_delay,
+    fit_axes,
+    fit_axis,
+    parameters_of as axis_parameters,
+    rms_behind,
+    search_creep,
+    search_lag,
+    thinning,
+)
+from hammerstein.identification.operators import CURVE_SAMPLES
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.fitted_thresholds import criterion, fit_thresholds, gained
+from hammerstein.identification.static.history import closed, shortened
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.settled_loops import closed_form_model
 from hammerstein.identification.static.static_block import (
@@ -32,13 +56,19 @@ from hammerstein.identification.static.static_block import (
 )
 from hammerstein.identification.static.threshold_errors import with_threshold_errors
 from hammerstein.identification.static.threshold_search import ThresholdTask
-from hammerstein.identification.verdict import FELT, axis_identified, invertibility_of
+from hammerstein.identification.verdict import FELT, axis_identified, creep_identified, invertibility_of
 from hammerstein.records.record import Record
 
 MOST_ROUNDS = 8
 """Most times that the two blocks are fitted in turn; each must gain a fiftieth."""
+GROWN_SAMPLES = 200_000
+"""Samples with which a low-pass or a creep mode more is searched."""
 MOST_TURNS = 8
 """Most times that thresholds and axes are fitted in turn; each must lower the criterion by one."""
+WORTHWHILE = 5e-3
+"""Part of the error that a turn must gain where the records are so long that samples are left out."""
+CLEARLY_FELT = 0.5
+"""Part of the error that dynamics leave, below which thresholds are not fitted without them, too."""
 PATIENCE = 2
 """Turns in a row without that, after which they end."""
 KEPT = "fitting the thresholds gains nothing: they are uniform in time"
@@ -49,7 +79,10 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Records with all that is known before the candidates are fitted."""
+    """Records with all that is known before the candidates are fitted.
+
+    ``static_delay_samples`` is the delay that suits a model without dynamics, where it is another.
+    """
 
     records: tuple[Record, ...]
     starts: tuple[Start, ...]
@@ -57,6 +90,7 @@ class Task:
     delay_samples: int
     settings: Settings
     progress: Progress
+    static_delay_samples: int | None = None
 
     @property
     def outputs(self) -> int:
@@ -94,23 +128,47 @@ class Task:
 class Blocks:
     """A static block under several methods, behind one and the same linear block.
 
-    ``chosen`` is by the method that was asked for; ``free`` and ``one_sign`` serve for comparison.
+    ``chosen`` is by the method that was asked for; ``free`` and ``one_sign`` serve for comparison; ``fitted``
+    says whether the thresholds were.
     """
 
     chosen: StaticFit
     free: StaticFit
     one_sign: StaticFit | None
+    fitted: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """One model that was fitted, with what tells how."""
+
+    candidate: Candidate
+    blocks: Blocks
+    axes: tuple[AxisFit, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Built:
-    """All candidates, and what only the largest of them tells."""
+    """All models that were fitted: the best of each kind, and others by name.
 
-    candidates: dict[Kind, Candidate]
+    ``axes`` is what the records say about the axes, also where the model has none.
+    """
+
+    found: dict[Kind, Found]
     kind: Kind
-    blocks: Blocks
     axes: tuple[AxisFit, ...] = ()
     notes: tuple[str, ...] = ()
+    others: tuple[tuple[str, Found], ...] = ()
+
+    @property
+    def best(self) -> Found:
+        """The largest model that was kept so far."""
+        return self.found[self.kind]
+
+    @property
+    def candidates(self) -> dict[Kind, Candidate]:
+        """The models by kind."""
+        return {kind: found.candidate for kind, found in self.found.items()}
 
 
 def build_static(task: Task) -> Built:
@@ -124,26 +182,41 @@ def _begun_static(task: Task) -> Built:
     task.progress("fitting the static block")
     linear = static_blocks(task, task.linear_thresholds(), dynamics, "least_squares")
     blocks = static_blocks(task, task.thresholds_v, dynamics, task.settings.method)
-    candidates: dict[Kind, Candidate] = {
-        "linear": task.candidate(linear.chosen.hysteresis, dynamics),
-        "static_hysteresis": task.candidate(blocks.chosen.hysteresis, dynamics),
+    found: dict[Kind, Found] = {
+        "linear": Found(task.candidate(linear.chosen.hysteresis, dynamics), linear),
+        "static_hysteresis": Found(task.candidate(blocks.chosen.hysteresis, dynamics), blocks),
     }
-    return Built(candidates, "static_hysteresis", blocks)
+    return Built(found, "static_hysteresis")
 
 
 def _finished(task: Task, built: Built) -> Built:
     """Static hysteresis with fitted thresholds if they are asked for; as it was if nothing is gained."""
-    if task.settings.partition != "fitted":
+    if not task.settings.fits_thresholds:
         return built
     dynamics = StaticDynamics(n_outputs=task.outputs)
     task.progress("fitting the thresholds")
     thresholds_v = _fitted(task, task.thresholds_v, dynamics)
-    blocks = static_blocks(task, thresholds_v, dynamics, task.settings.method)
-    if not gained(built.blocks.chosen, blocks.chosen) or _lost_inverse(task, built.blocks, blocks):
-        return replace(built, notes=(KEPT,))
-    blocks = _with_errors(task, blocks, dynamics)
-    candidate = task.candidate(blocks.chosen.hysteresis, dynamics)
-    return replace(built, candidates={**built.candidates, built.kind: candidate}, blocks=blocks)
+    late = late_static(replace(task, thresholds_v=thresholds_v))
+    if late.delay_samples != task.delay_samples:
+        task, thresholds_v = late, _fitted(late, thresholds_v, dynamics)
+    blocks = _of_fitted(task, thresholds_v, dynamics)
+    begun = built.best.blocks
+    if not gained(begun.chosen, blocks.chosen) or _lost_inverse(task, begun, blocks):
+        return replace(built, notes=(KEPT,) if task.settings.partition == "fitted" else ())
+    found = Found(task.candidate(blocks.chosen.hysteresis, dynamics), blocks)
+    return replace(built, found={**built.found, built.kind: found})
+
+
+def late_static(task: Task) -> Task:
+    """The task with the delay that suits its thresholds without dynamics, if none was given.
+
+    Single loops cannot tell it from hysteresis, and coarse thresholds look like a delay.
+    """
+    if task.settings.delay_samples is not None or all(closed(record) for record in task.records):
+        return task
+    few, begun = shortened(task.records, task.starts, CURVE_SAMPLES)
+    sensor = replace(task, records=few).paths(StaticDynamics(n_outputs=task.outputs))
+    return replace(task, delay_samples=static_delay(few, task.thresholds_v, begun, through=sensor or None)[0])
 
 
 def static_blocks(
@@ -198,74 +271,239 @@ def _closed_form(task: Task, free: StaticFit) -> StaticFit:
     return replace(free, hysteresis=hysteresis, bounded=(), open=())
 
 
-def build_second_order(task: Task, guess: FirstGuess) -> Built:
-    """All four kinds, with second-order axes."""
-    settings = task.settings
-    static = _begun_static(task)
-    fits: dict[bool, AxesFit] = {}
-    for plays, thresholds_v in ((False, task.linear_thresholds()), (True, task.thresholds_v)):
-        fits[plays] = fit_axes(
-            task.records,
-            Layout.of(thresholds_v).grids,
-            task.starts,
-            guess,
-            creep_modes=settings.creep_modes,
-            sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
-            progress=task.progress if plays else None,
-        )
-    axes = fits[True].axes
-    if not any(axis_identified(axis) for axis in axes):
-        return replace(_finished(task, static), axes=axes)
+def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> Built:
+    """All four kinds, with axes of the shapes guessed: of each output the simplest that does as well.
+
+    The best is fitted with all records; the thresholds are fitted with it where that is asked for. Then a
+    low-pass beside a resonance and a creep mode are tried.
+    """
+    settings, may_creep = task.settings, task.settings.creep_modes == "auto"
+    static = _begun_static(_late(task))
+    task, guess, axes, others = _first_axes(task, guesses)
     blocks = static_blocks(task, task.thresholds_v, dynamics_of(axes), settings.method)
-    if not _felt(static.blocks.chosen, blocks.chosen):
-        unfelt = [replace(axis, rms_um=axis.static_rms_um) for axis in axes]
-        return replace(_finished(task, static), axes=tuple(unfelt))
+    if not may_creep and not _felt(static.best.blocks.chosen, blocks.chosen):
+        unfelt = [
+            replace(axis, rms_um=axis.static_rms_um) if axis_identified(axis) else axis for axis in axes
+        ]
+        return replace(_finished(_late(task), static), axes=tuple(unfelt), others=others)
     notes: tuple[str, ...] = ()
-    if settings.partition == "fitted":
-        start = blocks
-        axes, blocks = _thresholds_and_axes(task, guess, axes, start)
-        notes = (KEPT,) if blocks is start else ()
-        blocks = blocks if blocks is start else _with_errors(task, blocks, dynamics_of(axes))
+    if not np.all(blocks.chosen.rms_um <= CLEARLY_FELT * static.best.blocks.chosen.rms_um):
+        coarse, static = static, _finished(_late(task), static)
+        if static.best is not coarse.best:
+            task, axes, blocks = _behind_fitted(task, guess, axes, blocks, static.best.blocks)
+    if settings.fits_thresholds and any(axis_identified(axis) for axis in axes):
+        begun = blocks
+        axes, blocks = _thresholds_and_axes(task, guess, axes, begun)
+        notes = (KEPT,) if blocks is begun and settings.partition == "fitted" else ()
+    before = axes
+    axes, blocks, tried = _grown(task, axes, blocks)
+    if axes is not before and settings.fits_thresholds:
+        axes, blocks = _thresholds_and_axes(task, _guess_of(guess, axes), axes, blocks)
+    if not any(axis_identified(axis) for axis in axes):
+        return replace(static, axes=axes, others=(*others, *tried))
     dynamics = dynamics_of(axes)
-    alone = dynamics_of(fits[False].axes)
+    linear = _axes(task, task.linear_thresholds(), _guess_of(guess, axes), thinning(task.records))
+    alone = _as_found(linear.axes)
     gains = static_blocks(task, task.linear_thresholds(), alone, "least_squares")
-    candidates: dict[Kind, Candidate] = {
-        **static.candidates,
-        "linear_dynamics": task.candidate(gains.chosen.hysteresis, alone),
-        "hammerstein": task.candidate(blocks.chosen.hysteresis, dynamics),
+    found: dict[Kind, Found] = {
+        **static.found,
+        "linear_dynamics": Found(task.candidate(gains.chosen.hysteresis, alone), gains),
+        "hammerstein": Found(task.candidate(blocks.chosen.hysteresis, dynamics), blocks, axes),
     }
-    return Built(candidates, "hammerstein", blocks, axes, notes)
+    return Built(found, "hammerstein", axes, notes, (*others, *tried))
+
+
+def _first_axes(
+    task: Task, guesses: Sequence[FirstGuess]
+) -> tuple[Task, FirstGuess, tuple[AxisFit, ...], tuple[tuple[str, Found], ...]]:
+    """Of the shapes guessed the best, fitted with all records, the task with its delay, and all as models."""
+    if len(guesses) == 1:
+        return task, guesses[0], _axes(task, task.thresholds_v, guesses[0], 1).axes, ()
+    fits = [_axes(task, task.thresholds_v, guess, thinning(task.records)) for guess in guesses]
+    guess = _best_shapes(guesses, fits)
+    others = _others(task, guesses, fits)
+    task = replace(task, delay_samples=guess.delay_samples)
+    return task, guess, _axes(task, task.thresholds_v, guess, 1).axes, others
+
+
+def _behind_fitted(
+    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: Blocks, static: Blocks
+) -> tuple[Task, tuple[AxisFit, ...], Blocks]:
+    """Axes behind the thresholds that were fitted without any, if those leave less than the ones begun with.
+
+    What coarse thresholds miss of the hysteresis would pass for a delay, dynamics or creep otherwise.
+    """
+    thresholds_v = _thresholds_of(static)
+    there = with_checked_delay(replace(task, thresholds_v=thresholds_v), guess)
+    late = replace(task, delay_samples=there.delay_samples)
+    near = _axes(late, thresholds_v, there, 1).axes
+    trial = _of_fitted(late, thresholds_v, dynamics_of(near))
+    return (late, near, trial) if gained(blocks.chosen, trial.chosen) else (task, axes, blocks)
+
+
+def with_checked_delay(task: Task, guess: FirstGuess) -> FirstGuess:
+    """Axes with the delay that is best with the thresholds of the task."""
+    task.progress("checking the delay")
+    return checked_delay(
+        task.records,
+        task.starts,
+        Layout.of(task.thresholds_v).grids,
+        guess,
+        sensor_bandwidth_hz=task.settings.sensor_bandwidth_hz,
+    )
+
+
+def _guess_of(guess: FirstGuess, axes: Sequence[AxisFit]) -> FirstGuess:
+    """The axes found as what is begun with."""
+    each = [
+        axis_parameters(fit.axis) if axis_identified(fit) else (shape, x)
+        for fit, shape, x in zip(axes, guess.shapes, guess.parameters, strict=True)
+    ]
+    return replace(guess, shapes=tuple(s for s, _ in each), parameters=tuple(x for _, x in each))
+
+
+def _late(task: Task) -> Task:
+    """The task with the delay that suits a model without dynamics."""
+    own = task.static_delay_samples
+    return task if own is None else replace(task, delay_samples=own)
+
+
+def _axes(task: Task, thresholds_v: Thresholds, guess: FirstGuess, every: int) -> AxesFit:
+    settings = task.settings
+    return fit_axes(
+        task.records,
+        Layout.of(thresholds_v).grids,
+        task.starts,
+        guess,
+        creep_modes=settings.creep_modes if isinstance(settings.creep_modes, int) else None,
+        sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
+        every=every,
+        progress=task.progress,
+    )
+
+
+def _best_shapes(guesses: Sequence[FirstGuess], fits: Sequence[AxesFit]) -> FirstGuess:
+    """Of each output the simplest shape whose error is within two percent of the least, and one delay."""
+    shapes, parameters = [], []
+    for o in range(len(guesses[0].shapes)):
+        rms = [fit.axes[o].rms_um if axis_identified(fit.axes[o]) else math.inf for fit in fits]
+        least = min(rms)
+        order = sorted(range(len(fits)), key=lambda i: guesses[i].shapes[o].parameters)
+        i = next((i for i in order if rms[i] <= least / (1.0 - FELT)), order[0])
+        shapes.append(guesses[i].shapes[o])
+        parameters.append(axis_parameters(fits[i].axes[o].axis)[1][: shapes[-1].slow])
+    totals = [sum(math.log(max(axis.rms_um, TINY)) for axis in fit.axes) for fit in fits]
+    delay = guesses[int(np.argmin(totals))].delay_samples
+    return FirstGuess(tuple(shapes), tuple(parameters), delay, guesses[0].delay_rms_um)
+
+
+def _others(
+    task: Task, guesses: Sequence[FirstGuess], fits: Sequence[AxesFit]
+) -> tuple[tuple[str, Found], ...]:
+    """The shapes that were tried with the thresholds begun with, as models."""
+    found = []
+    for guess, fit in zip(guesses, fits, strict=True):
+        late = replace(task, delay_samples=guess.delay_samples)
+        blocks = static_blocks(late, task.thresholds_v, _as_found(fit.axes), task.settings.method)
+        name = f"plays as begun with, {guess.shapes[0].name}"
+        model = late.candidate(blocks.chosen.hysteresis, _as_found(fit.axes))
+        found.append((name, Found(model, blocks, fit.axes)))
+    return tuple(found)
+
+
+def _grown(
+    task: Task, axes: tuple[AxisFit, ...], blocks: Blocks
+) -> tuple[tuple[AxisFit, ...], Blocks, list[tuple[str, Found]]]:
+    """Axes with what else lowers the error: a low-pass beside the resonance, a creep mode."""
+    settings = task.settings
+    tried: list[tuple[str, Found]] = []
+    grids = Layout.of(_thresholds_of(blocks)).grids
+    steps: list[str] = (["lag"] if settings.dynamics == "auto" else []) + (
+        ["creep"] if settings.creep_modes == "auto" else []
+    )
+    for step in steps:
+        task.progress(f"trying a {'low-pass' if step == 'lag' else 'creep mode'} beside it")
+        found = tuple(_with(task, grids, blocks, o, fit, step) for o, fit in enumerate(axes))
+        if all(new is old for new, old in zip(found, axes, strict=True)):
+            continue
+        trial = static_blocks(task, _thresholds_of(blocks), dynamics_of(found), settings.method)
+        trial = replace(trial, fitted=blocks.fitted)
+        with_it = Found(task.candidate(trial.chosen.hysteresis, dynamics_of(found)), trial, found)
+        name = {"lag": "a low-pass", "creep": "a creep mode"}[step]
+        if np.any(trial.chosen.rms_um <= (1.0 - FELT) * blocks.chosen.rms_um):
+            without = task.candidate(blocks.chosen.hysteresis, dynamics_of(axes))
+            tried.append((f"without {name}", Found(without, blocks, axes)))
+            axes, blocks = found, trial
+        else:
+            tried.append((f"with {name}", with_it))
+    return axes, blocks, tried
+
+
+def _thresholds_of(blocks: Blocks) -> list[list[Array]]:
+    return [[pair.thresholds_v for pair in row] for row in blocks.chosen.hysteresis.pairs]
+
+
+def _with(task: Task, grids: tuple[Array, ...], blocks: Blocks, o: int, old: AxisFit, step: str) -> AxisFit:
+    """One axis with a low-pass or a creep mode more; as it was if a quick search gains nothing."""
+    shape, x = axis_parameters(old.axis)
+    if not axis_identified(old):
+        shape, x = AxisShape(False), np.empty(0)
+    if step == "lag" and (shape.lag or not shape.resonance):
+        return old
+    full = AxisTask(
+        task.records, task.starts, grids, o, shape, task.delay_samples, task.settings.sensor_bandwidth_hz
+    )
+    row = blocks.chosen.hysteresis.pairs[o]
+    slopes = Layout.of(_thresholds_of(blocks)).merge[o] @ np.concatenate([pair.slopes for pair in row])
+    few, begun = shortened(task.records, task.starts, GROWN_SAMPLES)
+    quick = replace(full, records=few, starts=begun, every=thinning(few)).mixed(slopes)
+    larger = replace(shape, lag=True) if step == "lag" else replace(shape, creep_modes=shape.creep_modes + 1)
+    point = (search_lag if step == "lag" else search_creep)(replace(quick, shape=larger), x)
+    if point.rms > (1.0 - FELT) * rms_behind(quick, x):
+        return old
+    fit = fit_axis(replace(full, shape=larger), point.x)
+    told = axis_identified(fit) and (step == "lag" or creep_identified(fit, task.records))
+    return fit if told else old
 
 
 def _thresholds_and_axes(
     task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: Blocks
 ) -> tuple[tuple[AxisFit, ...], Blocks]:
     """Axes and static block with thresholds and axes fitted in turn; as they were if nothing is gained."""
-    settings, free = task.settings, 1 + task.outputs
+    free, every = 1 + task.outputs, thinning(task.records)
     best: tuple[tuple[AxisFit, ...], Blocks] | None = None
-    near, thresholds_v, idle = axes, task.thresholds_v, 0
+    near, thresholds_v, idle = axes, _thresholds_of(blocks), 0
+    need = 1.0 if every == 1 else WORTHWHILE * 2.0 * task.outputs * blocks.chosen.samples
     for _ in range(MOST_TURNS):
         task.progress("fitting the thresholds")
         thresholds_v = _fitted(task, thresholds_v, dynamics_of(near), rounds=1)
-        begin = np.log([[fit.axis.resonance_hz, fit.axis.damping_ratio] for fit in near])
-        near = fit_axes(
-            task.records,
-            Layout.of(thresholds_v).grids,
-            task.starts,
-            replace(guess, parameters=begin),
-            creep_modes=settings.creep_modes,
-            sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
-        ).axes
+        begin = tuple(
+            axis_parameters(fit.axis)[1] if axis_identified(fit) else x
+            for fit, x in zip(near, guess.parameters, strict=True)
+        )
+        near = _axes(task, thresholds_v, replace(guess, parameters=begin), every).axes
         if not any(axis_identified(axis) for axis in near):
             break
-        trial = static_blocks(task, thresholds_v, dynamics_of(near), settings.method)
+        trial = _of_fitted(task, thresholds_v, dynamics_of(near))
         least = criterion(best[1].chosen, free) if best else math.inf
-        worse = criterion(trial.chosen, free) >= least - 1.0 or _lost_inverse(task, blocks, trial)
+        worse = criterion(trial.chosen, free) >= least - need or _lost_inverse(task, blocks, trial)
         idle = idle + 1 if worse else 0
-        if idle >= PATIENCE:
+        if idle >= (PATIENCE if every == 1 else 1):
             break
         best = best if idle else (near, trial)
-    return best if best and gained(blocks.chosen, best[1].chosen) else (axes, blocks)
+    if best is None or not gained(blocks.chosen, best[1].chosen):
+        return axes, blocks
+    if every == 1:
+        return best
+    found = _thresholds_of(best[1])
+    begin = tuple(axis_parameters(fit.axis)[1] for fit in best[0])
+    whole = _axes(task, found, replace(guess, parameters=begin), 1).axes
+    return whole, _of_fitted(task, found, dynamics_of(whole))
+
+
+def _of_fitted(task: Task, thresholds_v: Thresholds, dynamics: AxesDynamics | StaticDynamics) -> Blocks:
+    """Weights of thresholds that were fitted."""
+    return replace(static_blocks(task, thresholds_v, dynamics, task.settings.method), fitted=True)
 
 
 def _lost_inverse(task: Task, start: Blocks, found: Blocks) -> bool:
@@ -286,20 +524,27 @@ def _fitted(
     rounds: int = MOST_ROUNDS,
 ) -> list[list[Array]]:
     """Thresholds fitted in front of given dynamics, the same for all outputs."""
-    row = list(fit_thresholds(_fitting(task, dynamics), thresholds_v[0], rounds))
+    fitting = _fitting(task, dynamics, thinning(task.records))
+    row = list(fit_thresholds(fitting, thresholds_v[0], rounds))
     return [row] * task.outputs
 
 
-def _with_errors(
-    task: Task, blocks: Blocks, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics
-) -> Blocks:
-    """Blocks whose chosen one knows the errors of its fitted thresholds."""
-    return replace(blocks, chosen=with_threshold_errors(_fitting(task, dynamics), blocks.chosen))
+def with_errors(task: Task, found: Found) -> Found:
+    """Give a model the errors of its thresholds, if they were fitted."""
+    if not found.blocks.fitted:
+        return found
+    dynamics = found.candidate.dynamics
+    late = replace(task, delay_samples=round(dynamics.input_delay_s / task.records[0].sample_time_s))
+    chosen = with_threshold_errors(_fitting(late, dynamics), found.blocks.chosen)
+    candidate = replace(found.candidate, hysteresis=chosen.hysteresis)
+    return replace(found, candidate=candidate, blocks=replace(found.blocks, chosen=chosen))
 
 
-def _fitting(task: Task, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics) -> ThresholdTask:
+def _fitting(
+    task: Task, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics, every: int = 1
+) -> ThresholdTask:
     """What stays fixed while thresholds are fitted in front of given dynamics."""
-    return ThresholdTask(task.records, task.starts, task.delay_samples, task.paths(dynamics))
+    return ThresholdTask(task.records, task.starts, task.delay_samples, task.paths(dynamics), every)
 
 
 def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:
@@ -307,25 +552,21 @@ def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:
     return bool(np.any(with_dynamics.rms_um <= (1.0 - FELT) * without.rms_um))
 
 
-def dynamics_of(axes: Sequence[AxisFit]) -> AxesDynamics | StateSpaceDynamics:
+def dynamics_of(axes: Sequence[AxisFit]) -> AxesDynamics:
     """Linear block of the axes; those that the records do not tell pass their input unchanged."""
-    told = [o for o, axis in enumerate(axes) if axis_identified(axis)]
-    if len(told) in (0, len(axes)):
-        return AxesDynamics(axes=tuple(fit.axis for fit in axes))
-    system = AxesDynamics(axes=tuple(axes[o].axis for o in told)).system()
-    n, p = system.nstates, len(axes)
-    b, c, d = np.zeros((n, p)), np.zeros((p, n)), np.eye(p)
-    b[:, told], c[told] = system.B, system.C
-    d[told, told] = 0.0
-    rows = (tuple(map(tuple, np.asarray(matrix).tolist())) for matrix in (system.A, b, c, d))
-    return StateSpaceDynamics(**dict(zip("ABCD", rows, strict=True)))
+    return AxesDynamics(axes=tuple(fit.axis if axis_identified(fit) else Axis() for fit in axes))
+
+
+def _as_found(axes: Sequence[AxisFit]) -> AxesDynamics:
+    """Linear block of the axes whether the records tell them or not, to compare with."""
+    return AxesDynamics(axes=tuple(fit.axis for fit in axes))
 
 
 def build_state_space(task: Task) -> Built:
     """All four kinds, with a state-space model of the order asked for."""
     settings = task.settings
     assert settings.order is not None  # refused by Settings
-    static = build_static(task)
+    static = build_static(_late(task))
     task.progress("fitting the linear dynamics")
     block, gain = fit_linear(task.records, settings.order, task.progress)
     alone = task.candidate(_gain_model(gain), _state_space(block))
@@ -343,12 +584,12 @@ def build_state_space(task: Task) -> Built:
         before, now = error, _error(task, trial[1])
         if now < error:
             (blocks, best), error = trial, now
-    candidates: dict[Kind, Candidate] = {
-        **static.candidates,
-        "linear_dynamics": alone,
-        "hammerstein": best,
+    found: dict[Kind, Found] = {
+        **static.found,
+        "linear_dynamics": Found(alone, static.found["linear"].blocks),
+        "hammerstein": Found(best, blocks),
     }
-    return Built(candidates, "hammerstein", blocks)
+    return Built(found, "hammerstein")
 
 
 def _error(task: Task, candidate: Candidate) -> float:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from hammerstein.identification.choice import Trial
 from hammerstein.identification.linear.second_order import AxisFit
 from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.score import Candidate, Score
@@ -25,7 +27,18 @@ KIND_NAMES: Mapping[Kind, str] = {
 
 
 _OWN_FORM = frozenset(
-    {"fit", "validation", "candidates", "records", "held", "starts", "held_starts", "axes", "error_curve"}
+    {
+        "fit",
+        "validation",
+        "candidates",
+        "records",
+        "held",
+        "starts",
+        "held_starts",
+        "axes",
+        "error_curve",
+        "trials",
+    }
 )
 
 
@@ -50,7 +63,8 @@ class Fit:
     offsets_um : (record, output) readings that belong to an output of zero [um]
     starts : what went before each record
     held_starts : the same for the records held back
-    axes : resonances and damping with their standard errors, where they were fitted
+    axes : resonances and damping with their standard errors, where the model has them
+    trials : every model that was tried, with its error on what it was not fitted to
     order : order of a state-space model
     error_curve : held-out error against the number of operators
     not_identifiable : what the excitation cannot tell
@@ -80,6 +94,7 @@ class Fit:
     starts: tuple[Start, ...]
     held_starts: tuple[Start, ...]
     axes: tuple[AxisFit, ...]
+    trials: tuple[Trial, ...]
     order: int | None
     error_curve: tuple[CurvePoint, ...]
     not_identifiable: tuple[str, ...]
@@ -106,5 +121,14 @@ class Fit:
             "validation": {kind: asdict(score) for kind, score in self.validation.items()},
             "starts": [asdict(start) for start in self.starts],
             "axes": [asdict(axis) | {"axis": axis.axis.model_dump(mode="json")} for axis in self.axes],
+            "trials": [
+                {"name": t.name, "parameters": t.parameters, "percent": finite(t.percent), "kept": t.kept}
+                for t in self.trials
+            ],
             "error_curve": [asdict(point) for point in self.error_curve],
         }
+
+
+def finite(value: float) -> float | None:
+    """Give the number, or None where it is none: JSON has no infinity."""
+    return value if math.isfinite(value) else None

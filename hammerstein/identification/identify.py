@@ -15,16 +15,21 @@ from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.candidates import (
     Built,
+    Found,
     Task,
-    build_second_order,
+    build_axes,
     build_state_space,
     build_static,
+    late_static,
+    with_checked_delay,
+    with_errors,
 )
+from hammerstein.identification.choice import Trial, chosen, crossed_squares, judged_squares, parameters_of
 from hammerstein.identification.excitation import answers, excitation_statements, refuse_noise, refuse_one_way
-from hammerstein.identification.fit import Fit, Kind
+from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.kinds import with_hysteresis
-from hammerstein.identification.linear.delay import static_delay
-from hammerstein.identification.linear.second_order import FirstGuess, checked_delay, search_axes
+from hammerstein.identification.leftover import leftover_statements
+from hammerstein.identification.linear.second_order import FirstGuess, search_axes
 from hammerstein.identification.operators import (
     CURVE_SAMPLES,
     CurvePoint,
@@ -37,14 +42,14 @@ from hammerstein.identification.score import Candidate, Score, ranges, score
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.history import (
     StartMode,
-    cautious_start,
-    closed,
+    found_starts,
     judged_starts,
     shortened,
 )
 from hammerstein.identification.static.regressors import Start
-from hammerstein.identification.static.static_block import Layout, direct_pairs, fit_static, half_swing
+from hammerstein.identification.static.static_block import direct_pairs, fit_static, half_swing
 from hammerstein.identification.verdict import (
+    axis_identified,
     axis_statements,
     bound_notes,
     butterfly_flags,
@@ -56,7 +61,7 @@ from hammerstein.identification.verdict import (
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.records.faults import Fault, faults
-from hammerstein.records.preparation import prepare, refuse_swapped
+from hammerstein.records.preparation import FEWEST_AT_REST, dead_start, refuse_swapped
 from hammerstein.records.record import Record
 from hammerstein.voltages import Verdict, Voltages
 
@@ -67,7 +72,9 @@ T = TypeVar("T")
 
 DELAY_OPERATORS = 15
 """Operators with which the delay is found where their number is still open."""
-FIRST_OPERATORS = 8
+DEFAULT_OPERATORS, MOST_FITTED = 15, 20
+"""Operators where no number is asked for nor tried, and the most of an input whose thresholds are fitted."""
+FIRST_OPERATORS = 20
 FIRST_SAMPLES = 50_000
 """Operators and samples of the first model, which only tells how the records begin."""
 
@@ -80,6 +87,7 @@ class Judgement(NamedTuple):
     held: tuple[Record, ...]
     held_starts: tuple[Start, ...]
     answer: Array
+    trials: tuple[Trial, ...]
 
 
 def _told(work: Callable[P, T]) -> Callable[P, T]:
@@ -110,14 +118,16 @@ def identify(
 ) -> tuple[HammersteinModel, Fit]:
     """Identify a model from measured records, and say how good it is.
 
-    Four kinds of model are fitted beside each other where dynamics are asked for, two without: linear gain,
-    static Prandtl-Ishlinskii block, linear dynamics alone, and the Hammerstein model. The largest is
-    returned; the verdict says whether its blocks earn their place.
+    Linear gain, static Prandtl-Ishlinskii block, linear dynamics alone and the Hammerstein model are fitted
+    beside each other, each as far as it was asked for. The model with the fewest parameters that is as good
+    as the best on the records held back is returned (see ``choice.chosen``); without such records, it is
+    judged on stretches that are left out. The verdict says what each block is worth, and what no model
+    explains.
 
     Parameters
     ----------
     records : experiments on one actuator, with any inputs driven in each
-    settings : how it is done; least squares with 15 operators and no dynamics if not given
+    settings : how it is done; if not given, thresholds, their number and the dynamics are found
     validation : records that are held back and only judged
     name : of the model
     instruments : drive and sensor for the model file; ideal ones on the records' sample time if not given
@@ -139,60 +149,87 @@ def identify(
     >>> u = 4.0 * np.sin(2.0 * np.pi * np.arange(1200) / 300) * np.linspace(1.0, 0.5, 1200)
     >>> truth = PrandtlIshlinskii([[Pair([0.0, 1.0, 2.0], [3.0, 1.0, 1.0])]])
     >>> record = Record([u], truth.respond([u])[0], 1e-3)
-    >>> model, fit = identify([record], Settings(thresholds_v=[0.0, 1.0, 2.0], error_curve=False))
+    >>> model, fit = identify([record], Settings(thresholds_v=[0.0, 1.0, 2.0], dynamics="none"))
     >>> model.hysteresis.pairs[0][0].weights_um_per_v.round(6), fit.invertible
     (array([3., 1., 1.]), True)
     """
     settings = settings or Settings()
+    if settings.hysteresis != "prandtl_ishlinskii":
+        settings = settings.without_auto()
     if settings.hysteresis == "rate_dependent" and settings.delay_samples is None:
         settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
     tell = progress or (lambda _: None)
-    ready, notes = _ready(records)
-    held, held_notes = _ready(validation) if validation else ((), [])
+    ready = _ready(records)
+    held = _ready(validation) if validation else ()
     _refuse_mixed([*ready, *held])
-    if settings.dynamics == "none":
+    if not settings.shapes and settings.dynamics != "state_space":
         refuse_one_way(ready)
-    tell("looking at how the records begin")
-    guess, first = _first_model(ready, settings, tell)
-    task, curve = _task(ready, settings, guess, first, tell)
-    task, guess = _with_checked_delay(task, guess)
-    built = with_hysteresis(task, _build(task, guess))
-    best = built.candidates[built.kind]
-    answer = answers(best, ready, task.starts)
+    task, guesses, curve = _task(ready, settings, tell)
+    built = _build(task, guesses)
+    largest = built.best.candidate
+    answer = answers(largest, ready, task.starts)
     refuse_noise(ready, answer)
-    held_starts = judged_starts(held, best.predict, _settle_s(guess), _start_mode(settings))
+    held_starts = judged_starts(held, largest.predict, _settle_s(guesses), _start_mode(settings))
     tell("judging the models")
+    built, trials = _kept(task, built, held, held_starts)
+    built = with_hysteresis(task, built)
     fitted = {kind: score(c, ready, task.starts) for kind, c in built.candidates.items()}
     judged = {kind: score(c, held, held_starts) for kind, c in built.candidates.items()} if held else {}
-    errors = Judgement(fitted, judged, held, held_starts, answer)
-    voltages = voltages_of(records, ready, task.starts)
-    fit = _account(task, built, curve, errors, voltages, [*notes, *held_notes])
-    return _model(task, fit, best, name, instruments), fit
+    errors = Judgement(fitted, judged, held, held_starts, answer, trials)
+    fit = _account(task, built, curve, errors, voltages_of(records, ready, task.starts))
+    return _model(task, fit, built.best.candidate, name, instruments), fit
 
 
-def _ready(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
-    """Records without their dead start, counted from where they began, and what was done to them."""
+def _kept(
+    task: Task, built: Built, held: tuple[Record, ...], held_starts: tuple[Start, ...]
+) -> tuple[Built, tuple[Trial, ...]]:
+    """The model that is as good as the best with the fewest parameters, and all that were tried."""
+    named: list[tuple[str, Kind, Found]] = [
+        *((KIND_NAMES[kind], kind, found) for kind, found in built.found.items()),
+        *((name, "hammerstein", found) for name, found in built.others),
+    ]
+    trials = []
+    for name, _, found in named:
+        candidate = found.candidate
+        if held:
+            squares = judged_squares(candidate, held, held_starts)
+        else:
+            delay = round(candidate.dynamics.input_delay_s / task.records[0].sample_time_s)
+            squares = crossed_squares(candidate, task.records, task.starts, delay)
+        swing, record = float(half_swing(task.records).max()), task.records[0]
+        told = invertibility_of(
+            candidate.hysteresis, candidate.dynamics, swing, record.sample_time_s, record.inputs
+        )
+        dynamics = not found.axes or any(axis_identified(axis) for axis in found.axes)
+        trials.append(Trial(name, parameters_of(candidate), squares, told[0], dynamics))
+    i = chosen(trials)
+    _, kind, found = named[i]
+    marked = tuple(replace(trial, kept=k == i) for k, trial in enumerate(trials))
+    return replace(built, kind=kind, found={**built.found, kind: with_errors(task, found)}), marked
+
+
+def _ready(records: Sequence[Record]) -> tuple[Record, ...]:
+    """Records from where they last rested, with their voltages counted from there."""
     if not records:
         raise InputError("records", "none was given")
     _refuse_mixed(records)
     refuse_swapped(records)
-    ready, notes = [], []
-    for record in records:
-        notes += [
-            f"{record.source}: outliers of {found.column} are left out: {found.describe()}"
-            for found in record.outliers
-        ]
-        prepared = prepare(record)
-        if prepared.dead_start_samples and prepared.at_rest:
-            ready.append(prepared.record)
-            offsets = ", ".join(f"{v:.4g}" for v in prepared.offset_v)
-            notes.append(
-                f"{record.source}: a dead start of {prepared.dead_start_samples} samples was cut off; "
-                f"voltages count from their values at rest ({offsets} V)"
-            )
-        else:
-            ready.append(counted(record))
-    return tuple(ready), notes
+    return tuple(counted(_from_last_rest(record)) for record in records)
+
+
+def _from_last_rest(record: Record) -> Record:
+    """The record without what it shows at rest: voltages and readings that stand still tell nothing."""
+    dead = dead_start(record)
+    return record.part(dead, record.samples) if dead + 1 >= FEWEST_AT_REST else record
+
+
+def _left_out(records: Sequence[Record]) -> list[str]:
+    """Outliers that the records were read without."""
+    return [
+        f"{record.source}: outliers of {found.column} are left out: {found.describe()}"
+        for record in records
+        for found in record.outliers
+    ]
 
 
 def _refuse_mixed(records: Sequence[Record]) -> None:
@@ -207,28 +244,50 @@ def _start_mode(settings: Settings) -> StartMode:
     return "repeated" if settings.dynamics == "state_space" and settings.start == "auto" else settings.start
 
 
-def _settle_s(guess: FirstGuess | None) -> float:
-    return 0.0 if guess is None else guess.settle_s
+def _settle_s(guesses: Sequence[FirstGuess]) -> float:
+    return max((guess.settle_s for guess in guesses), default=0.0)
+
+
+def _first_starts(
+    records: tuple[Record, ...], settings: Settings, guess: FirstGuess | None = None
+) -> tuple[Start, ...]:
+    """How the records begin, with quick models of the static block behind the axes guessed so far."""
+    mode = _start_mode(settings)
+    if mode == "rest":
+        return (Start("rest"),) * len(records)
+
+    def fit(starts: Sequence[Start]) -> Callable[[Record, Start], Array]:
+        return _first_model(records, starts, guess, settings).predict
+
+    return found_starts(records, fit, guess.settle_s if guess else 0.0, mode)
+
+
+def _guesses(
+    records: tuple[Record, ...], starts: tuple[Start, ...], settings: Settings, tell: Progress
+) -> tuple[FirstGuess, ...]:
+    """Quick axes of every shape that is tried."""
+    return tuple(
+        search_axes(
+            records,
+            starts,
+            delay_samples=settings.delay_samples,
+            sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
+            resonance=resonance,
+            lag=lag,
+            progress=tell,
+        )
+        for resonance, lag in settings.shapes
+    )
 
 
 def _first_model(
-    records: tuple[Record, ...], settings: Settings, tell: Progress
-) -> tuple[FirstGuess | None, Candidate]:
-    """A quick model that tells how the records begin, and the resonances it was found with."""
-    cautious = [cautious_start(record) for record in records]
-    guess = None
-    if settings.dynamics == "second_order":
-        guess = search_axes(
-            records,
-            cautious,
-            delay_samples=settings.delay_samples,
-            sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
-            progress=tell,
-        )
-    quick, begun = shortened(records, cautious, FIRST_SAMPLES)
+    records: tuple[Record, ...], starts: Sequence[Start], guess: FirstGuess | None, settings: Settings
+) -> Candidate:
+    """A quick model that tells how the records begin, with axes guessed, if there are any."""
+    quick, begun = shortened(records, starts, FIRST_SAMPLES)
     delay = guess.delay_samples if guess else settings.delay_samples or 0
     row = input_grids(quick, FIRST_OPERATORS, "voltage")
-    task = Task(quick, begun, [list(row) for _ in quick[0].y_um], delay, settings, tell)
+    task = Task(quick, begun, [list(row) for _ in quick[0].y_um], delay, settings, lambda _: None)
     dynamics = guess.dynamics() if guess else StaticDynamics(n_outputs=task.outputs)
     found = fit_static(
         quick,
@@ -238,34 +297,52 @@ def _first_model(
         delay_samples=delay,
         through=task.paths(dynamics) or None,
     )
-    return guess, task.candidate(found.hysteresis, dynamics)
+    return task.candidate(found.hysteresis, dynamics)
 
 
 def _task(
-    records: tuple[Record, ...],
-    settings: Settings,
-    guess: FirstGuess | None,
-    first: Candidate,
-    tell: Progress,
-) -> tuple[Task, tuple[CurvePoint, ...]]:
-    """Starts, delay and thresholds of the records."""
-    starts = judged_starts(records, first.predict, _settle_s(guess), _start_mode(settings))
-    few, begun = shortened(records, starts, CURVE_SAMPLES)
-    delay = guess.delay_samples if guess else settings.delay_samples
-    if delay is None:
-        delay = 0
-        if settings.dynamics == "none" and not all(closed(record) for record in records):
-            tell("searching the delay")  # single loops cannot tell it from hysteresis
-            delay, _ = static_delay(few, _fine(settings).thresholds(few, DELAY_OPERATORS), begun)
-    task = Task(records, starts, (), delay, settings, tell)
+    records: tuple[Record, ...], settings: Settings, tell: Progress
+) -> tuple[Task, tuple[FirstGuess, ...], tuple[CurvePoint, ...]]:
+    """Starts, delays and thresholds of the records, and axes near the best ones."""
+    tell("looking at how the records begin")
+    begun = _first_starts(records, settings)
+    guesses = _guesses(records, begun, settings, tell)
+    last = guesses[-1] if guesses else None
+    starts = _first_starts(records, settings, last) if last else begun
+    if starts != begun:
+        guesses = _guesses(records, starts, settings, tell)
+        last = guesses[-1]
+    first = _first_model(records, starts, last, settings)
+    starts = judged_starts(records, first.predict, _settle_s(guesses), _start_mode(settings))
+    static = _static_delay(records, starts, settings, tell)
+    delay = guesses[-1].delay_samples if guesses else static
+    task = Task(records, starts, (), delay, settings, tell, static)
     curve: tuple[CurvePoint, ...] = ()
-    wanted = settings.error_curve or settings.operators == "auto"
-    if wanted and settings.dynamics != "state_space":
+    wanted = settings.error_curve or (settings.operators == "auto" and settings.thresholds_v is None)
+    if wanted and settings.uses_axes:
         tell("trying numbers of operators")
         paths = task.paths(first.dynamics)
-        curve = error_curve(records, starts, partition=settings.partition, delay_samples=delay, through=paths)
-    chosen = enough_operators(curve) if curve else 15
-    return Task(records, starts, settings.thresholds(records, chosen), delay, settings, tell), curve
+        place = settings.begun_with
+        curve = error_curve(records, starts, partition=place, delay_samples=delay, through=paths)
+    chosen = enough_operators(curve) if curve else DEFAULT_OPERATORS
+    if settings.fits_thresholds and settings.operators == "auto":
+        chosen = min(chosen, MOST_FITTED)
+    task = replace(task, thresholds_v=settings.thresholds(records, chosen))
+    return task, tuple(with_checked_delay(task, guess) for guess in guesses), curve
+
+
+def _static_delay(
+    records: tuple[Record, ...], starts: tuple[Start, ...], settings: Settings, tell: Progress
+) -> int:
+    """Delay that suits a model without dynamics, with thresholds that are not fitted yet."""
+    if settings.dynamics == "state_space":
+        return settings.delay_samples or 0
+    tell("searching the delay")
+    few, begun = shortened(records, starts, CURVE_SAMPLES)
+    thresholds_v = _fine(settings).thresholds(few, DELAY_OPERATORS)
+    return late_static(
+        Task(few, begun, thresholds_v, settings.delay_samples or 0, settings, tell)
+    ).delay_samples
 
 
 def _fine(settings: Settings) -> Settings:
@@ -274,24 +351,9 @@ def _fine(settings: Settings) -> Settings:
     return replace(settings, operators=DELAY_OPERATORS) if few else settings
 
 
-def _with_checked_delay(task: Task, guess: FirstGuess | None) -> tuple[Task, FirstGuess | None]:
-    """Task and resonances with the delay that is best with the thresholds of the task."""
-    if guess is None:
-        return task, None
-    task.progress("checking the delay")
-    checked = checked_delay(
-        task.records,
-        task.starts,
-        Layout.of(task.thresholds_v).grids,
-        guess,
-        sensor_bandwidth_hz=task.settings.sensor_bandwidth_hz,
-    )
-    return replace(task, delay_samples=checked.delay_samples), checked
-
-
-def _build(task: Task, guess: FirstGuess | None) -> Built:
-    if guess is not None:
-        return build_second_order(task, guess)
+def _build(task: Task, guesses: Sequence[FirstGuess]) -> Built:
+    if guesses:
+        return build_axes(task, guesses)
     return build_state_space(task) if task.settings.dynamics == "state_space" else build_static(task)
 
 
@@ -301,17 +363,22 @@ def _account(
     curve: tuple[CurvePoint, ...],
     errors: Judgement,
     voltages: Voltages,
-    notes: list[str],
 ) -> Fit:
     """Everything that is said about the model."""
-    fitted, judged, held, held_starts, answer = errors
-    record, settings, best = task.records[0], task.settings, built.candidates[built.kind]
+    fitted, judged, held, held_starts, answer, trials = errors
+    record, settings, best = task.records[0], task.settings, built.best.candidate
     named = [fault for one in task.records for fault in faults(one)]
     flags, bounds = _flags(task, built, named), []
+    where = (held, held_starts) if held else (task.records, task.starts)
+    leftover = leftover_statements(best, *where, settings)
     if settings.method == "invertible" and settings.hysteresis == "prandtl_ishlinskii":
         spoiled = {name for fault in named for name in fault.outputs}
         bounds = bound_notes(
-            task.records, built.blocks.chosen, built.blocks.free, built.kind == "hammerstein", spoiled
+            task.records,
+            built.best.blocks.chosen,
+            built.best.blocks.free,
+            built.kind == "hammerstein",
+            spoiled,
         )
     swing = half_swing(task.records)
     amplitude = float(swing.max())
@@ -333,21 +400,22 @@ def _account(
         amplitude_v=amplitude,
         amplitudes_v=tuple(swing.tolist()),
         voltages=voltages,
-        delay_samples=task.delay_samples,
+        delay_samples=round(best.dynamics.input_delay_s / record.sample_time_s),
         sample_time_s=record.sample_time_s,
         sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
         offsets_um=tuple(tuple(row) for row in _offsets(best, task).tolist()),
         starts=task.starts,
         held_starts=held_starts,
-        axes=built.axes,
+        axes=built.best.axes,
+        trials=trials,
         order=settings.order,
         error_curve=curve,
         not_identifiable=tuple(_unknown(task, built, answer)),
         flags=tuple(flags),
-        notes=(*notes, *built.notes, *bounds),
+        notes=(*_left_out([*task.records, *held]), *built.notes, *bounds),
         invertible=invertible,
         invertibility=sentence,
-        verdict=verdict(judged or fitted, bool(judged), flags, settings.dynamics),
+        verdict=verdict(judged or fitted, bool(judged), flags, settings.dynamics, built.kind, leftover),
         candidates=built.candidates,
         records=task.records,
         held=held,
@@ -356,7 +424,7 @@ def _account(
 
 def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
     """What spoils the records, and what a model of this kind cannot represent."""
-    blocks, outputs = built.blocks, task.records[0].outputs
+    blocks, outputs = built.best.blocks, task.records[0].outputs
     spoiled = {(fault.source, name) for fault in named for name in fault.outputs}
     direct = [
         (o, k)
@@ -364,8 +432,8 @@ def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
         if outputs[o] not in {name for _, name in spoiled}
     ]
     flags = [fault.text for fault in named]
-    flags += record_flags(built.candidates[built.kind], task.records, task.starts, spoiled)
-    if task.settings.dynamics == "none":
+    flags += record_flags(built.best.candidate, task.records, task.starts, spoiled)
+    if built.kind in ("linear", "static_hysteresis"):
         flags += butterfly_flags(task.records, direct)
     if blocks.one_sign is not None and task.settings.hysteresis == "prandtl_ishlinskii":
         spans = ranges(task.records, task.starts)
@@ -378,7 +446,7 @@ def _unknown(task: Task, built: Built, answer: Array) -> list[str]:
     record = task.records[0]
     sums = [
         f"single weights between {record.inputs[k]} and {record.outputs[o]}: only sums of them are told"
-        for o, k in built.blocks.chosen.open
+        for o, k in built.best.blocks.chosen.open
     ]
     axes = axis_statements(record.outputs, built.axes) if built.axes else []
     return [*axes, *sums, *_open_places(task, built), *excitation_statements(task.records, answer)]
@@ -386,7 +454,7 @@ def _unknown(task: Task, built: Built, answer: Array) -> list[str]:
 
 def _open_places(task: Task, built: Built) -> list[str]:
     """Fitted thresholds whose place the records leave open."""
-    block = built.blocks.chosen.hysteresis
+    block = built.best.blocks.chosen.hysteresis
     if block.threshold_covariance is None:
         return []
     grids = [pair.thresholds_v for pair in block.pairs[0]]

@@ -38,12 +38,12 @@ def with_hysteresis(task: Task, built: Built) -> Built:
     if kind == "prandtl_ishlinskii":
         return built
     task.progress(f"fitting the {kind.replace('_', ' ')} hysteresis")
-    before = built.candidates[built.kind]
-    thresholds_v = [[pair.thresholds_v for pair in row] for row in built.blocks.chosen.hysteresis.pairs]
-    found = REPLACEMENTS[kind](task, thresholds_v, before.dynamics)
-    candidates = {**built.candidates, "classical": before}
-    candidates[built.kind] = replace(before, hysteresis=found.hysteresis)
-    return replace(built, candidates=candidates, notes=(*built.notes, *found.notes))
+    before = built.best
+    thresholds_v = [[pair.thresholds_v for pair in row] for row in before.blocks.chosen.hysteresis.pairs]
+    found = REPLACEMENTS[kind](task, thresholds_v, before.candidate.dynamics)
+    candidate = replace(before.candidate, hysteresis=found.hysteresis)
+    models = {**built.found, "classical": before, built.kind: replace(before, candidate=candidate)}
+    return replace(built, found=models, notes=(*built.notes, *found.notes))
 
 
 def _asymmetric(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replacement:

@@ -30,7 +30,7 @@ from hammerstein.records.record import Record
 from hammerstein.records.turning_points import find_cycles
 
 Array = NDArray[np.float64]
-Partition = Literal["time", "voltage", "fitted"]
+Partition = Literal["auto", "time", "voltage", "fitted"]
 
 COUNTS = (1, 2, 3, 4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60)
 """Numbers of operators that are tried."""

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
-from hammerstein.hysteresis import Hysteresis
+from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
+
+
+_block = lru_cache(maxsize=16)(discretise)
+"""Many starts are tried with one and the same model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +32,18 @@ class Candidate:
 
     def predict(self, record: Record, start: Start) -> Array:
         """Readings (output, sample) to the voltages of a record, without offset [um]."""
-        block = discretise(self.dynamics, record.sample_time_s, self.sensor_bandwidth_hz)
+        block = _block(self.dynamics, record.sample_time_s, self.sensor_bandwidth_hz)
         hysteresis = self.hysteresis.counted_from(record.rest_v).on_grid(record.sample_time_s)
-        v, memory = hysteresis.respond(record.u_v)
+        before = begun(hysteresis, record, start)
+        v, memory = hysteresis.respond(record.u_v, before)
         if start.kind == "repeated":
             v, _ = hysteresis.respond(record.u_v, memory)
-        y, state = block.respond(v)
+            y, state = block.respond(v)
+        elif isinstance(hysteresis, PrandtlIshlinskii):
+            held = hysteresis.weighted(hysteresis.plays_of(before))
+            y, state = block.respond(v, block.settled(held))
+        else:
+            y, state = block.respond(v)
         if start.kind == "repeated":
             y, _ = block.respond(v, state)
         return np.asarray(y[-len(record.y_um) :])
@@ -41,6 +52,18 @@ class Candidate:
         """Reading less prediction (output, sample) over the samples that count, each about its mean [um]."""
         error = (record.y_um - self.predict(record, start))[:, start.first :]
         return np.asarray(error - error.mean(axis=1, keepdims=True))
+
+
+def begun(hysteresis: Hysteresis[Any], record: Record, start: Start) -> Any:
+    """Memory of a static block before a record; kinds other than plays begin at rest."""
+    if start.kind in ("rest", "repeated") or not isinstance(hysteresis, PrandtlIshlinskii):
+        return hysteresis.rest()
+    bank = hysteresis.bank
+    plays = [
+        start.plays_v(float(u[0]), r[:n], k)
+        for k, (u, r, n) in enumerate(zip(record.u_v, bank.r, bank.n, strict=True))
+    ]
+    return hysteresis.state_of(plays)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -18,7 +18,7 @@ from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
 Method = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
-DynamicsKind = Literal["none", "second_order", "state_space"]
+DynamicsKind = Literal["auto", "none", "lag", "second_order", "state_space"]
 HysteresisKind = Literal["prandtl_ishlinskii", "asymmetric", "rate_dependent"]
 
 MOST_OPERATORS = 200
@@ -26,9 +26,9 @@ MOST_CREEP_MODES = 5
 MOST_STATES = 100
 MOST_DEAD_ZONES = 50
 _CHOICES = {
-    "partition": ("time", "voltage", "fitted"),
+    "partition": ("auto", "time", "voltage", "fitted"),
     "method": ("closed_form", "least_squares", "nonnegative", "invertible"),
-    "dynamics": ("none", "second_order", "state_space"),
+    "dynamics": ("auto", "none", "lag", "second_order", "state_space"),
     "start": ("auto", "rest", "repeated"),
     "hysteresis": get_args(HysteresisKind),
 }
@@ -40,16 +40,19 @@ class Settings:
 
     Parameters
     ----------
-    operators : thresholds of every pair: one number, one for each pair (output, input), or ``auto``
+    operators : thresholds of every pair: one number, one for each pair (output, input), or ``auto``: the
+        fewest that lower the error on stretches that are left out
     thresholds_v : thresholds [V] instead: one array for all pairs, or one for each pair (output, input)
     partition : how thresholds are placed: uniform in ``time`` as in the paper, or in ``voltage``; ``fitted``:
         found from the records, beginning with those uniform in time, and kept if they lower the error by
-        more than chance; ``operators`` is the most there are, and the outputs share those of an input
+        more than chance; ``operators`` is the most there are, and the outputs share those of an input;
+        ``auto``: as ``fitted``, beginning with those uniform in voltage
     method : how the weights are found: ``closed_form``, ``least_squares``, ``nonnegative`` or ``invertible``
     ridge : penalty of the weights, for more thresholds than the records can tell; 0: none
-    dynamics : ``none``, ``second_order`` or ``state_space``
+    dynamics : ``none``, ``lag`` (a low-pass each axis), ``second_order`` (a resonance each axis),
+        ``state_space``, or ``auto``: what lowers the error of the first three, or a resonance with a low-pass
     order : number of states of a state-space model
-    creep_modes : slow modes of each second-order axis
+    creep_modes : slow modes of each axis; ``auto``: one where it lowers the error
     delay_samples : whole samples by which the outputs come late; None: found
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; None: unlimited
     start : what went before each record: ``rest``, ``repeated`` (the like of it), or ``auto``: found out
@@ -59,14 +62,14 @@ class Settings:
     error_curve : whether the held-out error is found for many numbers of operators
     """
 
-    operators: int | Sequence[Sequence[int]] | Literal["auto"] = 15
+    operators: int | Sequence[Sequence[int]] | Literal["auto"] = "auto"
     thresholds_v: Array | Sequence[float] | Sequence[Sequence[Array]] | None = None
-    partition: Partition = "time"
+    partition: Partition = "auto"
     method: Method = "invertible"
     ridge: float = 0.0
-    dynamics: DynamicsKind = "none"
+    dynamics: DynamicsKind = "auto"
     order: int | None = None
-    creep_modes: int = 0
+    creep_modes: int | Literal["auto"] = "auto"
     delay_samples: int | None = None
     sensor_bandwidth_hz: float | None = None
     start: StartMode = "auto"
@@ -79,6 +82,15 @@ class Settings:
         if mistakes:
             raise InputError("identification", mistakes)
 
+    def without_auto(self) -> Settings:
+        """The same with plain choices for what would be found from the records by plays alone.
+
+        A kind of hysteresis that is no bank of plays would be chosen by what plays make of its own effects: a
+        lag for thresholds that grow with the rate.
+        """
+        plain: dict[str, Any] = {"operators": 15, "partition": "time", "dynamics": "none", "creep_modes": 0}
+        return replace(self, **{k: v for k, v in plain.items() if str(getattr(self, k)) == "auto"})
+
     def _unknown_choices(self) -> list[Mistake]:
         return [
             Mistake(name, f"{getattr(self, name)!r} is not known; choose one of {', '.join(known)}")
@@ -90,16 +102,14 @@ class Settings:
         mistakes = []
         if (self.dynamics == "state_space") != (self.order is not None):
             mistakes.append(Mistake("order", "belongs to dynamics state_space, and is needed there"))
-        if self.creep_modes and self.dynamics != "second_order":
-            mistakes.append(Mistake("creep_modes", "belong to dynamics second_order"))
-        if self.method == "closed_form" and self.dynamics != "none":
+        if self.creep_modes not in (0, "auto") and self.dynamics in ("none", "state_space"):
+            mistakes.append(Mistake("creep_modes", "belong to dynamics lag, second_order or auto"))
+        if self.method == "closed_form" and self.dynamics not in ("none", "auto"):
             mistakes.append(
                 Mistake("method", "closed_form sees no dynamics; use least_squares or invertible with them")
             )
         if isinstance(self.operators, str) and self.operators != "auto":
             mistakes.append(Mistake("operators", f"{self.operators!r} is not known; give a number or auto"))
-        if self.thresholds_v is not None and self.operators == "auto":
-            mistakes.append(Mistake("operators", "cannot be auto where thresholds are given"))
         if self.method == "closed_form" and self.ridge > 0.0:
             mistakes.append(
                 Mistake("ridge", "belongs to the methods that solve least squares, not closed_form")
@@ -149,7 +159,7 @@ class Settings:
         wrong = {
             "operators": (counts < 1).any() or (counts > MOST_OPERATORS).any(),
             "order": self.order is not None and not 1 <= self.order <= MOST_STATES,
-            "creep_modes": not 0 <= self.creep_modes <= MOST_CREEP_MODES,
+            "creep_modes": self.creep_modes != "auto" and not 0 <= int(self.creep_modes) <= MOST_CREEP_MODES,
             "delay_samples": self.delay_samples is not None and not DELAY_SAMPLES.holds(self.delay_samples),
             "sensor_bandwidth_hz": bandwidth is not None and not FREQUENCY_HZ.holds(bandwidth),
             "ridge": not RIDGE.holds(self.ridge),
@@ -167,6 +177,38 @@ class Settings:
             "thresholds": THRESHOLD_V.words(),
         }
         return [Mistake(name, limits[name]) for name, is_wrong in wrong.items() if is_wrong]
+
+    @property
+    def fits_thresholds(self) -> bool:
+        """Whether the thresholds are fitted to the records."""
+        if self.partition == "fitted":
+            return True
+        free = self.thresholds_v is None and isinstance(self.operators, int | str)
+        return self.partition == "auto" and free and self.method != "closed_form" and self.uses_axes
+
+    @property
+    def begun_with(self) -> Partition:
+        """Partition that the thresholds have before they are fitted: the paper's for its closed form."""
+        if self.partition != "auto":
+            return self.partition
+        return "time" if self.method == "closed_form" else "voltage"
+
+    @property
+    def uses_axes(self) -> bool:
+        """Whether the linear block, if any, acts on each output alone."""
+        return self.dynamics != "state_space"
+
+    @property
+    def shapes(self) -> tuple[tuple[bool, bool], ...]:
+        """Shapes of an axis that are tried: (resonance, lag)."""
+        if self.method == "closed_form":
+            return ()
+        known: dict[str, tuple[tuple[bool, bool], ...]] = {
+            "lag": ((False, True),),
+            "second_order": ((True, False),),
+            "auto": ((False, True), (True, False)),
+        }
+        return known.get(self.dynamics, ())
 
     def thresholds(self, records: Sequence[Record], operators: int | None = None) -> list[list[Array]]:
         """Thresholds (output, input) of every pair for given records.
@@ -193,13 +235,13 @@ class Settings:
         p, m = len(records[0].y_um), len(records[0].u_v)
         chosen = operators if self.operators == "auto" else self.operators
         if isinstance(chosen, int):
-            row = input_grids(records, chosen, self.partition)
+            row = input_grids(records, chosen, self.begun_with)
             return [[r.copy() for r in row] for _ in range(p)]
         counts = np.asarray(chosen)
         if counts.shape != (p, m):
             raise InputError("operators", f"have shape {counts.shape}; give one number, or ({p}, {m})")
         return [
-            [input_grids(records, int(counts[o, k]), self.partition)[k] for k in range(m)] for o in range(p)
+            [input_grids(records, int(counts[o, k]), self.begun_with)[k] for k in range(m)] for o in range(p)
         ]
 
 
@@ -221,8 +263,10 @@ def _given(
     return rows
 
 
-def settings_of(operators: str, thresholds: str | None = None, **options: Any) -> Settings:
-    """Settings from words of a command line: ``operators`` is a number or ``auto``.
+def settings_of(
+    operators: str, thresholds: str | None = None, creep_modes: str = "auto", **options: Any
+) -> Settings:
+    """Settings from words of a command line: ``operators`` and ``creep_modes`` are numbers or ``auto``.
 
     ``thresholds`` are voltages with commas between them, for all pairs, in place of a partition.
 
@@ -234,8 +278,9 @@ def settings_of(operators: str, thresholds: str | None = None, **options: Any) -
         except ValueError:
             what = f"{thresholds!r} are no voltages with commas between them, such as 0,0.5,1.2"
             raise InputError("identification", [Mistake("thresholds", what)]) from None
-    if operators != "auto" and not re.fullmatch(r"[0-9]{1,9}", operators):
-        raise InputError(
-            "identification", [Mistake("operators", f"{operators!r} is neither a number nor auto")]
-        )
-    return Settings(operators="auto" if operators == "auto" else int(operators), **options)
+    counts: dict[str, Any] = {}
+    for name, word in (("operators", operators), ("creep_modes", creep_modes)):
+        if word != "auto" and not re.fullmatch(r"[0-9]{1,9}", word):
+            raise InputError("identification", [Mistake(name, f"{word!r} is neither a number nor auto")])
+        counts[name] = "auto" if word == "auto" else int(word)
+    return Settings(**counts, **options)

@@ -43,6 +43,8 @@ UNSURE_PERCENT = 5.0
 UNSURE_DAMPING_PERCENT = 30.0
 FELT = 0.02
 """Part by which dynamics must lower the error to be told at all."""
+SURE_CREEP = 3.0
+"""Standard errors that the gain of a creep mode must have, if it was not asked for."""
 LOST = 1e-3
 """Smallest gain, in parts of the largest at low frequency, that can be inverted."""
 LINES = 400
@@ -53,11 +55,17 @@ UNTOLD = (
 
 
 def verdict(
-    scores: Mapping[Kind, Score], held_back: bool, flags: Sequence[str], dynamics: str = "none"
+    scores: Mapping[Kind, Score],
+    held_back: bool,
+    flags: Sequence[str],
+    dynamics: str = "none",
+    kept: Kind | None = None,
+    leftover: Sequence[str] = (),
 ) -> str:
     """Say which block earns its place, from the mean errors of the kinds of model.
 
-    ``dynamics`` are those that were asked for; where the records tell none, this is said first.
+    What the model leaves beside noise is said first. ``dynamics`` are those that were asked for: where the
+    records tell none, that is said, too. ``kept`` is the kind in the model file, the largest if not given.
 
     Examples
     --------
@@ -73,7 +81,7 @@ its place: it lowers the error from 7.4 to 0.8 %.
     where = "On records held back" if held_back else "On the fitted records themselves (none was held back)"
     listed = ", ".join(f"{KIND_NAMES[kind]} {error:.3g} %" for kind, error in errors.items())
     sentences = [f"{where}: {listed} of the range."]
-    if "hammerstein" in errors:
+    if {"linear_dynamics", "hammerstein"} <= errors.keys():
         sentences.append(_earns("The hysteresis block", errors["linear_dynamics"], errors["hammerstein"]))
         sentences.append(_earns("The linear dynamics", errors["static_hysteresis"], errors["hammerstein"]))
     else:
@@ -81,8 +89,16 @@ its place: it lowers the error from 7.4 to 0.8 %.
     if "classical" in errors:
         best = errors.get("hammerstein", errors["static_hysteresis"])
         sentences.append(_earns("Hysteresis beyond plays", errors["classical"], best))
-    if dynamics != "none" and "hammerstein" not in errors:
+    static = kept in ("linear", "static_hysteresis") or "hammerstein" not in errors
+    if dynamics not in ("none", "auto") and static:
         sentences.insert(0, UNTOLD)
+    largest = next(reversed([kind for kind in KIND_NAMES if kind in errors and kind != "classical"]))
+    if kept is not None and kept != largest:
+        sentences.append(
+            f"Kept is {KIND_NAMES[kept]}: {KIND_NAMES[largest]} is no better by more than chance, with more "
+            "parameters."
+        )
+    sentences[:0] = leftover
     if flags:
         model = "model" if "classical" in errors else "classical model"
         sentences.append(f"The {model} does not represent these records: " + "; ".join(flags) + ".")
@@ -177,16 +193,23 @@ def butterfly_flags(records: Sequence[Record], direct: Sequence[tuple[int, int]]
 def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str]:
     """What the excitation does not tell about each axis."""
     found = []
-    for name, axis in zip(outputs, axes, strict=True):
-        if not axis_identified(axis):
+    for name, fit in zip(outputs, axes, strict=True):
+        if not axis_identified(fit):
             found.append(
                 f"resonance and damping of {name}: an axis explains the records no better than none "
-                f"({axis.rms_um:.4g} um with, {axis.static_rms_um:.4g} um without); excite it nearer to its "
+                f"({fit.rms_um:.4g} um with, {fit.static_rms_um:.4g} um without); excite it nearer to its "
                 "resonance"
             )
-        elif axis.damping_error_percent > UNSURE_DAMPING_PERCENT:
-            found.append(f"damping of {name}: known to {axis.damping_error_percent:.0f} % only")
-        for mode, error in zip(axis.axis.creep, axis.creep_gain_errors, strict=True):
+        elif fit.axis.resonance_hz is None:
+            found.append(f"resonance and damping of {name}: a low-pass explains the records as well")
+        elif not fit.excited:
+            found.append(
+                f"resonance and damping of {name}: {fit.axis.resonance_hz:.4g} Hz lies outside the band that "
+                "was excited; the value only stands for the lag below it"
+            )
+        elif fit.damping_error_percent is not None and fit.damping_error_percent > UNSURE_DAMPING_PERCENT:
+            found.append(f"damping of {name}: known to {fit.damping_error_percent:.0f} % only")
+        for mode, error in zip(fit.axis.creep, fit.creep_gain_errors, strict=True):
             if abs(mode.gain) < 2.0 * error:
                 found.append(
                     f"creep of {name} over {mode.time_constant_s:.3g} s: {mode.gain:.2g} +- {error:.2g}; "
@@ -195,10 +218,39 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str
     return found
 
 
-def axis_identified(axis: AxisFit) -> bool:
-    """Whether the records tell the resonance of an axis."""
-    felt = axis.rms_um <= (1.0 - FELT) * axis.static_rms_um
-    return felt and axis.resonance_error_percent <= UNSURE_PERCENT
+def axis_identified(fit: AxisFit) -> bool:
+    """Whether the records tell the dynamics of an axis."""
+    if fit.rms_um > (1.0 - FELT) * fit.static_rms_um:
+        return False
+    return fit.resonance_error_percent is None or fit.resonance_error_percent <= UNSURE_PERCENT
+
+
+def creep_identified(fit: AxisFit, records: Sequence[Record]) -> bool:
+    """Whether the records tell the creep of an axis: slow modes of clear size that end within a record.
+
+    A mode that follows the drive within a radian of its slowest record cannot be told from the gain, one
+    slower than the longest record not from drift.
+    """
+    longest = max(record.sample_time_s * record.samples for record in records)
+    shortest = 0.5 / np.pi / min(drive_hz(record) for record in records)
+    return all(
+        shortest <= mode.time_constant_s <= longest and abs(mode.gain) >= SURE_CREEP * error
+        for mode, error in zip(fit.axis.creep, fit.creep_gain_errors, strict=True)
+    )
+
+
+def drive_hz(record: Record) -> float:
+    """Mean frequency of what a record is driven with, weighted with its power [Hz].
+
+    Examples
+    --------
+    >>> u = np.sin(2.0 * np.pi * 5.0 * np.arange(1000) / 1000.0)
+    >>> round(drive_hz(Record([u], [u], 1e-3)), 3)
+    5.0
+    """
+    spectrum = np.abs(np.fft.rfft(record.u_v - record.u_v.mean(axis=1, keepdims=True), axis=1)) ** 2
+    frequency_hz = np.fft.rfftfreq(record.samples, record.sample_time_s)
+    return float((spectrum @ frequency_hz).sum() / spectrum.sum())
 
 
 def bound_notes(

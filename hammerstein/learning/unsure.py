@@ -58,7 +58,10 @@ class Unsure:
     ) -> NDArray[np.complex128]:
         """Response (frequency, output) of every axis with its resonance multiplied by a factor."""
         axes = tuple(
-            axis.model_copy(update={"resonance_hz": factor * axis.resonance_hz}) for axis in dynamics.axes
+            axis.model_copy(update={"resonance_hz": factor * axis.resonance_hz})
+            if axis.resonance_hz
+            else axis
+            for axis in dynamics.axes
         )
         return _diagonal(discretise(dynamics.model_copy(update={"axes": axes}), sample_time_s), frequency_hz)
 

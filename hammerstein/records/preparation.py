@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis import play
 from hammerstein.records.checks import where
-from hammerstein.records.noise import dead_band
+from hammerstein.records.noise import dead_band, noise_rms, quantum
 from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 DRIVEN_SHARE = 0.01
 """An input that moves by less than this part of the largest one is held, not driven."""
 FEWEST_AT_REST = 3
+RESTING = 1e-4
+"""Part of its range by which an output at rest may move."""
+TREND_PARTS = 4
 DELAY_OPERATORS = 15
 DELAY_BLOCKS = 10
 DELAY_GAIN = 0.01
@@ -128,11 +131,36 @@ def prepare(record: Record, max_delay_samples: int = 0) -> Prepared:
 def dead_start(record: Record) -> int:
     """Samples before the last one at which every driven voltage still stands at its first value.
 
+    None where an output moves on under the held voltage: how it rings and creeps tells its dynamics.
+
     Parameters
     ----------
     record : voltages and displacements
     """
+    held = _held(record)
+    return 0 if moves_while_held(record) else held
+
+
+def moves_while_held(record: Record) -> bool:
+    """Whether an output rings or creeps at the beginning, while every driven voltage stands still."""
+    held = _held(record)
+    return not all(_rests(y[: held + 1], y) for y in record.y_um)
+
+
+def _held(record: Record) -> int:
     return min(_last_still(record.u_v[k]) for k in driven_inputs(record))
+
+
+def _rests(still: Array, whole: Array) -> bool:
+    """Whether an output shows no more than its noise while the voltage stands still."""
+    if len(still) < FEWEST_AT_REST:
+        return True
+    noise = max(noise_rms(whole), quantum(whole), RESTING * float(np.ptp(whole)))
+    trend = np.array_split(still, min(TREND_PARTS, len(still)))
+    allowed = 4.0 * noise / np.sqrt(len(trend[0]))
+    return (
+        float(still.std()) <= 2.0 * noise and float(np.ptp([part.mean() for part in trend])) <= 2.0 * allowed
+    )
 
 
 def run_in(record: Record) -> int:

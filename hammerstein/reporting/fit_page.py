@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import PurePath
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 
 from hammerstein.escaping import markdown
 from hammerstein.hysteresis import PrandtlIshlinskii, slopes_of
+from hammerstein.identification.choice import Trial
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.score import Score
 from hammerstein.model import HammersteinModel
@@ -22,6 +24,14 @@ CAPTIONS = {
     "grey bar marks this model.",
     "response": "Gain of each pair, measured and by the model at the amplitude of the records, and the part "
     "of each output's power that the inputs explain linearly.",
+}
+
+
+BEGINNINGS = {
+    "rest": "from rest",
+    "stepped": "with a step from 0 V",
+    "turned": "after the voltages had turned at",
+    "repeated": "in motion",
 }
 
 
@@ -99,6 +109,23 @@ def _errors(fit: Fit) -> Iterator[str]:
                 *(f"{markdown(name)} [{unit}]" for name in fit.outputs for unit in ("%", "um")),
             ]
             yield _table(header, [_score(fit, kind, score) for kind, score in scores.items()])
+    if fit.trials:
+        yield "### All models that were tried"
+        where = (
+            "the records held back"
+            if fit.validation
+            else ("stretches of the fitted records that were left out in turn (weights fitted to the others)")
+        )
+        yield (
+            f"Judged on {where}, mean of the outputs. Kept is the one with the fewest parameters whose error "
+            "is within one standard error of the least, and within 5 % of it."
+        )
+        yield _table(("model", "parameters", "error [%]"), map(_trial, fit.trials))
+
+
+def _trial(trial: Trial) -> list[str]:
+    error = f"{trial.percent:.3g}" if math.isfinite(trial.percent) else "not stable"
+    return [f"**{trial.name}**" if trial.kept else trial.name, str(trial.parameters), error]
 
 
 def _score(fit: Fit, kind: Kind, score: Score) -> list[str]:
@@ -119,7 +146,10 @@ def _facts(model: HammersteinModel, fit: Fit) -> Iterator[tuple[str, str]]:
         yield "sensor bandwidth, as given", f"{fit.sensor_bandwidth_hz:.4g} Hz"
     yield "inverse", markdown(fit.invertibility)
     for record, start, offsets in zip(fit.records, fit.starts, fit.offsets_um, strict=True):
-        began = "from rest" if start.kind == "rest" else "in motion"
+        began = BEGINNINGS[start.kind]
+        if start.kind == "turned":
+            turns = zip(fit.inputs, start.turn_v, record.rest_v, strict=True)
+            began += ", ".join(f" {turn + rest:.4g} V on {markdown(name)}" for name, (_, turn), rest in turns)
         if start.first:
             began += f", the first {start.first} samples left out"
         zero = ", ".join(f"{value:.4g}" for value in offsets)
@@ -169,16 +199,18 @@ def _dynamics(model: HammersteinModel, fit: Fit) -> Iterator[str]:
     for name, axis in zip(fit.outputs, fit.axes, strict=True):
         modes = zip(axis.axis.creep, axis.creep_gain_errors, strict=True)
         creep = ", ".join(f"{m.gain:.3g} ± {e:.1g} over {m.time_constant_s:.3g} s" for m, e in modes)
-        rows.append(
-            [
-                markdown(name),
-                f"{axis.axis.resonance_hz:.5g} ± {axis.resonance_error_percent:.1g} %",
-                f"{axis.axis.damping_ratio:.4g} ± {axis.damping_error_percent:.1g} %",
-                creep or "none",
-            ]
+        found = (
+            (axis.axis.resonance_hz, axis.resonance_error_percent),
+            (axis.axis.damping_ratio, axis.damping_error_percent),
+            (axis.axis.lag_s, axis.lag_error_percent),
         )
-    yield _table(("axis", "resonance [Hz]", "damping ratio", "creep (gain, time constant)"), rows)
-    yield "Standard errors hold for errors that are independent from sample to sample; misfit adds to them."
+        cells = [f"{v:.5g} ± {e:.1g} %" if v is not None and e is not None else "none" for v, e in found]
+        rows.append([markdown(name), *cells, creep or "none"])
+    yield _table(("axis", "resonance [Hz]", "damping ratio", "lag [s]", "creep (gain, time constant)"), rows)
+    yield (
+        "Standard errors hold for errors that are related within a sixteenth of a record: what the model "
+        "misses is in them."
+    )
 
 
 def _pictures(figures: Sequence[str]) -> Iterator[str]:

@@ -140,14 +140,15 @@ class Uncertainty(BaseModel):
         return dynamics
 
     def _axis_drawn(self, axis: Axis, generator: Normals) -> Axis:
-        return Axis(
-            resonance_hz=axis.resonance_hz * _factor(self.resonance, generator),
-            damping_ratio=axis.damping_ratio * _factor(self.damping, generator),
-            creep=tuple(
-                mode.model_copy(update={"gain": mode.gain * _factor(self.creep, generator)})
-                for mode in axis.creep
-            ),
+        drawn: dict[str, object] = {}
+        if axis.resonance_hz is not None and axis.damping_ratio is not None:
+            drawn["resonance_hz"] = axis.resonance_hz * _factor(self.resonance, generator)
+            drawn["damping_ratio"] = axis.damping_ratio * _factor(self.damping, generator)
+        drawn["creep"] = tuple(
+            mode.model_copy(update={"gain": mode.gain * _factor(self.creep, generator)})
+            for mode in axis.creep
         )
+        return axis.model_copy(update=drawn)
 
 
 def _factor(relative: float, generator: Normals) -> float:

@@ -12,6 +12,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from hammerstein.identification.fit import Fit
 from hammerstein.identification.identify import identify
@@ -42,6 +43,7 @@ asks of itself; the tests check it where the records are at hand.
 | record | model | fitted [%] | held back [%] | wanted [%] | what is said |
 | --- | --- | ---: | ---: | --- | --- |
 """
+STATIC: dict[str, Any] = {"operators": 15, "partition": "time", "dynamics": "none", "creep_modes": 0}
 MAGNETS = (
     ("11_TwoStepSolver_{}_MnZn_HP_ferrite.mat", "ferrite, high permeability"),
     ("12_Automation2018_{}_MnZn_ferrite.mat", "ferrite, 2018"),
@@ -64,7 +66,9 @@ def micromanipulator(folder: Path) -> Iterator[str]:
         ("", "`closed_form` (paper), delay found", "held back 1.4", {"method": "closed_form"}),
     )
     for name, what, wanted, options in cases:
-        model, fit = identify(records, Settings(**options), validation=held, name="micromanipulator")
+        model, fit = identify(
+            records, Settings(**(STATIC | options)), validation=held, name="micromanipulator"
+        )
         delay = f"delay of {fit.delay_samples} sample; " if fit.delay_samples else ""
         errors = (fit.fit, fit.validation)
         cells = [f"{scores[fit.kind].nrmse_percent[0]:.3f}" for scores in errors]
@@ -80,7 +84,9 @@ def mirror(folder: Path) -> Iterator[str]:
         axes = ("sample", "channel", "experiment", "period")
         return read_paired_records(*files, axes=axes, rate_hz=6400.0, output_scale=1e6)
 
-    settings = Settings(dynamics="state_space", order=28, operators=2, error_curve=False)
+    settings = Settings(
+        dynamics="state_space", order=28, operators=2, partition="time", creep_modes=0, error_curve=False
+    )
     for level, most in ((100, 8.4), (200, 8.0), (300, 5.6)):
         model, fit = identify(
             read(level, "train"), settings, validation=read(level, "test"), name=f"mirror at {level} mV"
@@ -101,7 +107,7 @@ def magnets(folder: Path) -> Iterator[str]:
         field, flux = (folder / pattern.format(quantity) for quantity in "HB")
         records = read_paired_records(field, flux, axes=("sample", "experiment"), rate_hz=100.0)
         for record in sorted(records, key=lambda r: float(r.u_v.max())):
-            _, fit = identify([record], Settings(error_curve=False))
+            _, fit = identify([record], Settings(**STATIC, error_curve=False))
             percent = fit.fit["static_hysteresis"].nrmse_percent[0]
             said = "; ".join(flag.split(":")[0] for flag in fit.flags) or "follows"
             loop = f"{name}, up to {record.u_v.max():.3g} A/m"

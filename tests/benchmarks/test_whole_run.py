@@ -119,7 +119,7 @@ def test_least_squares_on_a_long_record(bench, published):
     u[1] = np.roll(u[1], 77) * np.sin(2.0 * np.pi * 1.3 * SAMPLE_TIME_S * np.arange(bench.samples))
     noise = 0.04 * np.random.default_rng(0).standard_normal(u.shape)
     record = Record(u, published.hysteresis.respond(u)[0] + noise, SAMPLE_TIME_S)
-    settings = Settings(error_curve=False)
+    settings = Settings(operators=15, partition="time", dynamics="none", creep_modes=0, error_curve=False)
     identify([record.part(0, 20_000)], settings)
     start = time.perf_counter()
     _, fit = identify([record], settings)

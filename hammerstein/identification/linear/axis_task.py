@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, expm
+from scipy.linalg import block_diag
 
 from hammerstein.dynamics import Axis, CreepMode, LinearBlock
 from hammerstein.identification.static.normal_equations import Moments, moments_of, pooled
-from hammerstein.identification.static.regressors import Filter, Start, delayed, regressor_blocks
+from hammerstein.identification.static.regressors import Columns, Filter, Start, delayed, regressor_blocks
 from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
 
+SERIES = 16
+"""Terms of the exponential series, for a matrix with a norm of at most a half: the next one is rounding."""
+MIXED = 3
+"""Columns of an input beside that of its slopes."""
 STEP = 1e-5
 """Change of a parameter for its derivative: the parameters are logarithms and relative gains."""
 
@@ -32,46 +36,122 @@ class Heard:
         """State of a block that was never driven."""
         return self.block.rest()
 
+    def settled(self, columns: Array) -> Array:
+        """State of a block that was held at these columns for ever."""
+        return self.block.settled([float(self.weights @ columns)])
+
     def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
         """Outputs (row, sample) and the state after them."""
         return self.block.respond(self.weights @ columns, start)
 
 
+@dataclass(frozen=True)
+class AxisShape:
+    """What an axis consists of; the order of its parameters is that of the fields.
+
+    resonance : ln frequency and ln damping; lag : ln time constant
+    creep_modes : gain and ln time constant of each
+    """
+
+    resonance: bool = True
+    lag: bool = False
+    creep_modes: int = 0
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        return self.slow + 2 * self.creep_modes
+
+    @property
+    def slow(self) -> int:
+        """Number of the parameters before those of the creep."""
+        return 2 * self.resonance + self.lag
+
+    @property
+    def name(self) -> str:
+        """Words for a table."""
+        fast = [word for word, held in (("lag", self.lag), ("second order", self.resonance)) if held]
+        creep = [f"{self.creep_modes} creep mode{'s' * (self.creep_modes > 1)}"] if self.creep_modes else []
+        return " + ".join([*fast, *creep]) or "none"
+
+
 @dataclass(frozen=True, eq=False)
 class AxisTask:
-    """What stays fixed while one axis is fitted."""
+    """What stays fixed while one axis is fitted.
+
+    ``every`` leaves out samples of the sums, not of the signals: 3 takes every third. ``kept`` takes the
+    place of the columns of all thresholds, see ``mixed``.
+    """
 
     records: tuple[Record, ...]
     starts: tuple[Start, ...]
     grids: tuple[Array, ...]
     output: int
-    creep_modes: int
+    shape: AxisShape
     delay_samples: int
     sensor_bandwidth_hz: float | None
+    every: int = 1
+    kept: tuple[Columns, ...] = ()
 
     @property
     def columns(self) -> int:
-        """Slope columns of all inputs."""
-        return sum(map(len, self.grids))
+        """Columns whose slopes are found: those of all inputs, or the sums that are kept of them."""
+        return len(self.kept[0].held) if self.kept else sum(map(len, self.grids))
+
+    def mixed(self, slopes: Array) -> AxisTask:
+        """The task with few columns, kept in memory: outputs of given slopes, and a few plays beside them.
+
+        Each input has a column with what its slopes say, and columns with a third of its differences each.
+        """
+        rows, first = [], 0
+        for grid in self.grids:
+            own = np.zeros(sum(map(len, self.grids)))
+            own[first : first + len(grid)] = slopes[first : first + len(grid)]
+            rows += [own] if grid.size else []
+            for part in (
+                np.array_split(np.arange(first, first + len(grid)), min(MIXED, len(grid)))
+                if grid.size
+                else []
+            ):
+                rows.append(np.isin(np.arange(len(own)), part).astype(np.float64))
+            first += len(grid)
+        few = np.array(rows)
+        kept = tuple(
+            Columns.of(record.u_v, start, self.grids, few)
+            for record, start in zip(self.records, self.starts, strict=True)
+        )
+        return replace(self, kept=kept)
+
+    def blocks(self, number: int, filters: Sequence[Filter]) -> Iterator[tuple[int, Array]]:
+        """First sample and columns of each block of a record behind the filters."""
+        record, start = self.records[number], self.starts[number]
+        if self.kept:
+            return self.kept[number].blocks(start, self.delay_samples, filters)
+        return regressor_blocks(delayed(record, start, self.delay_samples), start, self.grids, filters)
 
     @property
     def limits(self) -> tuple[Array, Array]:
         """Smallest and largest parameters that records of this length and rate can tell anything of."""
         step = min(record.sample_time_s for record in self.records)
         span = duration_s(self.records)
-        lower = [math.log(0.2 / span), math.log(1e-4), *self.creep_modes * (-1.0, math.log(10.0 * step))]
-        upper = [math.log(0.45 / step), math.log(10.0), *self.creep_modes * (10.0, math.log(10.0 * span))]
+        shape, lower, upper = self.shape, [], []
+        if shape.resonance:
+            lower, upper = [math.log(0.2 / span), math.log(1e-4)], [math.log(0.45 / step), math.log(10.0)]
+        if shape.lag:
+            lower, upper = [*lower, math.log(0.05 * step)], [*upper, math.log(0.1 * span)]
+        lower += shape.creep_modes * [-1.0, math.log(10.0 * step)]
+        upper += shape.creep_modes * [10.0, math.log(10.0 * span)]
         return np.array(lower), np.array(upper)
 
     def path(self, x: Array, sample_time_s: float) -> LinearBlock:
         """Discrete path from the static block to the reading: what ``discretise`` gives, but quickly."""
-        a, b, c = axis_matrices(x)
+        a, b, c, d = axis_matrices(self.shape, x)
         if self.sensor_bandwidth_hz is not None:
             s = 2.0 * math.pi * self.sensor_bandwidth_hz
             a = np.block([[a, np.zeros((len(a), 1))], [s * c, np.full((1, 1), -s)]])
-            b = np.vstack([b, np.zeros((1, 1))])
-            c = np.eye(len(a))[-1:]
-        return held(a, b, c, np.zeros((1, 1)), sample_time_s)
+            b = np.vstack([b, s * d])
+            c, d = np.eye(len(a))[-1:], np.zeros((1, 1))
+        return held(a, b, c, d, sample_time_s)
 
     def sensor(self, sample_time_s: float) -> LinearBlock:
         """Discrete path of an axis without dynamics: the sensor alone."""
@@ -107,10 +187,11 @@ class AxisTask:
         times = {record.sample_time_s for record in self.records}
         built = {time: filters(time) for time in times}
         parts = []
-        for record, start in zip(self.records, self.starts, strict=True):
-            y, passed = record.y_um[[self.output]], built[record.sample_time_s]
-            blocks = regressor_blocks(delayed(record, start, self.delay_samples), start, self.grids, passed)
-            parts.append(moments_of(((c, y[:, k : k + c.shape[1]]) for k, c in blocks), columns, 1))
+        for i, record in enumerate(self.records):
+            y, step = record.y_um[[self.output]], self.every
+            blocks = self.blocks(i, built[record.sample_time_s])
+            counted = ((c[:, ::step], y[:, k : k + c.shape[1] : step]) for k, c in blocks)
+            parts.append(moments_of(counted, columns, 1))
         return pooled(parts)
 
 
@@ -119,19 +200,28 @@ def duration_s(records: Sequence[Record]) -> float:
     return max(record.sample_time_s * record.samples for record in records)
 
 
-def axis_matrices(x: Array) -> tuple[Array, Array, Array]:
-    """Continuous A, B, C of an axis with its creep: states position, speed / w, one for each slow mode."""
-    w, damping = 2.0 * math.pi * math.exp(x[0]), math.exp(x[1])
-    gains, rates = x[2::2], np.exp(-x[3::2])
-    n = 2 + len(gains)
-    a, b, c = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
-    a[:2, :2] = [[0.0, w], [-w, -2.0 * damping * w]]
-    a[2:, 0] = rates
-    a[range(2, n), range(2, n)] = -rates
-    b[1] = w
-    c[0, 0] = 1.0
-    c[0, 2:] = gains
-    return a, b, c
+def axis_matrices(shape: AxisShape, x: Array) -> tuple[Array, Array, Array, Array]:
+    """Continuous A, B, C, D of an axis: states low-pass, position, speed / w, one for each slow mode."""
+    n = shape.lag + 2 * shape.resonance + shape.creep_modes
+    a, b = np.zeros((n, n)), np.zeros((n, 1))
+    seen, through, i = np.zeros(n), 1.0, 0  # what the next block gets, of the states and of the input
+    if shape.lag:
+        rate = math.exp(-x[shape.slow - 1])
+        a[0, 0], b[0] = -rate, rate
+        seen, through, i = np.eye(n)[0], 0.0, 1
+    if shape.resonance:
+        w, damping = 2.0 * math.pi * math.exp(x[0]), math.exp(x[1])
+        a[i, i + 1], a[i + 1, i : i + 2] = w, [-w, -2.0 * damping * w]
+        a[i + 1] += w * seen
+        b[i + 1] = w * through
+        seen, through, i = np.eye(n)[i], 0.0, i + 2
+    gains, rates = x[shape.slow :: 2], np.exp(-x[shape.slow + 1 :: 2])
+    a[i:] = rates[:, None] * seen
+    b[i:, 0] = rates * through
+    a[range(i, n), range(i, n)] -= rates
+    c = seen.copy()
+    c[i:] += gains
+    return a, b, c[None], np.full((1, 1), through)
 
 
 def held(a: Array, b: Array, c: Array, d: Array, sample_time_s: float) -> LinearBlock:
@@ -146,11 +236,32 @@ def held(a: Array, b: Array, c: Array, d: Array, sample_time_s: float) -> Linear
     n, m = b.shape
     full = np.zeros((n + m, n + m))
     full[:n, :n], full[:n, n:] = a * sample_time_s, b * sample_time_s
-    result = expm(full)
+    result = _exponential(full)
     return LinearBlock(result[:n, :n], result[:n, n:], c, d, sample_time_s)
 
 
-def axis_of(x: Array) -> Axis:
-    """Axis with the parameters (ln resonance, ln damping, gain and ln time constant of each creep mode)."""
-    slow = tuple(CreepMode(gain=float(g), time_constant_s=math.exp(t)) for g, t in x[2:].reshape(-1, 2))
-    return Axis(resonance_hz=math.exp(x[0]), damping_ratio=math.exp(x[1]), creep=slow)
+def _exponential(matrix: Array) -> Array:
+    """Exponential of a small matrix, by its series after halving and squaring again.
+
+    SciPy's solves a system with every call, and BLAS with several threads takes 10 ms for one of three rows.
+    """
+    halvings = max(0, math.frexp(float(np.abs(matrix).sum(axis=1).max(initial=0.0)))[1] + 1)
+    part = matrix / 2.0**halvings
+    term = total = np.eye(len(matrix))
+    for i in range(1, SERIES):
+        term = term @ part / i
+        total = total + term
+    for _ in range(halvings):
+        total = total @ total
+    return np.asarray(total)
+
+
+def axis_of(shape: AxisShape, x: Array) -> Axis:
+    """Axis with given parameters."""
+    pairs = x[shape.slow :].reshape(-1, 2)
+    return Axis(
+        resonance_hz=math.exp(x[0]) if shape.resonance else None,
+        damping_ratio=math.exp(x[1]) if shape.resonance else None,
+        lag_s=math.exp(x[shape.slow - 1]) if shape.lag else None,
+        creep=tuple(CreepMode(gain=float(g), time_constant_s=math.exp(t)) for g, t in pairs),
+    )

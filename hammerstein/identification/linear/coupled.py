@@ -15,6 +15,7 @@ from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.linear.frequency_response import FrequencyResponse, frequency_response
 from hammerstein.identification.linear.state_space import fit_state_space
+from hammerstein.identification.score import begun
 from hammerstein.identification.static.normal_equations import Bounds, Moments, moments_of, pooled, solve
 from hammerstein.identification.static.regressors import Start, regressor_blocks
 from hammerstein.identification.static.static_block import (
@@ -85,7 +86,7 @@ def refit_linear(
     """State-space model behind a static block that is known."""
     outputs = []
     for record, start in zip(records, starts, strict=True):
-        v, memory = hysteresis.respond(record.u_v)
+        v, memory = hysteresis.respond(record.u_v, begun(hysteresis, record, start))
         outputs.append(hysteresis.respond(record.u_v, memory)[0] if start.kind == "repeated" else v)
     return fit_state_space(measured_response(records, outputs), order, progress=progress)
 
@@ -116,6 +117,10 @@ class ModalCopies:
     def rest(self) -> Modes:
         """State (copy, mode) of paths that were never driven."""
         return np.zeros((self.copies, len(self.poles)), dtype=np.complex128)
+
+    def settled(self, columns: Array) -> Modes:
+        """State (copy, mode) of paths that were held at their column for ever."""
+        return np.asarray(np.outer(columns, self.residues_in / (1.0 - self.poles)), dtype=np.complex128)
 
     def respond(self, columns: Array, start: Modes) -> tuple[Array, Modes]:
         """Outputs (copy, sample) and the state after them."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.dynamics import LinearBlock
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import Thresholds, fit_static
 from hammerstein.records.record import Record
@@ -40,14 +41,18 @@ def static_delay(
     thresholds_v: Thresholds,
     starts: Sequence[Start],
     most_delay: int = MOST_DELAY,
+    through: Sequence[LinearBlock] | None = None,
 ) -> tuple[int, Array]:
     """Delay under which a static block explains the records best, and the errors (delay, output) [um].
 
     Hysteresis looks like lag, so that a correlation would always find a delay; here every candidate is
-    judged with its own static block. Dynamics that are left out are counted as delay.
+    judged with its own static block. Dynamics that are left out are counted as delay; ``through``, the
+    sensor of each record, is not.
     """
     rms = [
-        fit_static(records, thresholds_v, method="least_squares", starts=starts, delay_samples=d).rms_um
+        fit_static(
+            records, thresholds_v, method="least_squares", starts=starts, delay_samples=d, through=through
+        ).rms_um
         for d in range(most_delay + 1)
     ]
     return shortest_delay(np.array(rms)), np.array(rms)

@@ -1,4 +1,4 @@
-"""Resonance, damping, creep and delay of each axis, found together with the static block.
+"""Resonance, damping, lag, creep and delay of each axis, found together with the static block.
 
 Once the linear block is fixed, the slopes c of the static block enter linearly,
 
@@ -16,6 +16,7 @@ does not grow with the record.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import AxesDynamics, Axis, LinearBlock
-from hammerstein.identification.linear.axis_task import AxisTask, axis_of, duration_s
+from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, Heard, axis_of, duration_s
 from hammerstein.identification.linear.delay import MOST_DELAY, shortest_delay
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.normal_equations import coefficients, squares_left
@@ -47,13 +48,29 @@ TINY = 1e-300
 WORSE_DELAYS = 2
 CLEARLY_BETTER = 0.98
 """Part of the error under which another delay takes the place of the one found first."""
-SEARCH_SAMPLES = 10_000
-SEARCH_OPERATORS = 3
-GUESS_SAMPLES = 30_000
-GUESS_OPERATORS = 5
+GUESS_SAMPLES = 60_000
+GUESS_OPERATORS = 20
+SEARCH_TURNS = 2
+"""How often the hysteresis that the axis is searched with is found anew, behind the axis found."""
+COUNTED_SAMPLES = 15_000
+"""Samples that are counted in the sums of a search; more than so many are thinned out evenly."""
 CREEP_OPERATORS = 6
 SEARCH_DAMPING = 0.15
 SEARCH_BEGINS = 3
+PEAK_DAMPING = 0.03
+LEAST_WINDOW, WINDOW = 256, 4096
+PROMINENT = 0.7
+"""Logarithm of the ratio by which an amplitude must stand out."""
+LAG_SAMPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+"""Time constants of a low-pass to begin with, in samples."""
+CREEP_SPANS = (0.03, 0.3)
+"""Time constants of a creep mode to begin with, in parts of the longest record."""
+STRETCHES = 16
+"""Stretches of a record within which errors may be related."""
+NEAR = 1.15
+"""Ratio of frequencies that belong to a resonance."""
+EXCITED = 2.0
+"""Amplitude near a resonance, in parts of what the model leaves there, from which it counts as excited."""
 SEARCH_RATIO = 1.3
 """Ratio of neighbouring frequencies tried: within reach of the Gauss-Newton steps."""
 
@@ -64,19 +81,24 @@ class AxisFit:
 
     Parameters
     ----------
-    axis : resonance, damping, creep
-    resonance_error_percent, damping_error_percent : standard errors, in percent of the value
+    axis : resonance, damping, lag, creep
+    resonance_error_percent, damping_error_percent : standard errors, in percent of the value; None without
+        a resonance
     creep_gain_errors : standard errors of the creep gains
     rms_um : rms of what is left [um]
     static_rms_um : the same without dynamics [um]
+    lag_error_percent : standard error of the time constant, in percent of it; None without a lag
+    excited : whether the resonance shows in the records: the model has more power near it than it leaves
     """
 
     axis: Axis
-    resonance_error_percent: float
-    damping_error_percent: float
+    resonance_error_percent: float | None
+    damping_error_percent: float | None
     creep_gain_errors: tuple[float, ...]
     rms_um: float
     static_rms_um: float
+    lag_error_percent: float | None = None
+    excited: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +150,11 @@ def refine(task: AxisTask, x: Array) -> Point:
     return here
 
 
+def rms_behind(task: AxisTask, x: Array) -> float:
+    """Rms of what is left with given parameters and the best slopes [um]."""
+    return _alone(task, partial(task.path, x))[1]
+
+
 def _alone(task: AxisTask, path: Callable[[float], LinearBlock]) -> tuple[Array, float]:
     """Slopes behind a fixed path, and the rms of what is left."""
     moments = task.moments(lambda time: [SideBySide(path(time), task.columns)], task.columns)
@@ -160,66 +187,174 @@ def _point(task: AxisTask, x: Array, slopes: Array) -> Point:
     )
 
 
-def search(task: AxisTask) -> Array:
-    """Resonance and damping near the best ones, from a coarse grid over all that the records can show."""
+def search(task: AxisTask) -> Point:
+    """Resonance and damping near the best ones.
+
+    Begun with the best places of a coarse grid over all that the records can show, and with the frequencies
+    that stand out of what a static block leaves.
+    """
     lower, upper = task.limits
     frequencies = np.arange(math.log(10.0) + lower[0], upper[0], math.log(SEARCH_RATIO))
     grid = [np.array([f, math.log(SEARCH_DAMPING)]) for f in frequencies]
     errors = [_alone(task, partial(task.path, x))[1] for x in grid]
     begins = [grid[int(i)] for i in np.argsort(errors, kind="stable")[:SEARCH_BEGINS]]
-    return min((refine(task, x) for x in begins), key=lambda point: point.rms).x
+    begins += [np.log([f, PEAK_DAMPING]) for f in ringing_hz(task) if lower[0] < math.log(f) < upper[0]]
+    return min((refine(task, x) for x in begins), key=lambda point: point.rms)
+
+
+def ringing_hz(task: AxisTask) -> list[float]:
+    """Frequencies at which what a static block leaves stands out of its neighbourhood, clearest first."""
+    from scipy.signal import find_peaks, welch
+
+    slopes, _ = _alone(task, task.sensor)
+    found: list[tuple[float, float]] = []
+    for record, left in zip(task.records, residuals(task, task.sensor, slopes), strict=True):
+        if len(left) < 2 * LEAST_WINDOW:
+            continue
+        frequency_hz, power = welch(left, 1.0 / record.sample_time_s, nperseg=min(len(left), WINDOW))
+        level = 0.5 * np.log(np.maximum(power[1:], np.finfo(float).tiny))
+        peaks, shape = find_peaks(level, prominence=PROMINENT)
+        found += [
+            (-float(p), float(frequency_hz[1:][i])) for p, i in zip(shape["prominences"], peaks, strict=True)
+        ]
+    return [f for _, f in sorted(found)[:SEARCH_BEGINS]]
+
+
+def residuals(task: AxisTask, path: Callable[[float], LinearBlock], slopes: Array) -> list[Array]:
+    """What the slopes behind a path leave of each record (sample,), about its mean [um]."""
+    left = []
+    for i, (record, start) in enumerate(zip(task.records, task.starts, strict=True)):
+        filters = [Heard(slopes, path(record.sample_time_s))]
+        said = [x[0] for _, x in task.blocks(i, filters)]
+        error = record.y_um[task.output, start.first :] - np.concatenate(said)
+        left.append(np.asarray(error - error.mean()))
+    return left
+
+
+def search_creep(task: AxisTask, before: Array) -> Point:
+    """One slow mode beside the parameters ``before``, and all of them near the best ones."""
+    span = duration_s(task.records)
+    begins = [np.concatenate([before, [0.02, math.log(part * span)]]) for part in CREEP_SPANS]
+    return min((refine(task, x) for x in begins), key=lambda point: point.rms)
+
+
+def search_lag(task: AxisTask, before: Array) -> Point:
+    """Low-pass near the best one, beside the parameters (ln frequency, ln damping) of a resonance if any."""
+    times = np.log(min(r.sample_time_s for r in task.records) * np.array(LAG_SAMPLES))
+    lower, upper = task.limits
+    begins = [np.append(before, time) for time in times if lower[-1] <= time <= upper[-1]]
+    errors = [_alone(task, partial(task.path, x))[1] for x in begins]
+    return refine(task, begins[int(np.argmin(errors))])
 
 
 def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
-    """Fit one axis from parameters near the best ones."""
-    x = np.concatenate([begin[:2], _first_creep(task)])
-    if task.creep_modes and task.columns > len(task.grids):
+    """Fit one axis from parameters near the best ones; creep is begun anew if ``begin`` holds none."""
+    shape = task.shape
+    static = _alone(task, task.sensor)[1]
+    x = begin if len(begin) == shape.parameters else np.concatenate([begin[: shape.slow], _first_creep(task)])
+    if not shape.parameters:
+        return AxisFit(Axis(), None, None, (), static, static)
+    if shape.creep_modes and task.columns > len(task.grids):
         reach = half_swing(task.records)
-        coarse = tuple(thresholds_uniform_in_voltage(r, CREEP_OPERATORS) for r in reach)
+        coarse = tuple(thresholds_uniform_in_voltage(r, CREEP_OPERATORS) if r else np.empty(0) for r in reach)
         x = refine(replace(task, grids=coarse), x).x  # many steps, each of them cheaper
     point = refine(task, x)
-    percent = 100.0 * point.errors
+    errors = 100.0 * standard_errors(task, point)
     return AxisFit(
-        axis=axis_of(point.x),
-        resonance_error_percent=float(percent[0]),
-        damping_error_percent=float(percent[1]),
-        creep_gain_errors=tuple(point.errors[2::2].tolist()),
+        axis=axis_of(shape, point.x),
+        resonance_error_percent=float(errors[0]) if shape.resonance else None,
+        damping_error_percent=float(errors[1]) if shape.resonance else None,
+        creep_gain_errors=tuple((0.01 * errors[shape.slow :: 2]).tolist()),
         rms_um=point.rms,
-        static_rms_um=_alone(task, task.sensor)[1],
+        static_rms_um=static,
+        lag_error_percent=float(errors[shape.slow - 1]) if shape.lag else None,
+        excited=not shape.resonance or _excited(task, point),
     )
+
+
+def standard_errors(task: AxisTask, point: Point) -> Array:
+    """Standard errors of the parameters, with what the model misses.
+
+    The larger of two: for errors that are independent from sample to sample, and
+
+        (H^-1 (sum over stretches of g g^T) H^-1)_ii,    g = sum over the stretch of psi e
+
+    with the derivatives psi of the output behind the slopes, and H = psi^T psi: errors may be related
+    within a stretch (White, Econometrica 48 (1980) 817-838; Liang and Zeger, Biometrika 73 (1986) 13-22).
+    """
+    n = task.columns
+    inverse = np.linalg.pinv(point.curvature, rcond=1e-14, hermitian=True)
+    spread = np.zeros_like(inverse)
+    path = partial(task.path, point.x)
+    left = residuals(task, path, point.slopes)
+    for i, (record, error) in enumerate(zip(task.records, left, strict=True)):
+        time = record.sample_time_s
+        filters: list[Filter] = [
+            SideBySide(path(time), n),
+            task.derivatives(point.x, point.slopes, time),
+        ]
+        moves = np.hstack([x[n:] - point.drag.T @ x[:n] for _, x in task.blocks(i, filters)])
+        moves -= moves.mean(axis=1, keepdims=True)
+        ends = np.linspace(0, len(error), STRETCHES + 1).astype(int)
+        scores = [moves[:, a:b] @ error[a:b] for a, b in itertools.pairwise(ends)]
+        spread += np.sum([np.outer(g, g) for g in scores], axis=0)
+    related = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0))
+    return np.asarray(np.maximum(related, point.errors))
+
+
+def _excited(task: AxisTask, point: Point) -> bool:
+    """Whether the model has more power near its resonance than it leaves there."""
+    path = partial(task.path, point.x)
+    hz = math.exp(point.x[0])
+    said = left = 0.0
+    for record, error in zip(task.records, residuals(task, path, point.slopes), strict=True):
+        read = record.y_um[task.output, -len(error) :]
+        # Differences leave nothing of slow motion to leak into the band, and keep ringing at the very start.
+        spectra = [np.fft.rfft(np.diff(x)) for x in (read - error, error)]
+        frequency_hz = np.fft.rfftfreq(len(error) - 1, record.sample_time_s)
+        near = (frequency_hz > hz / NEAR) & (frequency_hz < hz * NEAR)
+        said += float(np.sum(np.abs(spectra[0][near]) ** 2))
+        left += float(np.sum(np.abs(spectra[1][near]) ** 2))
+    return said > EXCITED**2 * left
 
 
 def _first_creep(task: AxisTask) -> Array:
     """Gains and time constants to begin with: spread over what the longest record shows of slow modes."""
     span = duration_s(task.records)
-    times = span * np.geomspace(0.02, 0.5, task.creep_modes + 2)[1:-1]
+    times = span * np.geomspace(0.02, 0.5, task.shape.creep_modes + 2)[1:-1]
     return np.column_stack([np.full(len(times), 0.02), np.log(times)]).ravel()
 
 
 @dataclass(frozen=True, eq=False)
 class FirstGuess:
-    """Resonances near the best ones, found quickly.
+    """Axes near the best ones, found quickly.
 
     Parameters
     ----------
-    parameters : (output, 2) ln resonance and ln damping
+    shapes : what each axis consists of
+    parameters : of each axis, see ``AxisShape``
     delay_samples : whole samples by which the outputs come late
     delay_rms_um : (delay, output) rms of what is left for every delay tried; empty if it was given
     """
 
-    parameters: Array
+    shapes: tuple[AxisShape, ...]
+    parameters: tuple[Array, ...]
     delay_samples: int
     delay_rms_um: Array
 
     def dynamics(self) -> AxesDynamics:
         """Give the axes, without delay."""
-        return AxesDynamics(axes=tuple(axis_of(x) for x in self.parameters))
+        return AxesDynamics(axes=tuple(map(axis_of, self.shapes, self.parameters)))
 
     @property
     def settle_s(self) -> float:
         """Time in which the slowest axis rings down to a thousandth [s]."""
-        decay = 2.0 * math.pi * np.exp(self.parameters.sum(axis=1))
-        return math.log(1e3) / float(decay.min())
+        rates = [2.0 * math.pi * math.exp(x[0] + x[1]) for s, x in self._each() if s.resonance]
+        rates += [math.exp(-x[s.slow - 1]) for s, x in self._each() if s.lag]
+        return math.log(1e3) / min(rates) if rates else 0.0
+
+    def _each(self) -> list[tuple[AxisShape, Array]]:
+        return list(zip(self.shapes, self.parameters, strict=True))
 
 
 def search_axes(
@@ -229,9 +364,11 @@ def search_axes(
     delay_samples: int | None = 0,
     most_delay: int = MOST_DELAY,
     sensor_bandwidth_hz: float | None = None,
+    lag: bool = False,
+    resonance: bool = True,
     progress: Progress | None = None,
 ) -> FirstGuess:
-    """Resonance and damping of every axis, and the delay, from the beginnings of the records.
+    """Resonance, damping and lag of every axis, and the delay, from the beginnings of the records.
 
     Parameters
     ----------
@@ -240,29 +377,50 @@ def search_axes(
     delay_samples : whole samples by which the outputs come late; None: found, up to ``most_delay``, if all
         records have one sample time
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; none if not given
+    lag, resonance : what each axis consists of
     progress : told what is being done
     """
     tell = progress or (lambda _: None)
-    delay = delay_samples or 0
 
-    def task(output: int, samples: int, operators: int) -> AxisTask:
-        quick, begun = shortened(records, starts, samples)
-        grids = tuple(thresholds_uniform_in_voltage(reach, operators) for reach in half_swing(quick))
-        return AxisTask(quick, begun, grids, output, 0, delay, sensor_bandwidth_hz)
-
-    names = records[0].outputs
-    tasks = [task(o, GUESS_SAMPLES, GUESS_OPERATORS) for o in range(len(names))]
-    begins = []
-    for o, name in enumerate(names):
-        tell(f"searching the resonance of {name}")
-        begins.append(refine(tasks[o], search(task(o, SEARCH_SAMPLES, SEARCH_OPERATORS))).x)
+    quick, begun = shortened(records, starts, GUESS_SAMPLES)
+    reach, every = half_swing(quick), thinning(quick)
+    grids = tuple(thresholds_uniform_in_voltage(r, GUESS_OPERATORS) if r else np.empty(0) for r in reach)
+    tasks, begins = [], []
+    for o, name in enumerate(records[0].outputs):
+        tell(f"searching the {'resonance' if resonance else 'lag'} of {name}")
+        shape = AxisShape(resonance, lag)
+        full = AxisTask(quick, begun, grids, o, shape, delay_samples or 0, sensor_bandwidth_hz, every)
+        task, x = _searched(full)
+        tasks.append(task)
+        begins.append(x)
+    shapes = tuple(one.shape for one in tasks)
     if delay_samples is not None or len({record.sample_time_s for record in records}) > 1:
-        return FirstGuess(np.array(begins), delay, np.empty((0, len(tasks))))
+        return FirstGuess(shapes, tuple(begins), delay_samples or 0, np.empty((0, len(tasks))))
     tell("searching the delay")
     points = _delay_search(tasks, begins, most_delay)
     rms = np.array([[point.rms for point in row] for row in points])
     found = shortest_delay(rms)
-    return FirstGuess(np.array([point.x for point in points[found]]), found, rms)
+    return FirstGuess(shapes, tuple(point.x for point in points[found]), found, rms)
+
+
+def _searched(full: AxisTask) -> tuple[AxisTask, Array]:
+    """Axis near the best one, and the task with few columns that it was found with."""
+    shape = full.shape
+    task = full.mixed(_alone(full, full.sensor)[0])
+    x = np.empty(0)
+    for turn in range(SEARCH_TURNS):
+        if shape.resonance:
+            alone = replace(task, shape=AxisShape())
+            x = refine(alone, x[:2]).x if turn else search(alone).x
+        if shape.lag:
+            x = search_lag(task, x[: 2 * shape.resonance]).x
+        task = full.mixed(_alone(full, partial(full.path, x))[0])
+    return task, refine(task, x).x
+
+
+def thinning(records: Sequence[Record]) -> int:
+    """Every how many samples are counted in the sums of a search."""
+    return max(sum(record.samples for record in records) // COUNTED_SAMPLES, 1)
 
 
 def _delay_search(tasks: Sequence[AxisTask], begins: Sequence[Array], most_delay: int) -> list[list[Point]]:
@@ -302,29 +460,31 @@ def checked_delay(
     if not len(guess.delay_rms_um):
         return guess
     quick, begun = shortened(records, starts, GUESS_SAMPLES)
+    every = thinning(quick)
 
-    def points(delay: int, begins: Array) -> list[Point]:
+    def points(delay: int, begins: Sequence[Array]) -> list[Point]:
         tasks = [
-            AxisTask(quick, begun, tuple(grids), o, 0, delay, sensor_bandwidth_hz) for o in range(len(begins))
+            AxisTask(quick, begun, tuple(grids), o, shape, delay, sensor_bandwidth_hz, every)
+            for o, shape in enumerate(guess.shapes)
         ]
         return [refine(task, x) for task, x in zip(tasks, begins, strict=True)]
 
     here, delay = points(guess.delay_samples, guess.parameters), guess.delay_samples
     for step in (-1, 1):
         while 0 <= delay + step <= MOST_DELAY:
-            there = points(delay + step, np.array([point.x for point in here]))
+            there = points(delay + step, [point.x for point in here])
             ratios = [new.rms / max(old.rms, TINY) for new, old in zip(there, here, strict=True)]
             if math.prod(ratios) >= CLEARLY_BETTER ** len(ratios):
                 break
             here, delay = there, delay + step
     if delay == guess.delay_samples:
         return guess
-    return replace(guess, parameters=np.array([point.x for point in here]), delay_samples=delay)
+    return replace(guess, parameters=tuple(point.x for point in here), delay_samples=delay)
 
 
 @dataclass(frozen=True, eq=False)
 class AxesFit:
-    """Second-order dynamics of all axes and the delay of the inputs."""
+    """Dynamics of all axes and the delay of the inputs."""
 
     axes: tuple[AxisFit, ...]
     delay_samples: int
@@ -341,11 +501,12 @@ def fit_axes(
     starts: Sequence[Start],
     guess: FirstGuess,
     *,
-    creep_modes: int = 0,
+    creep_modes: int | None = 0,
     sensor_bandwidth_hz: float | None = None,
+    every: int = 1,
     progress: Progress | None = None,
 ) -> AxesFit:
-    """Resonance, damping and creep of every axis, each with its own static block in front.
+    """Parameters of every axis, each with its own static block in front.
 
     Parameters
     ----------
@@ -353,22 +514,37 @@ def fit_axes(
     grids : thresholds of each input [V]
     starts : what went before each record
     guess : where to begin
-    creep_modes : slow modes of each axis
+    creep_modes : slow modes of each axis; None: as many as the guess has
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz]
+    every : samples of which one is counted in the sums
     progress : told what is being done
     """
     tell = progress or (lambda _: None)
     fits = []
-    for o, begin in enumerate(guess.parameters):
+    for o, (shape, begin) in enumerate(zip(guess.shapes, guess.parameters, strict=True)):
         tell(f"fitting the axis {records[0].outputs[o]}")
         task = AxisTask(
             tuple(records),
             tuple(starts),
             tuple(grids),
             o,
-            creep_modes,
+            shape if creep_modes is None else replace(shape, creep_modes=creep_modes),
             guess.delay_samples,
             sensor_bandwidth_hz,
+            every,
         )
         fits.append(fit_axis(task, begin))
     return AxesFit(tuple(fits), guess.delay_samples)
+
+
+def parameters_of(axis: Axis) -> tuple[AxisShape, Array]:
+    """Shape and parameters of an axis, creep included."""
+    x: list[float] = []
+    if axis.resonance_hz is not None and axis.damping_ratio is not None:
+        x += [math.log(axis.resonance_hz), math.log(axis.damping_ratio)]
+    if axis.lag_s is not None:
+        x.append(math.log(axis.lag_s))
+    for mode in axis.creep:
+        x += [mode.gain, math.log(mode.time_constant_s)]
+    shape = AxisShape(axis.resonance_hz is not None, axis.lag_s is not None, len(axis.creep))
+    return shape, np.array(x)

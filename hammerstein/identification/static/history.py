@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.identification.static.regressors import Start
-from hammerstein.records.preparation import driven_inputs, run_in
+from hammerstein.records.preparation import driven_inputs, moves_while_held, run_in
 from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
@@ -25,6 +24,14 @@ CAUTION = 0.25
 """Part of the remaining record that is left out as well until the dynamics are known."""
 FEWEST = 500
 """Samples of a record that are always kept."""
+WORTH = 0.02
+"""Part by which another past must lower the squared error."""
+TURN_WORTH = 0.1
+"""The same for a voltage at which an input may have turned: one is chosen of many."""
+TURNS, TURN_ROUNDS, START_ROUNDS = 21, 2, 4
+"""Voltages tried at which an input may have turned last, and how often the search goes round."""
+KINDS = ("rest", "virgin", "stepped", "low", "high")
+"""What may have gone before a record."""
 ALIKE = 2.0
 ALIKE_FLOOR = 0.002
 """A start from rest is believed if it explains the beginning as well as the model explains the rest."""
@@ -62,7 +69,7 @@ def judged_starts(
     settle_s: float,
     mode: StartMode = "auto",
 ) -> tuple[Start, ...]:
-    """Start of each record, with a first model at hand.
+    """Start of each record, with a model at hand: the one that leaves the least error.
 
     Parameters
     ----------
@@ -79,20 +86,169 @@ def judged_starts(
 def _judged(
     record: Record, predict: Callable[[Record, Start], Array], settle_s: float, mode: StartMode
 ) -> Start:
+    """Start with the least error; what is left out of the record if none explains its beginning."""
     cautious = cautious_start(record)
-    if cautious.first == 0:
+    if record.period_samples is not None or (mode == "repeated" and closed(record)):
         return cautious
     begun = run_in(record)
-    ring = min(round(settle_s / record.sample_time_s), cautious.first - begun)
-    forgotten = replace(cautious, first=begun + ring)
+    ring = min(round(settle_s / record.sample_time_s), max(cautious.first - begun, 0))
+    forgotten = cautious if cautious == Start("repeated") else Start("repeated", begun + ring)
+    short = forgotten.first > KEPT_SHARE * record.samples
     if mode == "repeated":
-        return forgotten
-    error = record.y_um - predict(record, Start("rest"))
-    error -= error[:, cautious.first :].mean(axis=1, keepdims=True)
-    before = np.sqrt(np.mean(error[:, : max(begun, 1)] ** 2, axis=1))
-    after = np.sqrt(np.mean(error[:, cautious.first :] ** 2, axis=1))
+        return cautious if short else forgotten
+    best = _least(record, predict)
+    error = record.y_um - predict(record, best)
+    before, after = _around(error, begun, forgotten.first)
     allowed = ALIKE * after + ALIKE_FLOOR * np.ptp(record.y_um, axis=1)
-    return Start("rest") if bool((before <= allowed).all()) else forgotten
+    return best if short or bool((before <= allowed).all()) else forgotten
+
+
+def _around(error: Array, begun: int, first: int) -> tuple[Array, Array]:
+    """Rms error (output,) of the beginning of a record and of what follows, about the mean of the latter."""
+    about = error - error[:, first:].mean(axis=1, keepdims=True)
+    return (
+        np.sqrt(np.mean(about[:, : max(begun, 1)] ** 2, axis=1)),
+        np.sqrt(np.mean(about[:, first:] ** 2, axis=1)),
+    )
+
+
+def _least(record: Record, predict: Callable[[Record, Start], Array]) -> Start:
+    """Of all that may have gone before, what leaves the least error; a simpler past is preferred."""
+    span = np.maximum(np.ptp(record.y_um, axis=1), np.finfo(float).tiny)
+
+    def left(start: Start) -> float:
+        error = (record.y_um - predict(record, start)) / span[:, None]
+        return float(np.mean(error.var(axis=1)))
+
+    order = ("stepped", "rest", "virgin") if moves_while_held(record) else ("rest", "virgin", "stepped")
+    choices = [_of_kind(kind, record) for kind in order]
+    if closed(record):
+        choices.insert(0, Start("repeated"))
+    errors = [left(start) for start in choices]
+    best = next(i for i, error in enumerate(errors) if error <= (1.0 + WORTH) * min(errors))
+    least, start = errors[best], choices[best]
+    turned, error = _turned(record, left)
+    return turned if error < (1.0 - TURN_WORTH) * least else start
+
+
+def _turned(record: Record, left: Callable[[Start], float]) -> tuple[Start, float]:
+    """Voltages in the record's range at which the inputs turned last before it, and the error with them."""
+    low, high = record.u_v.min(axis=1), record.u_v.max(axis=1)
+    middle, driven = 0.5 * (low + high), driven_inputs(record)
+
+    def start(turn: Array) -> Start:
+        return Start("turned", 0, tuple(zip(middle.tolist(), turn.tolist(), strict=True)))
+
+    turn = record.u_v[:, 0].copy()
+    least = np.inf
+    for _ in range(TURN_ROUNDS if len(driven) > 1 else 1):
+        for k in driven:
+            trials = [
+                np.where(np.arange(len(turn)) == k, v, turn) for v in np.linspace(low[k], high[k], TURNS)
+            ]
+            errors = [left(start(trial)) for trial in trials]
+            best = int(np.argmin(errors))
+            if errors[best] < least:
+                least, turn = errors[best], trials[best]
+    return start(turn), least
+
+
+def alike_starts(records: Sequence[Record]) -> dict[str, tuple[Start, ...]]:
+    """Ways in which all records may have begun alike; periodic ones are always repeated."""
+
+    def all_of(kind: str) -> tuple[Start, ...]:
+        return tuple(
+            Start("repeated") if record.period_samples is not None else _of_kind(kind, record)
+            for record in records
+        )
+
+    cautious = {"cautious": tuple(cautious_start(record) for record in records)}
+    others = {kind: all_of(kind) for kind in KINDS}
+    return cautious | others if all(closed(record) for record in records) else others | cautious
+
+
+def _of_kind(kind: str, record: Record) -> Start:
+    zero_v = (-record.rest_v).tolist()  # where the amplifier gives none
+    if kind == "rest" or (not record.rest_v.any() and kind in ("virgin", "stepped")):
+        return Start("rest")
+    if kind == "virgin" and moves_while_held(record):
+        return _of_kind("stepped", record)
+    if kind == "virgin":  # driven from 0 V to the first voltage for the first time, and held there
+        return Start("turned", 0, tuple(zip(zero_v, record.u_v[:, 0].tolist(), strict=True)))
+    if kind == "stepped":
+        return Start("stepped", 0, tuple(zip(zero_v, zero_v, strict=True)))
+    low, high = record.u_v.min(axis=1), record.u_v.max(axis=1)
+    turn = low if kind == "low" else high
+    return Start("turned", 0, tuple(zip((0.5 * (low + high)).tolist(), turn.tolist(), strict=True)))
+
+
+def found_starts(
+    records: Sequence[Record],
+    fit: Callable[[Sequence[Start]], Callable[[Record, Start], Array]],
+    settle_s: float,
+    mode: StartMode = "auto",
+) -> tuple[Start, ...]:
+    """Start of each record, found together with a model.
+
+    A model is fitted for every way in which all records may have begun alike; from the best of them on, each
+    record is judged alone with the model fitted to the starts found so far.
+
+    Parameters
+    ----------
+    records : voltages and displacements
+    fit : model fitted with given starts, as the readings that it predicts for a record
+    settle_s : time in which the dynamics forget [s]
+    mode : ``auto``; ``rest`` or ``repeated`` if it is known
+    """
+    ways = alike_starts(records)
+    if mode != "auto":
+        return judged_starts(records, fit(ways["cautious"]), settle_s, mode)
+    tried: dict[tuple[Start, ...], float] = {}
+    for starts in ways.values():
+        if starts not in tried:
+            tried[starts] = _whole_error(records, starts, fit(starts))
+    best = next(starts for starts, error in tried.items() if error <= (1.0 + WORTH) * min(tried.values()))
+    best = _each_alone(records, best, tried[best], fit)
+    for _ in range(START_ROUNDS):
+        found = judged_starts(records, fit(best), settle_s, mode)
+        if found == best:
+            break
+        best = found
+    return best
+
+
+def _each_alone(
+    records: Sequence[Record],
+    starts: tuple[Start, ...],
+    error: float,
+    fit: Callable[[Sequence[Start]], Callable[[Record, Start], Array]],
+) -> tuple[Start, ...]:
+    """One record after the other may have begun otherwise, if the model fitted then leaves less of all."""
+    if len(records) == 1:
+        return starts
+    for i, record in enumerate(records):
+        if record.period_samples is not None:
+            continue
+        for kind in KINDS:
+            other = (*starts[:i], _of_kind(kind, record), *starts[i + 1 :])
+            if other == starts:
+                continue
+            left = _whole_error(records, other, fit(other))
+            if left < (1.0 - TURN_WORTH) * error:
+                starts, error = other, left
+    return starts
+
+
+def _whole_error(
+    records: Sequence[Record], starts: Sequence[Start], predict: Callable[[Record, Start], Array]
+) -> float:
+    """Mean squared error of whole records in parts of their ranges, whatever the starts leave out."""
+    parts = []
+    for record, start in zip(records, starts, strict=True):
+        span = np.maximum(np.ptp(record.y_um, axis=1), np.finfo(float).tiny)
+        error = (record.y_um - predict(record, start)) / span[:, None]
+        parts.append(float(np.mean(error.var(axis=1))))
+    return float(np.mean(parts))
 
 
 def shortened(
@@ -108,6 +264,6 @@ def _cut(record: Record, start: Start, most: int) -> tuple[Record, Start]:
     if record.samples <= most:
         return record, start
     part = record.part(0, most)
-    if start.kind == "rest":
+    if start.kind != "repeated":
         return part, start
     return part, Start("repeated", min(run_in(part), most // 2))

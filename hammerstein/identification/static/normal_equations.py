@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 DEPENDENT = 1e-10
 """Eigenvalue of the scaled Gram matrix, relative to the largest, under which columns depend on each other."""
+OPEN = 1e-3
+"""Share of a column in a combination that the data leave open, from which it is open, too."""
 WELL_DETERMINED = 1e-4
 """Pivot of the scaled Gram matrix from which no column depends on those before it."""
 NOTHING = 1e-7
@@ -222,7 +224,7 @@ def solve(
         spread=np.sqrt(rest / max(freedom - int(free.sum()), 1)) * spread,
         residual_rms=float(np.sqrt(rest / max(freedom, 1))),
         at_bound=~free,
-        dependent=np.any(np.abs(scaled.lost) > 1e-3, axis=1),
+        dependent=np.any(np.abs(scaled.lost) > OPEN, axis=1),
     )
 
 

@@ -11,7 +11,7 @@ on the slopes are bounds on single unknowns.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -33,6 +33,9 @@ class Filter(Protocol):
     def rest(self) -> NDArray[Any]:
         """State of a block that was never driven."""
 
+    def settled(self, columns: Array) -> NDArray[Any]:
+        """State of a block that was held at ``columns`` (column,) for ever."""
+
     def respond(self, columns: Array, start: NDArray[Any], /) -> tuple[Array, NDArray[Any]]:
         """Outputs (row, sample) and the state after them."""
 
@@ -43,12 +46,35 @@ class Start:
 
     Parameters
     ----------
-    kind : ``rest`` if it was never driven, ``repeated`` if the record is what went before, too
+    kind : ``rest``: never driven, all plays at 0 V, from where the record counts; ``stepped``: the same at
+        another voltage, from which it stepped to the first one; ``turned``: driven from there to the voltage
+        at which it turned last, then to the first one, and held; ``repeated``: the record is what went
+        before, too
     first : first sample that counts; earlier ones only fill the memory
+    turn_v : (input, 2) voltage at which the plays stood at first, and the one at which it turned last [V]
     """
 
-    kind: Literal["rest", "repeated"]
+    kind: Literal["rest", "stepped", "turned", "repeated"]
     first: int = 0
+    turn_v: tuple[tuple[float, float], ...] = ()
+
+    def plays_v(self, first_v: float, thresholds_v: Array, input_: int) -> Array:
+        """Outputs of the plays of one input before the record (operator,) [V].
+
+        Parameters
+        ----------
+        first_v : first voltage of the record [V]
+        thresholds_v : of the plays [V]
+        input_ : number of the input, from 0
+        """
+        r = np.asarray(thresholds_v, dtype=np.float64)
+        if self.kind in ("rest", "repeated"):
+            return np.zeros(len(r))
+        middle, turn = self.turn_v[input_]
+        if self.kind == "stepped":
+            return np.full(len(r), middle)
+        held = np.maximum(turn - r, np.minimum(turn + r, middle))
+        return np.asarray(np.maximum(first_v - r, np.minimum(first_v + r, held)))
 
 
 def delayed(record: Record, start: Start, samples: int) -> Array:
@@ -58,6 +84,10 @@ def delayed(record: Record, start: Start, samples: int) -> Array:
     u = np.roll(record.u_v, samples, axis=1)
     if start.kind == "rest":
         u[:, :samples] = 0.0
+    elif start.kind == "stepped":
+        u[:, :samples] = np.array(start.turn_v)[:, :1]
+    elif start.kind == "turned":
+        u[:, :samples] = record.u_v[:, :1]
     return u
 
 
@@ -81,9 +111,9 @@ def regressor_blocks(
     with_derivatives : whether the derivatives of the plays by their thresholds follow as further columns,
         input by input: -1 after a play was last moved upwards, 1 after downwards, 0 before it was moved
     """
-    plays = [np.zeros(len(grid)) for grid in grids]
-    signs = [np.zeros(len(grid)) for grid in grids] if with_derivatives else None
-    states = [block.rest() for block in filters]
+    plays = [start.plays_v(float(u[0]), grid, k) for k, (u, grid) in enumerate(zip(u_v, grids, strict=True))]
+    signs = _first_signs(u_v, plays, grids) if with_derivatives else None
+    states = [block.settled(_held(plays, signs)) for block in filters]
     if start.kind == "repeated":
         for _, columns in _blocks(u_v, grids, plays, signs):
             _filtered(columns, filters, states)
@@ -92,6 +122,57 @@ def regressor_blocks(
         skip = max(start.first - k, 0)
         if skip < columns.shape[1]:
             yield k + skip, passed[:, skip:]
+
+
+def _first_signs(u_v: Array, plays: Sequence[Array], grids: Sequence[Array]) -> list[Array]:
+    """Derivatives of the plays by their thresholds before the record: of those that lean on their voltage."""
+    signs = []
+    for u, held, grid in zip(u_v, plays, grids, strict=True):
+        lag = u[0] - held
+        leans = (np.abs(np.abs(lag) - grid) <= 1e-9 * (1.0 + grid)) & (grid > 0.0) & (held != 0.0)
+        signs.append(np.where(leans, -np.sign(lag), 0.0))
+    return signs
+
+
+def _held(plays: Sequence[Array], signs: Sequence[Array] | None) -> Array:
+    """Columns (column,) that stand at the plays before the record."""
+    rows = [np.append(-np.diff(held), held[-1:]) for held in plays]
+    return np.concatenate([*rows, *(signs or ())])
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Regressors of one record kept in memory, for searches that pass them through many filters.
+
+    values : (column, sample) over the whole record; held : (column,) before it
+    """
+
+    values: Array
+    held: Array
+
+    @classmethod
+    def of(cls, u_v: Array, start: Start, grids: Sequence[Array], rows: Array) -> Columns:
+        """Sums ``rows`` (column, regressor) of the differences of the plays."""
+        whole = replace(start, first=0)
+        values = np.hstack([rows @ x for _, x in regressor_blocks(u_v, whole, grids)])
+        plays = [start.plays_v(float(u[0]), r, k) for k, (u, r) in enumerate(zip(u_v, grids, strict=True))]
+        return cls(values, rows @ _held(plays, None))
+
+    def blocks(
+        self, start: Start, delay_samples: int, filters: Sequence[Filter]
+    ) -> Iterator[tuple[int, Array]]:
+        """First sample and rows of each block from ``start.first`` on, behind the filters and a delay."""
+        values = np.roll(self.values, delay_samples, axis=1) if delay_samples else self.values
+        if delay_samples and start.kind != "repeated":
+            values[:, :delay_samples] = self.held[:, None]
+        states = [block.settled(self.held) for block in filters]
+        if start.kind == "repeated":
+            _filtered(values, filters, states)
+        for k in range(0, values.shape[1], BLOCK):
+            passed = _filtered(values[:, k : k + BLOCK], filters, states)
+            skip = max(start.first - k, 0)
+            if skip < passed.shape[1]:
+                yield k + skip, passed[:, skip:]
 
 
 def _filtered(columns: Array, filters: Sequence[Filter], states: list[NDArray[Any]]) -> Array:
@@ -172,6 +253,10 @@ class SideBySide:
     def rest(self) -> Array:
         """State (copy, state) of paths that were never driven."""
         return np.zeros((self.copies, len(self.path.A)))
+
+    def settled(self, columns: Array) -> Array:
+        """State (copy, state) of paths that were held at their column for ever."""
+        return np.outer(columns, self.path.settled([1.0]))
 
     def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
         """Outputs (copy, sample) and the state after them."""

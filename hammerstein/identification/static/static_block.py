@@ -158,23 +158,33 @@ def static_moments(
     through: LinearBlock | Sequence[LinearBlock] | None = None,
     *,
     with_derivatives: bool = False,
+    every: int = 1,
 ) -> list[Moments]:
     """Moments of each output with the slope columns of all inputs, over all records.
 
     ``with_derivatives`` adds as many columns again: the derivatives of the plays by their thresholds.
+    ``every`` leaves out samples of the sums: 3 takes every third.
     """
     p = len(records[0].y_um)
     columns = sum(map(len, grids)) * (1 + with_derivatives)
     each = list(zip(records, starts, strict=True))
     if through is None:
-        parts = [_record_moments(*one, grids, delay_samples, (), range(p), with_derivatives) for one in each]
+        parts = [
+            _record_moments(*one, grids, delay_samples, (), range(p), with_derivatives, every) for one in each
+        ]
         return [pooled(parts).of_output(o) for o in range(p)]
     blocks = [through] * len(records) if isinstance(through, LinearBlock) else through
     moments = []
     for o in range(p):
         parts = [
             _record_moments(
-                *one, grids, delay_samples, path_filters(blocks, i, o, columns, p), [o], with_derivatives
+                *one,
+                grids,
+                delay_samples,
+                path_filters(blocks, i, o, columns, p),
+                [o],
+                with_derivatives,
+                every,
             )
             for i, one in enumerate(each)
         ]
@@ -203,10 +213,11 @@ def _record_moments(
     filters: Sequence[Filter],
     outputs: Sequence[int],
     with_derivatives: bool,
+    every: int,
 ) -> Moments:
     u, y = delayed(record, start, delay_samples), record.y_um[list(outputs)]
     blocks = regressor_blocks(u, start, grids, filters, with_derivatives=with_derivatives)
-    pairs = ((x, y[:, k : k + x.shape[1]]) for k, x in blocks)
+    pairs = ((x[:, ::every], y[:, k : k + x.shape[1] : every]) for k, x in blocks)
     return moments_of(pairs, sum(map(len, grids)) * (1 + with_derivatives), len(y))
 
 

@@ -51,12 +51,14 @@ class ThresholdTask:
     records, starts : what is fitted, and what went before each record
     delay_samples : whole samples by which the outputs come late
     through : linear block of each record behind the static one, without coupling; empty if there is none
+    every : samples of which one is counted in the sums
     """
 
     records: Sequence[Record]
     starts: Sequence[Start]
     delay_samples: int = 0
     through: Sequence[LinearBlock] = ()
+    every: int = 1
 
     @property
     def reach_v(self) -> Array:
@@ -68,7 +70,10 @@ class ThresholdTask:
 
         Plays of inputs that rest in a record are left out of its sums.
         """
-        driven = [tuple(bool(u.any()) for u in record.u_v) for record in self.records]
+        driven = [
+            tuple(bool(np.ptp(u) > 0.0 or (start.kind == "rest" and u[0] != 0.0)) for u in record.u_v)
+            for record, start in zip(self.records, self.starts, strict=True)
+        ]
         parts = [self._of_driven(grids, kind, driven, with_derivatives) for kind in dict.fromkeys(driven)]
         return [pooled(part) for part in zip(*parts, strict=True)]
 
@@ -84,6 +89,7 @@ class ThresholdTask:
             self.delay_samples,
             [self.through[i] for i in own] if self.through else None,
             with_derivatives=both,
+            every=self.every,
         )
         held = np.repeat(kind, [len(grid) for grid in grids])
         return [_spread(part, np.tile(held, 1 + both)) for part in parts]

@@ -48,6 +48,8 @@ Array = NDArray[np.float64]
 LINES = 160
 """Points of a spectrum, spread evenly over the logarithm of the frequency."""
 LEAST = 1e-12
+PHASES = 1024
+"""Samples of the sine with which a static block's describing function is found."""
 SAME_SWING = 0.01
 BROAD_SHARE = 0.5
 """Records from this part of the longest one's length on are used for the measured response."""
@@ -213,6 +215,10 @@ def operators_figure(fit: Fit) -> Figure:
         for n in chosen:
             mark = axes.axvline(n, color=PALE, linewidth=5.0, alpha=0.4, zorder=0)
         entries["this model"] = mark
+        for o in range(len(fit.outputs)):
+            n = int(np.median([count for count in fit.operators[o] if count] or [0]))
+            (point,) = axes.plot(n, max(fit.judged[fit.kind].nrmse_percent[o], LEAST), "*", markersize=11)
+            entries["its error"] = point
         axes.set(
             xlabel="operators of each pair",
             ylabel="held-out rms error [% of range]",
@@ -228,7 +234,7 @@ def operators_figure(fit: Fit) -> Figure:
 def response_figure(fit: Fit, measured: FrequencyResponse) -> Figure:
     """Gain of every pair over frequency, measured and by the model, and the coherence of each output.
 
-    The model is drawn with the gain of its static block at the amplitude of the records.
+    The model is drawn with the describing function of its static block at the amplitude of the records.
 
     Parameters
     ----------
@@ -275,4 +281,25 @@ def model_response(model: Candidate, fit: Fit, frequency_hz: Array) -> NDArray[n
     block = discretise(model.dynamics, fit.sample_time_s, fit.sensor_bandwidth_hz)
     p = len(fit.outputs)
     linear = block.response(frequency_hz)[:, block.n_outputs - p :]
-    return np.asarray(linear @ model.hysteresis.gain(fit.amplitude_v))
+    return np.asarray(linear @ describing_gain(model, fit.amplitudes_v))
+
+
+def describing_gain(model: Candidate, amplitudes_v: Sequence[float]) -> NDArray[np.complex128]:
+    """Describing function (output, input) of the static block to a sine on one input at a time [um/V].
+
+        N(A) = (first harmonic of the settled response to A sin) / A
+
+    Its angle is the lag of the loop.
+
+    Source: Gelb and Vander Velde, Multiple-Input Describing Functions, 1968.
+    """
+    phase = 2.0 * np.pi * np.arange(PHASES) / PHASES
+    columns = []
+    for k, amplitude in enumerate(amplitudes_v):
+        u = np.zeros((len(amplitudes_v), PHASES))
+        u[k] = amplitude * np.sin(phase)
+        _, memory = model.hysteresis.respond(u)
+        v, _ = model.hysteresis.respond(u, memory)
+        harmonic = 2j / PHASES * (v @ np.exp(-1j * phase))
+        columns.append(harmonic / amplitude if amplitude else np.zeros(len(v)))
+    return np.asarray(np.stack(columns, axis=1))

@@ -1,0 +1,198 @@
+"""Which of several models is kept: the simplest that is as good as the best, on what it was not fitted to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
+from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.identification.score import Candidate, ranges
+from hammerstein.identification.static.normal_equations import (
+    Moments,
+    coefficients,
+    moments_of,
+    pooled,
+    squares_left,
+)
+from hammerstein.identification.static.regressors import Filter, Start, delayed, regressor_blocks
+from hammerstein.identification.static.static_block import Layout, path_filters
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+
+FOLDS = 4
+"""Parts of which one is left out at a time where no record is held back."""
+STRETCHES = 16
+"""Stretches into which every record falls; each belongs to one fold."""
+MOST_WORSE = 1.05
+"""Rms error, in parts of the least, up to which a simpler model may be kept."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A model that was tried.
+
+    Parameters
+    ----------
+    name : what it consists of
+    parameters : free numbers in it
+    squares : (stretch,) mean squared error of the outputs in parts of their ranges, on each judged stretch;
+        infinite where the prediction is not finite or the model unstable
+    invertible : whether its main pairs and its linear block can be inverted
+    told : whether the records tell the dynamics that it has; if not, it is only there to compare with
+    kept : whether it is the model that is returned
+    """
+
+    name: str
+    parameters: int
+    squares: Array
+    invertible: bool = True
+    told: bool = True
+    kept: bool = False
+
+    @property
+    def percent(self) -> float:
+        """Rms error in percent of the range; infinite for a model that cannot be used."""
+        return 100.0 * math.sqrt(float(np.mean(self.squares)))
+
+
+def chosen(trials: Sequence[Trial]) -> int:
+    """Trial to keep: fewest parameters within one standard error of the best, and within 5 % of its rms.
+
+    The standard error is that of the difference to the best, from stretch to stretch (Breiman et al.,
+    Classification and Regression Trees, 1984, section 3.4.3). A model without an inverse is kept only where
+    none with an inverse is within one standard error of it.
+
+    Examples
+    --------
+    >>> squares = np.array([1.0, 1.1, 0.9, 1.0])
+    >>> linear, small = Trial("linear", 1, 9.0 * squares), Trial("small", 5, squares)
+    >>> chosen([linear, small, Trial("large", 9, 0.8 * squares)])
+    2
+    >>> chosen([linear, small, Trial("large", 9, 0.99 * squares[::-1])])
+    1
+    >>> chosen([Trial("blocked", 1, squares, False), Trial("small", 5, squares[::-1])])
+    1
+    """
+    means = np.array([float(np.mean(trial.squares)) for trial in trials])
+    told = [i for i in range(len(trials)) if trials[i].told]
+    best = min(told, key=lambda i: means[i])
+    if not np.isfinite(means[best]):
+        return best
+    chance = [i for i in told if means[i] - means[best] <= _spread(trials[i], trials[best])]
+    close = [i for i in chance if means[i] <= MOST_WORSE**2 * means[best]]
+    usable = [i for i in close if trials[i].invertible]
+    if not usable:
+        usable = sorted((i for i in chance if trials[i].invertible), key=lambda i: means[i])[:1]
+    return min(usable or close, key=lambda i: trials[i].parameters)
+
+
+def _spread(trial: Trial, best: Trial) -> float:
+    """Standard error of the mean difference of two trials; 0 where one of them cannot be used."""
+    difference = trial.squares - best.squares
+    if len(difference) < 2 or not np.isfinite(difference).all():
+        return 0.0
+    return float(np.std(difference, ddof=1)) / math.sqrt(len(difference))
+
+
+def parameters_of(candidate: Candidate) -> int:
+    """Free numbers of a model: weights, thresholds that are shared by the outputs, and the linear block."""
+    hysteresis, dynamics = candidate.hysteresis, candidate.dynamics
+    weights = sum(sum(row) for row in hysteresis.operators)
+    plays: Sequence[int] = hysteresis.bank.n.tolist() if isinstance(hysteresis, PrandtlIshlinskii) else []
+    thresholds = int(sum(n for n in plays if n > 1))
+    if isinstance(dynamics, StaticDynamics):
+        return weights + thresholds
+    if isinstance(dynamics, AxesDynamics):
+        each = [
+            2 * (a.resonance_hz is not None) + (a.lag_s is not None) + 2 * len(a.creep) for a in dynamics.axes
+        ]
+        return weights + thresholds + sum(each)
+    n, p = len(dynamics.A), len(dynamics.D)
+    return weights + thresholds + n * (2 * p + 1)
+
+
+def is_stable(dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics, sample_time_s: float) -> bool:
+    """Whether a linear block forgets: all poles inside the unit circle."""
+    block = discretise(dynamics.model_copy(update={"input_delay_s": 0.0}), sample_time_s)
+    return bool((np.abs(np.linalg.eigvals(block.A)) < 1.0).all())
+
+
+def judged_squares(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
+    """Squared errors (stretch,) on records held back; infinite for a model that cannot be used."""
+    span = ranges(records, starts)
+    if not is_stable(candidate.dynamics, records[0].sample_time_s):
+        return np.full(STRETCHES * len(records), np.inf)
+    found = []
+    for record, start in zip(records, starts, strict=True):
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = ((candidate.residual(record, start) / span[:, None]) ** 2).mean(axis=0)
+        found += [float(part.mean()) for part in np.array_split(squares, STRETCHES)]
+    values = np.array(found)
+    return np.where(np.isfinite(values), values, np.inf)
+
+
+def crossed_squares(
+    candidate: Candidate, records: Sequence[Record], starts: Sequence[Start], delay_samples: int
+) -> Array:
+    """Squared errors (record and fold,) where the weights were fitted to the other folds of the same records.
+
+    Each record falls into 16 stretches, every fourth of which is one fold: cycles of an experiment lie on
+    both sides. Thresholds and linear block stay as they are; the plays run through all stretches.
+    """
+    if isinstance(candidate.dynamics, StateSpaceDynamics):  # not fitted again: its parts are too many
+        each = judged_squares(candidate, records, starts).reshape(len(records), -1, FOLDS)
+        return np.asarray(each.mean(axis=1).ravel())
+    if not is_stable(candidate.dynamics, records[0].sample_time_s):
+        return np.full(FOLDS * len(records), np.inf)
+    span, p = ranges(records, starts), len(records[0].y_um)
+    assert isinstance(candidate.hysteresis, PrandtlIshlinskii)  # other kinds take their place afterwards
+    layout = Layout.of([[pair.thresholds_v for pair in row] for row in candidate.hysteresis.pairs])
+    columns = sum(map(len, layout.grids))
+    prompt = candidate.dynamics.model_copy(update={"input_delay_s": 0.0})
+    sensor = candidate.sensor_bandwidth_hz
+    blocks = [discretise(prompt, record.sample_time_s, sensor) for record in records]
+    if isinstance(prompt, StaticDynamics) and sensor is None:
+        blocks = []
+    total = np.zeros((len(records), FOLDS))
+    for o in range(p):
+        merge = layout.merge[o]
+        parts = [
+            _folds(record, start, layout, delay_samples, path_filters(blocks, i, o, columns, p), o)
+            for i, (record, start) in enumerate(zip(records, starts, strict=True))
+        ]
+        for fold in range(FOLDS):
+            train = pooled([part[f] for part in parts for f in part if f != fold])
+            found = merge @ coefficients(merge.T @ train.gram @ merge, merge.T @ train.cross[:, 0])
+            for i, part in enumerate(parts):
+                test = part.get(fold)
+                if test is not None:
+                    left = squares_left(test.gram, test.cross[:, 0], float(test.power[0]), found)
+                    total[i, fold] += left / test.samples / span[o] ** 2 / p
+    return total.ravel()
+
+
+def _folds(
+    record: Record, start: Start, layout: Layout, delay: int, filters: Sequence[Filter], o: int
+) -> Mapping[int, Moments]:
+    """Moments of each fold of one record."""
+    u, y = delayed(record, start, delay), record.y_um[[o]]
+    blocks = list(regressor_blocks(u, start, layout.grids, filters))
+    counted = record.samples - start.first
+    found = {}
+    for fold in range(FOLDS):
+
+        def of_fold(fold: int = fold) -> Iterator[tuple[Array, Array]]:
+            for k, x in blocks:
+                samples = np.arange(k, k + x.shape[1])
+                mask = ((samples - start.first) * STRETCHES // counted) % FOLDS == fold
+                if mask.any():
+                    yield x[:, mask], y[:, samples[mask]]
+
+        found[fold] = moments_of(of_fold(), sum(map(len, layout.grids)), 1)
+    return found

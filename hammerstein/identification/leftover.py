@@ -1,0 +1,82 @@
+"""What a model leaves of the records: is it noise, or something that the model does not have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.identification.score import Candidate, ranges
+from hammerstein.identification.settings import Settings
+from hammerstein.identification.static.regressors import Start
+from hammerstein.records.noise import noise_rms
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+
+FAR = 3.0
+"""Rms of what is left, in parts of the noise, from which it is said first."""
+LEAST_PART = 5e-4
+"""Rms of what is left, in parts of the range, below which it does not matter."""
+SLOW_CYCLES = 5.0
+"""Cycles in the longest record up to which something is slow."""
+
+
+def leftover_statements(
+    candidate: Candidate, records: Sequence[Record], starts: Sequence[Start], settings: Settings
+) -> list[str]:
+    """Sentences about outputs of which far more than noise is left, with what to try; none if all is well.
+
+    Parameters
+    ----------
+    candidate : model
+    records, starts : on which it is judged, and what went before each
+    settings : how it was found: what is proposed was not tried
+    """
+    left = [candidate.residual(record, start) for record, start in zip(records, starts, strict=True)]
+    samples = sum(error.shape[1] for error in left)
+    rms = np.sqrt(np.sum([(error**2).sum(axis=1) for error in left], axis=0) / samples)
+    noise = np.array([np.median([noise_rms(r.y_um[o]) for r in records]) for o in range(len(rms))])
+    span = ranges(records, starts)
+    found = []
+    for o in np.flatnonzero((rms > FAR * noise) & (rms > LEAST_PART * span)):
+        hz, slow = _strongest(records, [error[o] for error in left])
+        times = f"{rms[o] / noise[o]:.2g} times the noise" if noise[o] > 0.0 else "far above the noise"
+        found.append(
+            f"What the model leaves of {records[0].outputs[o]} ({rms[o]:.3g} um rms) is {times} "
+            f"({noise[o]:.2g} um), most of it near {hz:.3g} Hz: something in the records is not in the "
+            f"model. Try {_proposal(settings, slow)}."
+        )
+    return found
+
+
+def _strongest(records: Sequence[Record], left: Sequence[Array]) -> tuple[float, bool]:
+    """Frequency at which most is left [Hz], and whether it is slow for its record."""
+    best = (0.0, 0.0, True)
+    for record, error in zip(records, left, strict=True):
+        power = np.abs(np.fft.rfft(np.hanning(len(error)) * error)) ** 2 / len(error)
+        line = int(np.argmax(power[1:])) + 1
+        hz = line / (len(error) * record.sample_time_s)
+        best = max(best, (float(power[line]), hz, line <= SLOW_CYCLES))
+    return best[1], best[2]
+
+
+def _proposal(settings: Settings, slow: bool) -> str:
+    tried = []
+    if settings.dynamics in ("none", "lag"):
+        tried.append("--dynamics auto")
+    if not settings.fits_thresholds:
+        tried.append("--operators auto --partition auto")
+    elif settings.operators != "auto":
+        tried.append("more --operators")
+    if slow:
+        tried.append("--creep-modes 2, or records without drift")
+    if settings.dynamics == "second_order":
+        tried.append("--dynamics auto, which adds a low-pass")
+    if not tried:
+        tried.append(
+            "records with fewer effects at once (slower, one axis at a time): saturation, asymmetric "
+            "branches and coupled resonances are not in this kind of model"
+        )
+    return "; or ".join(tried)
