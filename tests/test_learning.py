@@ -230,7 +230,7 @@ def test_the_report_leads_with_the_trials(off):
     assert {"trials", "trials_true"} <= set(figures_of(report))
     curve = sweep_curves(report, "rms_true_um", TRIAL)[0]
     assert curve.x.tolist() == [1.0, 2.0, 3.0]
-    median = np.asarray(curve.values)  # noqa: PD011  (no table of pandas)
+    median = np.asarray(curve.values)
     assert (median[:, 0, 1] < median[:, 0, 0]).all()
     said = answer(report)
     assert re.search(r"in trial 1: \S+ and \S+ um with learned; in trial 3: ", said)
