@@ -396,11 +396,11 @@ class LinearBlock:
         from scipy.signal import cont2discrete
 
         if late_s:
-            return self.held(late_s)._then(self.held(sample_time_s - late_s), sample_time_s)
+            return self.held(late_s).then(self.held(sample_time_s - late_s), sample_time_s)
         a, b, c, d, _ = cont2discrete((self.A, self.B, self.C, self.D), sample_time_s, "zoh")
         return LinearBlock(a, b, c, d, sample_time_s)
 
-    def _then(self, rest: LinearBlock, sample_time_s: float) -> LinearBlock:
+    def then(self, rest: LinearBlock, sample_time_s: float) -> LinearBlock:
         """Give one sample that begins with this block's step by the last input and ends with the other's."""
         n, m = self.B.shape
         a = np.block([[np.zeros((m, m + n))], [rest.A @ self.B, rest.A @ self.A]])

@@ -20,15 +20,15 @@ from hammerstein.dynamics import (
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.fit import Kind
+from hammerstein.identification.linear.axis_delay import checked_delay
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
 from hammerstein.identification.linear.coupled import fit_linear, fit_static_coupled, refit_linear
-from hammerstein.identification.linear.delay import static_delay
+from hammerstein.identification.linear.delay import delay_in_samples, static_delay
 from hammerstein.identification.linear.second_order import (
     TINY,
     AxesFit,
     AxisFit,
     FirstGuess,
-    checked_delay,
     fit_axes,
     fit_axis,
     parameters_of as axis_parameters,
@@ -87,7 +87,7 @@ class Task:
     records: tuple[Record, ...]
     starts: tuple[Start, ...]
     thresholds_v: Thresholds
-    delay_samples: int
+    delay_samples: float
     settings: Settings
     progress: Progress
     static_delay_samples: int | None = None
@@ -106,9 +106,20 @@ class Task:
         """Give a single threshold of 0 to every pair: a linear gain."""
         return [[np.zeros(min(len(r), 1)) for r in row] for row in self.thresholds_v]
 
+    @property
+    def whole_delay(self) -> int:
+        """Whole samples of the delay, by which the plays are shifted; what is left belongs to the path."""
+        return math.floor(self.delay_samples)
+
+    def delayed_as(self, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics) -> Task:
+        """Give the task with the delay of a linear block."""
+        delay = delay_in_samples(dynamics.input_delay_s, self.records[0].sample_time_s)
+        return replace(self, delay_samples=delay)
+
     def paths(self, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics) -> list[LinearBlock]:
-        """Discrete path of each record from the static block to the reading, without delay."""
-        prompt = dynamics.model_copy(update={"input_delay_s": 0.0})
+        """Discrete path of each record from the static block to the reading, with the part of a sample."""
+        part_s = (self.delay_samples - self.whole_delay) * self.records[0].sample_time_s
+        prompt = dynamics.model_copy(update={"input_delay_s": part_s})
         sensor = self.settings.sensor_bandwidth_hz
         if isinstance(prompt, StaticDynamics) and sensor is None:
             return []
@@ -229,7 +240,7 @@ def static_blocks(
     layout = Layout.of(thresholds_v)
     refuse_unreached(task.records, layout.grids)
     moments = static_moments(
-        task.records, layout.grids, task.starts, task.delay_samples, task.paths(dynamics) or None
+        task.records, layout.grids, task.starts, task.whole_delay, task.paths(dynamics) or None
     )
 
     def solved(how: Weighting) -> StaticFit:
@@ -249,7 +260,7 @@ def static_blocks(
 def _closed_form(task: Task, free: StaticFit) -> StaticFit:
     """Closed form on the settled loops, brought forward by the delay."""
     settings = task.settings
-    d = task.delay_samples
+    d = task.whole_delay
     prompt = [
         Record(
             record.u_v[:, : record.samples - d],
@@ -317,11 +328,11 @@ def _first_axes(
     task: Task, guesses: Sequence[FirstGuess]
 ) -> tuple[Task, FirstGuess, tuple[AxisFit, ...], tuple[tuple[str, Found], ...]]:
     """Of the shapes guessed the best, fitted with all records, the task with its delay, and all as models."""
-    if len(guesses) == 1:
-        return task, guesses[0], _axes(task, task.thresholds_v, guesses[0], 1).axes, ()
-    fits = [_axes(task, task.thresholds_v, guess, thinning(task.records)) for guess in guesses]
-    guess = _best_shapes(guesses, fits)
-    others = _others(task, guesses, fits)
+    guess = guesses[0]
+    others: tuple[tuple[str, Found], ...] = ()
+    if len(guesses) > 1:
+        fits = [_axes(task, task.thresholds_v, guess, thinning(task.records)) for guess in guesses]
+        guess, others = _best_shapes(guesses, fits), _others(task, guesses, fits)
     task = replace(task, delay_samples=guess.delay_samples)
     return task, guess, _axes(task, task.thresholds_v, guess, 1).axes, others
 
@@ -534,8 +545,7 @@ def with_errors(task: Task, found: Found) -> Found:
     if not found.blocks.fitted:
         return found
     dynamics = found.candidate.dynamics
-    late = replace(task, delay_samples=round(dynamics.input_delay_s / task.records[0].sample_time_s))
-    chosen = with_threshold_errors(_fitting(late, dynamics), found.blocks.chosen)
+    chosen = with_threshold_errors(_fitting(task.delayed_as(dynamics), dynamics), found.blocks.chosen)
     candidate = replace(found.candidate, hysteresis=chosen.hysteresis)
     return replace(found, candidate=candidate, blocks=replace(found.blocks, chosen=chosen))
 
@@ -544,7 +554,7 @@ def _fitting(
     task: Task, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics, every: int = 1
 ) -> ThresholdTask:
     """What stays fixed while thresholds are fitted in front of given dynamics."""
-    return ThresholdTask(task.records, task.starts, task.delay_samples, task.paths(dynamics), every)
+    return ThresholdTask(task.records, task.starts, task.whole_delay, task.paths(dynamics), every)
 
 
 def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:

@@ -29,6 +29,7 @@ from hammerstein.identification.excitation import answers, excitation_statements
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.leftover import leftover_statements
+from hammerstein.identification.linear.delay import delay_in_samples
 from hammerstein.identification.linear.second_order import FirstGuess, search_axes
 from hammerstein.identification.operators import (
     CURVE_SAMPLES,
@@ -194,8 +195,7 @@ def _kept(
         if held:
             squares = judged_squares(candidate, held, held_starts)
         else:
-            delay = round(candidate.dynamics.input_delay_s / task.records[0].sample_time_s)
-            squares = crossed_squares(candidate, task.records, task.starts, delay)
+            squares = crossed_squares(candidate, task.records, task.starts)
         swing, record = float(half_swing(task.records).max()), task.records[0]
         told = invertibility_of(
             candidate.hysteresis, candidate.dynamics, swing, record.sample_time_s, record.inputs
@@ -294,7 +294,7 @@ def _first_model(
         task.thresholds_v,
         method="least_squares",
         starts=begun,
-        delay_samples=delay,
+        delay_samples=task.whole_delay,
         through=task.paths(dynamics) or None,
     )
     return task.candidate(found.hysteresis, dynamics)
@@ -323,7 +323,8 @@ def _task(
         tell("trying numbers of operators")
         paths = task.paths(first.dynamics)
         place = settings.begun_with
-        curve = error_curve(records, starts, partition=place, delay_samples=delay, through=paths)
+        whole = task.whole_delay
+        curve = error_curve(records, starts, partition=place, delay_samples=whole, through=paths)
     chosen = enough_operators(curve) if curve else DEFAULT_OPERATORS
     if settings.fits_thresholds and settings.operators == "auto":
         chosen = min(chosen, MOST_FITTED)
@@ -342,7 +343,7 @@ def _static_delay(
     thresholds_v = _fine(settings).thresholds(few, DELAY_OPERATORS)
     return late_static(
         Task(few, begun, thresholds_v, settings.delay_samples or 0, settings, tell)
-    ).delay_samples
+    ).whole_delay
 
 
 def _fine(settings: Settings) -> Settings:
@@ -400,7 +401,7 @@ def _account(
         amplitude_v=amplitude,
         amplitudes_v=tuple(swing.tolist()),
         voltages=voltages,
-        delay_samples=round(best.dynamics.input_delay_s / record.sample_time_s),
+        delay_samples=delay_in_samples(best.dynamics.input_delay_s, record.sample_time_s),
         sample_time_s=record.sample_time_s,
         sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
         offsets_um=tuple(tuple(row) for row in _offsets(best, task).tolist()),
