@@ -192,6 +192,11 @@ class Hysteresis(ABC, Generic[S]):
         return tuple(np.linalg.norm(known.factor_um_per_v, axis=1) for known in self.weight_covariance)
 
     @property
+    def n_shared(self) -> int:
+        """How many free numbers the outputs share beside their weights: thresholds, breakpoints, growth."""
+        return 0
+
+    @property
     def n_shared_errors(self) -> int:
         """How many normal numbers ``drawn`` takes before those of the weights: for what outputs share."""
         return 0
