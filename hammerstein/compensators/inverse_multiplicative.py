@@ -168,11 +168,13 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         low, high = self.range.counted
         plays, memory, drive = start.plays, start.memory_v, np.empty_like(wanted_v)
         for t, ahead in enumerate((self.gain_v_per_um @ wanted_v).T):
-            for _ in range(self.iterations):
+            after = plays
+            for _ in range(self.iterations):  # each from where the sample began: only the last one is sent
                 drive[:, t] = np.clip(ahead + memory, low, high)
-                v, plays = self.hysteresis.step(drive[:, t], plays)
+                v, after = self.hysteresis.step(drive[:, t], plays)
                 left = drive[:, t] - self.gain_v_per_um @ v
                 memory = self.pole * memory + (1.0 - self.pole) * left
+            plays = after
         return drive, FeedbackState(plays, memory)
 
     def _compiled(
