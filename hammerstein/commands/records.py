@@ -224,7 +224,7 @@ def identify(
     thresholds: Thresholds = None,
     method: Weights = "invertible",
     hysteresis: Annotated[
-        str, typer.Option(help="Static block: prandtl_ishlinskii, asymmetric or rate_dependent.")
+        str, typer.Option(help="Static block: prandtl_ishlinskii, asymmetric, rate_dependent or bouc_wen.")
     ] = "prandtl_ishlinskii",
     dead_zones: Annotated[
         int | None, typer.Option(help="Of each input, with asymmetric; found if not given.")

@@ -193,6 +193,7 @@ class Asymmetric(Hysteresis[AsymmetricState]):
     weight_covariance: tuple[WeightCovariance, ...] | None = None
 
     kind: ClassVar[str] = "asymmetric"
+    wipes_out: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "zones", tuple(tuple(row) for row in self.zones))

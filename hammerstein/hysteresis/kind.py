@@ -54,6 +54,8 @@ class Hysteresis(ABC, Generic[S]):
     """
 
     kind: ClassVar[str]
+    wipes_out: ClassVar[bool] = False
+    """Whether a way that turns and comes back leaves no trace, as with plays."""
 
     @property
     @abstractmethod

@@ -50,6 +50,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
     """
 
     kind: ClassVar[str] = "prandtl_ishlinskii"
+    wipes_out: ClassVar[bool] = True
 
     pairs: tuple[tuple[Pair, ...], ...] = field()
     weight_covariance: tuple[WeightCovariance, ...] | None = None
