@@ -79,17 +79,35 @@ def chosen(trials: Sequence[Trial]) -> int:
     >>> chosen([Trial("blocked", 1, squares, False), Trial("small", 5, squares[::-1])])
     1
     """
+    best = least(trials)
     means = np.array([float(np.mean(trial.squares)) for trial in trials])
-    told = [i for i in range(len(trials)) if trials[i].told]
-    best = min(told, key=lambda i: means[i])
     if not np.isfinite(means[best]):
         return best
-    chance = [i for i in told if means[i] - means[best] <= _spread(trials[i], trials[best])]
+    chance = as_good(trials)
     close = [i for i in chance if means[i] <= MOST_WORSE**2 * means[best]]
     usable = [i for i in close if trials[i].invertible]
     if not usable:
         usable = sorted((i for i in chance if trials[i].invertible), key=lambda i: means[i])[:1]
     return min(usable or close, key=lambda i: trials[i].parameters)
+
+
+def least(trials: Sequence[Trial]) -> int:
+    """Trial with the least error, of those whose dynamics the records tell."""
+    told = [i for i in range(len(trials)) if trials[i].told]
+    return min(told, key=lambda i: float(np.mean(trials[i].squares)))
+
+
+def as_good(trials: Sequence[Trial]) -> list[int]:
+    """Trials whose error is within one standard error of the least, itself among them."""
+    i = least(trials)
+    best = trials[i]
+    if not np.isfinite(best.squares).all():
+        return [i]
+    return [
+        i
+        for i, trial in enumerate(trials)
+        if trial.told and float(np.mean(trial.squares) - np.mean(best.squares)) <= _spread(trial, best)
+    ]
 
 
 def _spread(trial: Trial, best: Trial) -> float:
@@ -104,8 +122,7 @@ def parameters_of(candidate: Candidate) -> int:
     """Free numbers of a model: weights, thresholds that are shared by the outputs, and the linear block."""
     hysteresis, dynamics = candidate.hysteresis, candidate.dynamics
     weights = sum(sum(row) for row in hysteresis.operators)
-    plays: Sequence[int] = hysteresis.bank.n.tolist() if isinstance(hysteresis, PrandtlIshlinskii) else []
-    thresholds = int(sum(n for n in plays if n > 1))
+    thresholds = hysteresis.n_shared
     if isinstance(dynamics, StaticDynamics):
         return weights + thresholds
     if isinstance(dynamics, AxesDynamics):

@@ -160,8 +160,8 @@ def identify(
     if settings.hysteresis == "rate_dependent" and settings.delay_samples is None:
         settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
     tell = progress or (lambda _: None)
-    ready = _ready(records)
-    held = _ready(validation) if validation else ()
+    ready = prepared(records)
+    held = prepared(validation) if validation else ()
     _refuse_mixed([*ready, *held])
     if not settings.shapes and settings.dynamics != "state_space":
         refuse_one_way(ready)
@@ -208,7 +208,7 @@ def _kept(
     return replace(built, kind=kind, found={**built.found, kind: with_errors(task, found)}), marked
 
 
-def _ready(records: Sequence[Record]) -> tuple[Record, ...]:
+def prepared(records: Sequence[Record]) -> tuple[Record, ...]:
     """Records from where they last rested, with their voltages counted from there."""
     if not records:
         raise InputError("records", "none was given")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +14,7 @@ from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.candidates import Built, Task
 from hammerstein.identification.settings import HysteresisKind
 from hammerstein.identification.static.asymmetric import breakpoints_in, enough_dead_zones, fit_asymmetric
+from hammerstein.identification.static.bouc_wen import fit_bouc_wen
 from hammerstein.identification.static.rate_dependent import fit_rate_dependent
 from hammerstein.identification.static.static_block import Thresholds, Weighting
 
@@ -67,13 +68,8 @@ def _asymmetric(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Repla
         delay_samples=task.whole_delay,
         through=paths,
     )
-    record = task.records[0]
-    notes = [f"{count} dead-zones an input stand beside the plays"]
-    notes += [
-        f"slopes from {record.inputs[k]} to {record.outputs[o]} held at a bound, or there were no inverse"
-        for o, k in fit.held
-    ]
-    return Replacement(fit.hysteresis, tuple(notes))
+    told = f"{count} dead-zones an input stand beside the plays"
+    return Replacement(fit.hysteresis, (told, *_bounded(task, fit.held)))
 
 
 def _rate_dependent(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replacement:
@@ -97,7 +93,34 @@ def _rate_dependent(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> R
     return Replacement(fit.hysteresis, (*told, late))
 
 
+def _bouc_wen(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replacement:
+    """The Bouc-Wen model, which has no thresholds."""
+    fit = fit_bouc_wen(
+        task.records,
+        invertible=task.settings.method == "invertible",
+        starts=task.starts,
+        delay_samples=task.delay_samples,
+        through=task.paths(dynamics),
+    )
+    record = task.records[0]
+    notes = [
+        f"from {name} to {output}: beta {pair.beta_per_v:.3g}, gamma {pair.gamma_per_v:.3g} 1/V"
+        for output, row in zip(record.outputs, fit.hysteresis.pairs, strict=True)
+        for name, pair in zip(record.inputs, row, strict=True)
+    ]
+    return Replacement(fit.hysteresis, (*notes, *_bounded(task, fit.held)))
+
+
+def _bounded(task: Task, held: Sequence[tuple[int, int]]) -> list[str]:
+    record = task.records[0]
+    return [
+        f"slopes from {record.inputs[k]} to {record.outputs[o]} held at a bound, or there were no inverse"
+        for o, k in held
+    ]
+
+
 REPLACEMENTS: Mapping[HysteresisKind, Callable[[Task, Thresholds, Linear], Replacement]] = {
     "asymmetric": _asymmetric,
     "rate_dependent": _rate_dependent,
+    "bouc_wen": _bouc_wen,
 }

@@ -19,7 +19,7 @@ from hammerstein.records.record import Record
 Array = NDArray[np.float64]
 Method = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
 DynamicsKind = Literal["auto", "none", "lag", "second_order", "state_space"]
-HysteresisKind = Literal["prandtl_ishlinskii", "asymmetric", "rate_dependent"]
+HysteresisKind = Literal["prandtl_ishlinskii", "asymmetric", "rate_dependent", "bouc_wen"]
 
 MOST_OPERATORS = 200
 MOST_CREEP_MODES = 5
@@ -57,7 +57,7 @@ class Settings:
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; None: unlimited
     start : what went before each record: ``rest``, ``repeated`` (the like of it), or ``auto``: found out
     hysteresis : kind of the static block: ``prandtl_ishlinskii``, or ``asymmetric`` with one-sided dead-zones
-        beside the plays, or ``rate_dependent`` with thresholds that grow with the rate
+        beside the plays, ``rate_dependent`` with thresholds that grow with the rate, or ``bouc_wen``
     dead_zones : of each input of an asymmetric block; None: as many as the records call for
     error_curve : whether the held-out error is found for many numbers of operators
     """
