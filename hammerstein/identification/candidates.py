@@ -70,7 +70,11 @@ WORTHWHILE = 5e-3
 CLEARLY_FELT = 0.5
 """Part of the error that dynamics leave, below which thresholds are not fitted without them, too."""
 PATIENCE = 2
-"""Turns in a row without that, after which they end."""
+"""Turns in a row without that, after which they end; and orders in a row that lower the error no more."""
+FEWER = (0.75, 0.5)
+"""Parts of the number of thresholds with which their fit is tried again."""
+ORDERS = (1, 2, 3, 4, 6, 8, 12)
+"""States for each output that are tried where no order is given."""
 KEPT = "fitting the thresholds gains nothing: they are uniform in time"
 
 Array = NDArray[np.float64]
@@ -304,7 +308,7 @@ def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> Built:
             task, axes, blocks = _behind_fitted(task, guess, axes, blocks, static.best.blocks)
     if settings.fits_thresholds and any(axis_identified(axis) for axis in axes):
         begun = blocks
-        axes, blocks = _thresholds_and_axes(task, guess, axes, begun)
+        axes, blocks = _with_fewer_if_needed(task, guess, axes, begun)
         notes = (KEPT,) if blocks is begun and settings.partition == "fitted" else ()
     before = axes
     axes, blocks, tried = _grown(task, axes, blocks)
@@ -477,6 +481,24 @@ def _with(task: Task, grids: tuple[Array, ...], blocks: Blocks, o: int, old: Axi
     return fit if told else old
 
 
+def _with_fewer_if_needed(
+    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], begun: Blocks
+) -> tuple[tuple[AxisFit, ...], Blocks]:
+    """Thresholds and axes fitted, with fewer thresholds than begun with where so many lead to no inverse."""
+    found = _thresholds_and_axes(task, guess, axes, begun)
+    settings, number = task.settings, max(map(len, task.thresholds_v[0]))
+    free = settings.operators == "auto" and settings.thresholds_v is None
+    for part in FEWER:
+        if found[1] is not begun or not free:
+            break
+        fewer = replace(task, thresholds_v=settings.thresholds(task.records, math.ceil(part * number)))
+        blocks = static_blocks(fewer, fewer.thresholds_v, dynamics_of(axes), settings.method)
+        trial = _thresholds_and_axes(fewer, guess, axes, blocks)
+        if trial[1] is not blocks and gained(begun.chosen, trial[1].chosen):
+            found = trial
+    return found
+
+
 def _thresholds_and_axes(
     task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: Blocks
 ) -> tuple[tuple[AxisFit, ...], Blocks]:
@@ -572,34 +594,77 @@ def _as_found(axes: Sequence[AxisFit]) -> AxesDynamics:
     return AxesDynamics(axes=tuple(fit.axis for fit in axes))
 
 
+@dataclass(frozen=True, eq=False)
+class StateSpaceTrial:
+    """A state-space model of some order: alone, and behind a static block."""
+
+    order: int
+    alone: Candidate
+    blocks: Blocks
+    best: Candidate
+    error: float
+
+
 def build_state_space(task: Task) -> Built:
-    """All four kinds, with a state-space model of the order asked for."""
-    settings = task.settings
-    assert settings.order is not None  # refused by Settings
+    """All four kinds, with a state-space model of the order asked for, or of the fewest states that do."""
     static = build_static(_late(task))
-    task.progress("fitting the linear dynamics")
-    block, gain = fit_linear(task.records, settings.order, task.progress)
-    alone = task.candidate(_gain_model(gain), _state_space(block))
+    trials = _orders_tried(task)
+    least = min(trial.error for trial in trials)
+    begun = next(trial for trial in trials if trial.error <= least / (1.0 - FELT))
+    blocks, best = _in_turn(task, begun)
+    found: dict[Kind, Found] = {
+        **static.found,
+        "linear_dynamics": Found(begun.alone, static.found["linear"].blocks),
+        "hammerstein": Found(best, blocks),
+    }
+    rest = [trial for trial in trials if trial is not begun]
+    others = tuple((f"state space of order {one.order}", Found(one.best, one.blocks)) for one in rest)
+    return Built(found, "hammerstein", others=others)
+
+
+def _orders_tried(task: Task) -> list[StateSpaceTrial]:
+    """Models of the order asked for, or of growing orders until two in a row lower the error no more."""
+    order = task.settings.order
+    if order is not None:
+        return [_of_order(task, order)]
+    trials: list[StateSpaceTrial] = []
+    for states in ORDERS:
+        try:
+            trials.append(_of_order(task, states * task.outputs))
+        except IdentificationError:  # more states than the lines of the response can tell
+            if not trials:
+                raise
+            break
+        errors = [trial.error for trial in trials]
+        if len(errors) - 1 - int(np.argmin(errors)) >= PATIENCE:
+            break
+    return trials
+
+
+def _of_order(task: Task, order: int) -> StateSpaceTrial:
+    task.progress(f"fitting linear dynamics of order {order}")
+    block, gain = fit_linear(task.records, order, task.progress)
     task.progress("fitting the static block in front of them")
     blocks, best = _hammerstein(task, block)
-    before, error = _error(task, alone), _error(task, best)
+    alone = task.candidate(_gain_model(gain), _state_space(block))
+    return StateSpaceTrial(order, alone, blocks, best, _error(task, best))
+
+
+def _in_turn(task: Task, begun: StateSpaceTrial) -> tuple[Blocks, Candidate]:
+    """Linear dynamics and static block fitted in turn, as long as that lowers the error."""
+    blocks, best, error, before = begun.blocks, begun.best, begun.error, _error(task, begun.alone)
     told = len(task.records[0].u_v) == task.outputs  # or the outputs of the static block move together
     for _ in range(MOST_ROUNDS if told else 0):
         if error > (1.0 - FELT) * before:
             break
         task.progress("fitting the linear dynamics behind the static block")
         hysteresis = blocks.chosen.hysteresis
-        again = refit_linear(task.records, task.starts, hysteresis, settings.order, task.progress)
+        again = refit_linear(task.records, task.starts, hysteresis, begun.order, task.progress)
         trial = _hammerstein(task, again)
         before, now = error, _error(task, trial[1])
         if now < error:
             (blocks, best), error = trial, now
-    found: dict[Kind, Found] = {
-        **static.found,
-        "linear_dynamics": Found(alone, static.found["linear"].blocks),
-        "hammerstein": Found(best, blocks),
-    }
-    return Built(found, "hammerstein")
+    return blocks, best
 
 
 def _error(task: Task, candidate: Candidate) -> float:

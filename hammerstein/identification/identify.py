@@ -11,7 +11,7 @@ from typing import NamedTuple, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.dynamics import StaticDynamics
+from hammerstein.dynamics import StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.candidates import (
     Built,
@@ -317,19 +317,21 @@ def _task(
     static = _static_delay(records, starts, settings, tell)
     delay = guesses[-1].delay_samples if guesses else static
     task = Task(records, starts, (), delay, settings, tell, static)
+    if guesses:
+        fine = replace(task, thresholds_v=_fine(settings).thresholds(records, DELAY_OPERATORS))
+        guesses = tuple(with_checked_delay(fine, guess) for guess in guesses)
+        task = replace(task, delay_samples=guesses[-1].delay_samples)
     curve: tuple[CurvePoint, ...] = ()
     wanted = settings.error_curve or (settings.operators == "auto" and settings.thresholds_v is None)
     if wanted and settings.uses_axes:
         tell("trying numbers of operators")
-        paths = task.paths(first.dynamics)
-        place = settings.begun_with
-        whole = task.whole_delay
+        paths = task.paths(guesses[-1].dynamics() if guesses else first.dynamics)
+        place, whole = settings.begun_with, task.whole_delay
         curve = error_curve(records, starts, partition=place, delay_samples=whole, through=paths)
     chosen = enough_operators(curve) if curve else DEFAULT_OPERATORS
     if settings.fits_thresholds and settings.operators == "auto":
         chosen = min(chosen, MOST_FITTED)
-    task = replace(task, thresholds_v=settings.thresholds(records, chosen))
-    return task, tuple(with_checked_delay(task, guess) for guess in guesses), curve
+    return replace(task, thresholds_v=settings.thresholds(records, chosen)), guesses, curve
 
 
 def _static_delay(
@@ -409,7 +411,7 @@ def _account(
         held_starts=held_starts,
         axes=built.best.axes,
         trials=trials,
-        order=settings.order,
+        order=len(best.dynamics.A) if isinstance(best.dynamics, StateSpaceDynamics) else None,
         error_curve=curve,
         not_identifiable=tuple(_unknown(task, built, answer)),
         flags=tuple(flags),

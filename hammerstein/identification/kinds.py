@@ -99,7 +99,7 @@ def _bouc_wen(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replace
         task.records,
         invertible=task.settings.method == "invertible",
         starts=task.starts,
-        delay_samples=task.delay_samples,
+        delay_samples=task.whole_delay,
         through=task.paths(dynamics),
     )
     record = task.records[0]
