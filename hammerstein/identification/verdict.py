@@ -219,8 +219,12 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str
 
 
 def axis_identified(fit: AxisFit) -> bool:
-    """Whether the records tell the dynamics of an axis."""
-    if fit.rms_um > (1.0 - FELT) * fit.static_rms_um:
+    """Whether the records tell the dynamics of an axis.
+
+    A resonance outside the band that was excited must lower the error as much as any block that improves the
+    model: it only bends what lies below it, and what drifts or creeps bends alike.
+    """
+    if fit.rms_um > (1.0 - (FELT if fit.excited else EARNED)) * fit.static_rms_um:
         return False
     return fit.resonance_error_percent is None or fit.resonance_error_percent <= UNSURE_PERCENT
 
