@@ -19,6 +19,7 @@ from hammerstein.identification.score import score
 from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
+from hammerstein.runtime.fanning import Jobs
 
 TIMED_SAMPLES = 20_000
 REPEATS = 5
@@ -30,7 +31,7 @@ def compare(
     settings: Settings | None = None,
     *,
     validation: Sequence[Record] = (),
-    jobs: int = 1,
+    jobs: Jobs = 1,
     progress: Progress | None = None,
 ) -> Comparison:
     """Fit every kind of hysteresis and the linear models to the same records, and recommend one.
@@ -43,7 +44,7 @@ def compare(
     records : experiments on one actuator, as for ``identify``
     settings : how each kind is identified; its ``hysteresis`` and ``dead_zones`` are not used
     validation : records that are held back and only judged; without any, the fitted ones are judged
-    jobs : identifications side by side
+    jobs : identifications side by side, each a process, or an executor of ``concurrent.futures``
     progress : told what is being done, how many identifications are done, and of how many
 
     Returns
