@@ -19,6 +19,7 @@ from hammerstein.identification.score import score
 from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
+from hammerstein.runtime.fanning import Jobs
 
 TIMED_SAMPLES = 20_000
 REPEATS = 5
@@ -30,7 +31,7 @@ def compare(
     settings: Settings | None = None,
     *,
     validation: Sequence[Record] = (),
-    jobs: int = 1,
+    jobs: Jobs = 1,
     progress: Progress | None = None,
 ) -> Comparison:
     """Fit every kind of hysteresis and the linear models to the same records, and recommend one.
@@ -43,7 +44,7 @@ def compare(
     records : experiments on one actuator, as for ``identify``
     settings : how each kind is identified; its ``hysteresis`` and ``dead_zones`` are not used
     validation : records that are held back and only judged; without any, the fitted ones are judged
-    jobs : identifications side by side
+    jobs : identifications side by side, each a process, or an executor of ``concurrent.futures``
     progress : told what is being done, how many identifications are done, and of how many
 
     Returns
@@ -64,8 +65,8 @@ def compare(
     >>> found = compare([record], Settings(thresholds_v=[0.0, 1.0, 2.0], dynamics="none"))
     >>> found.recommended
     'prandtl_ishlinskii'
-    >>> [one.name for one in found.failed]  # it wants a second rate
-    ['rate_dependent']
+    >>> found["linear gain"].parameters, found["prandtl_ishlinskii"].parameters
+    (1, 6)
     """
     tell = progress or (lambda what, done, total: None)
     ready, held = prepared(records), prepared(validation) if validation else ()

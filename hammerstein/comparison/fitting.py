@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import get_args
@@ -12,7 +13,7 @@ from typing import get_args
 import numpy as np
 
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
-from hammerstein.errors import HammersteinError, LostProcessError
+from hammerstein.errors import HammersteinError
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.identify import identify
 from hammerstein.identification.score import Candidate
@@ -20,10 +21,11 @@ from hammerstein.identification.settings import HysteresisKind, Settings
 from hammerstein.identification.static.regressors import Start
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
-from hammerstein.runtime.workers import side_by_side
+from hammerstein.runtime.fanning import Jobs, in_order
+from hammerstein.runtime.workers import Processes
 
 Progress = Callable[[str, int, int], None]
-"""Told what was done last, how many identifications are done, and of how many."""
+"""Told what is being done, how many identifications are done, and of how many."""
 
 PLAYS: HysteresisKind = "prandtl_ishlinskii"
 KINDS: tuple[HysteresisKind, ...] = get_args(HysteresisKind)
@@ -94,7 +96,7 @@ def fit_all(
     records: Sequence[Record],
     settings: Settings,
     validation: Sequence[Record],
-    jobs: int,
+    jobs: Jobs,
     progress: Progress,
 ) -> tuple[list[Fitted], list[Failed]]:
     """Every kind of hysteresis without a linear block, and with the one that suits plays.
@@ -102,7 +104,7 @@ def fit_all(
     Parameters
     ----------
     records, settings, validation : as for ``identify``; the kind of hysteresis in the settings is passed by
-    jobs : identifications side by side
+    jobs : identifications side by side, or an executor that takes them
     progress : see ``Progress``
 
     Raises
@@ -147,27 +149,32 @@ def _worked_off(
     records: Sequence[Record],
     validation: Sequence[Record],
     asked: Sequence[_Asked],
-    jobs: int,
+    jobs: Jobs,
     progress: Callable[[str, int], None],
     before: int = 0,
 ) -> list[_Answer]:
     """Answers in the order of what was asked, some of them worked out side by side."""
     tasks = [partial(_identified, tuple(records), tuple(validation), one) for one in asked]
-    found: dict[str, _Answer] = {}
-    if jobs == 1 or len(tasks) == 1:
-        for one, task in zip(asked, tasks, strict=True):
-            progress(one.name, before + len(found))
-            found[one.name] = task()
-    else:
-        progress(", ".join(one.name for one in asked[:jobs]), before)
+    waiting = [one.name for one in asked]
 
-        def lost(number: int, how: str) -> _Answer:
-            return _Answer(asked[number], error=LostProcessError(f"its process {how}; use --jobs 1"))
+    def finished(number: int, _: object = None) -> None:
+        waiting.remove(asked[number].name)
+        tell()
 
-        for answer in side_by_side(tasks, jobs, lost):
-            found[answer.asked.name] = answer
-            progress(f"{answer.asked.name} is done", before + len(found))
-    return [found[one.name] for one in asked]
+    def tell() -> None:
+        if waiting:
+            progress(f"fitting {', '.join(waiting)}", before + len(asked) - len(waiting))
+
+    tell()
+    with _crew(jobs, len(tasks)) as crew:
+        return list(in_order(tasks, crew, finished))
+
+
+def _crew(jobs: Jobs, tasks: int) -> AbstractContextManager[Jobs]:
+    """Processes of this machine, which do not share their time, or the executor that is given."""
+    if isinstance(jobs, int) and jobs > 1 and tasks > 1:
+        return Processes(min(jobs, tasks))
+    return nullcontext(jobs)
 
 
 def _identified(records: tuple[Record, ...], validation: tuple[Record, ...], asked: _Asked) -> _Answer:

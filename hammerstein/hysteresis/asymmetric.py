@@ -244,9 +244,9 @@ class Asymmetric(Hysteresis[AsymmetricState]):
         return replace(self, working_point_v=np.asarray(working_point_v, dtype=np.float64))
 
     @property
-    def n_shared(self) -> int:
+    def n_beside_weights(self) -> int:
         """Thresholds of the plays, and breakpoints of the dead-zones."""
-        return self.plays.n_shared + int(self.lines.n.sum())
+        return self.plays.n_beside_weights + int(self.lines.n.sum())
 
     def rest(self) -> AsymmetricState:
         """State of a model that was never driven."""

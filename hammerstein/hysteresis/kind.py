@@ -194,8 +194,8 @@ class Hysteresis(ABC, Generic[S]):
         return tuple(np.linalg.norm(known.factor_um_per_v, axis=1) for known in self.weight_covariance)
 
     @property
-    def n_shared(self) -> int:
-        """How many free numbers the outputs share beside their weights: thresholds, breakpoints, growth."""
+    def n_beside_weights(self) -> int:
+        """How many free numbers it has beside its weights: thresholds, breakpoints, growth."""
         return 0
 
     @property

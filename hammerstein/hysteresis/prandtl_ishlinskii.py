@@ -110,7 +110,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
         return Bank.of(self.pairs)
 
     @property
-    def n_shared(self) -> int:
+    def n_beside_weights(self) -> int:
         """Thresholds of the inputs that have more than one."""
         return int(sum(n for n in self.bank.n if n > 1))
 

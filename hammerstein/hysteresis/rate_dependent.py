@@ -201,7 +201,7 @@ class RateDependent(Hysteresis[RateState]):
         return np.exp(-2.0 * np.pi * cut * self.grid_s)
 
     @property
-    def n_shared(self) -> int:
+    def n_beside_weights(self) -> int:
         """Of each input thresholds, the growth that its plays share, and the bandwidth of the rate."""
         return sum(len(plays.thresholds_v) + 2 for plays in self.inputs)
 

@@ -122,7 +122,7 @@ def parameters_of(candidate: Candidate) -> int:
     """Free numbers of a model: weights, thresholds that are shared by the outputs, and the linear block."""
     hysteresis, dynamics = candidate.hysteresis, candidate.dynamics
     weights = sum(sum(row) for row in hysteresis.operators)
-    thresholds = hysteresis.n_shared
+    thresholds = hysteresis.n_beside_weights
     if isinstance(dynamics, StaticDynamics):
         return weights + thresholds
     if isinstance(dynamics, AxesDynamics):
