@@ -112,6 +112,7 @@ Weight = Annotated[float, WEIGHT_UM_PER_V]
 WeightError = Annotated[float, Range(0.0, 1e9)]
 Resonance = Annotated[float, Range(1e-6, 1e9)]
 Damping = Annotated[float, Range(1e-6, 1e4)]
+PerVolt = Annotated[float, Range(-1e6, 1e6)]
 CreepGain = Annotated[float, Range(-1e3, 1e3)]
 Entry = Annotated[float, Range(-1e20, 1e20)]  # of a matrix of a linear block
 Gain = Annotated[float, Range(-1e9, 1e9)]
