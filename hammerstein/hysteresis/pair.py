@@ -62,9 +62,7 @@ def _line(name: str, values: ArrayLike) -> Array:
     try:
         found = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InputError(
-            "play", f"{name} holds something that is no number; give numbers in a line"
-        ) from None
+        raise InputError("play", f"{name} holds what is no number; give numbers in a line") from None
     if np.ndim(values) != 1:
         raise InputError(
             "play",
