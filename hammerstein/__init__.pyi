@@ -1,3 +1,5 @@
+from .comparison.compare import compare as compare
+from .comparison.result import Comparison as Comparison
 from .compensators import (
     Compensator as Compensator,
     DecoupledInverse as DecoupledInverse,
@@ -28,6 +30,8 @@ from .experiment.report import Report as Report
 from .experiment.run import run as run, simulate as simulate, simulate_in_stretches as simulate_in_stretches
 from .hysteresis import (
     Asymmetric as Asymmetric,
+    BoucWen as BoucWen,
+    BoucWenPair as BoucWenPair,
     DeadZones as DeadZones,
     Hysteresis as Hysteresis,
     HysteresisFile as HysteresisFile,

@@ -272,6 +272,7 @@ def test_the_plain_loop_is_the_compiled_one(follower):
     table = hammerstein.HammersteinModel.load("duo_bimorph_static")
 
     class Wrapped(Follower):
+        wipes_out = True
         n_inputs = property(lambda self: 2)
         operators = property(lambda self: table.hysteresis.operators)
         slope_columns = staticmethod(table.hysteresis.slope_columns)

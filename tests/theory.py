@@ -116,3 +116,38 @@ def rate_dependent(u, sample_time, thresholds, growth, bandwidth, lam, weights):
             for o in range(len(weights)):
                 outputs[o, k] += np.dot(weights[o][j], plays)
     return outputs
+
+
+def bouc_wen_line(z, du, beta, gamma):
+    """z after a straight line du of the voltage: dz = du - beta |du| z - gamma du |z|, by exponentials.
+
+    z relaxes to s / c: c = beta + gamma while it grows in the direction s, beta - gamma while it falls.
+    """
+    s, left = np.sign(du), abs(du)
+    if s * z < 0:
+        c = beta - gamma
+        way = np.log1p(c * abs(z)) / c if c else abs(z)  # until it is zero
+        if way >= left:
+            return s / c + (z - s / c) * np.exp(-c * left) if c else z + s * left
+        z, left = 0.0, left - way
+    c = beta + gamma
+    return s / c + (z - s / c) * np.exp(-c * left) if c else z + s * left
+
+
+def bouc_wen(u, direct, hysteretic, beta, gamma):
+    """v_l = sum over j of ( d_lj u_j - a_lj z_lj ) from rest; u (m, N), all others (l, j)."""
+    outputs = np.asarray(direct) @ np.asarray(u)
+    for o in range(len(direct)):
+        for j, signal in enumerate(u):
+            z, last = 0.0, 0.0
+            for k, voltage in enumerate(signal):
+                z = bouc_wen_line(z, voltage - last, beta[o][j], gamma[o][j])
+                last = voltage
+                outputs[o, k] -= hysteretic[o][j] * z
+    return outputs
+
+
+def bouc_wen_amplitude(tip, beta, gamma):
+    """Amplitude of the settled loop at whose tips z is -tip and tip: along it z falls to 0, then grows."""
+    c, e = beta + gamma, beta - gamma
+    return 0.5 * ((np.log1p(e * tip) / e if e else tip) - np.log1p(-c * tip) / c)

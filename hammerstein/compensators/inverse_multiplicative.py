@@ -168,9 +168,10 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         low, high = self.range.counted
         plays, memory, drive = start.plays, start.memory_v, np.empty_like(wanted_v)
         for t, ahead in enumerate((self.gain_v_per_um @ wanted_v).T):
+            begun = plays  # only the last pass is sent; where the others leave a trace each begins there
             for _ in range(self.iterations):
                 drive[:, t] = np.clip(ahead + memory, low, high)
-                v, plays = self.hysteresis.step(drive[:, t], plays)
+                v, plays = self.hysteresis.step(drive[:, t], plays if self.hysteresis.wipes_out else begun)
                 left = drive[:, t] - self.gain_v_per_um @ v
                 memory = self.pole * memory + (1.0 - self.pole) * left
         return drive, FeedbackState(plays, memory)

@@ -5,6 +5,7 @@ To add a kind to the package, write it in a file of its own and name it here.
 
 from hammerstein.hysteresis.asymmetric import Asymmetric, AsymmetricFile, AsymmetricState, DeadZones
 from hammerstein.hysteresis.bank import Bank, PlayState
+from hammerstein.hysteresis.bouc_wen import BoucWen, BoucWenFile, BoucWenPair, BoucWenState
 from hammerstein.hysteresis.covariance import ThresholdCovariance
 from hammerstein.hysteresis.kind import (
     HYSTERESIS,
@@ -24,6 +25,9 @@ __all__ = [
     "Asymmetric",
     "AsymmetricState",
     "Bank",
+    "BoucWen",
+    "BoucWenPair",
+    "BoucWenState",
     "DeadZones",
     "Hysteresis",
     "HysteresisFile",
@@ -45,3 +49,4 @@ __all__ = [
 HYSTERESIS.register(PrandtlIshlinskiiFile)
 HYSTERESIS.register(AsymmetricFile)
 HYSTERESIS.register(RateDependentFile)
+HYSTERESIS.register(BoucWenFile)

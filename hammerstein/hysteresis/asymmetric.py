@@ -193,6 +193,7 @@ class Asymmetric(Hysteresis[AsymmetricState]):
     weight_covariance: tuple[WeightCovariance, ...] | None = None
 
     kind: ClassVar[str] = "asymmetric"
+    wipes_out: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "zones", tuple(tuple(row) for row in self.zones))
@@ -241,6 +242,11 @@ class Asymmetric(Hysteresis[AsymmetricState]):
     def counted_from(self, working_point_v: ArrayLike) -> Asymmetric:
         """Give the same hysteresis for voltages counted from another working point (m,) [V]."""
         return replace(self, working_point_v=np.asarray(working_point_v, dtype=np.float64))
+
+    @property
+    def n_beside_weights(self) -> int:
+        """Thresholds of the plays, and breakpoints of the dead-zones."""
+        return self.plays.n_beside_weights + int(self.lines.n.sum())
 
     def rest(self) -> AsymmetricState:
         """State of a model that was never driven."""

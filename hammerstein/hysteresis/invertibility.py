@@ -13,8 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.blocks import Array, require_square
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis import Asymmetric, DeadZones, Hysteresis, Pair, PrandtlIshlinskii, RateDependent
-from hammerstein.hysteresis.slopes import every_matrix
+from hammerstein.hysteresis import (
+    Asymmetric,
+    BoucWen,
+    DeadZones,
+    Hysteresis,
+    Pair,
+    PrandtlIshlinskii,
+    RateDependent,
+)
+from hammerstein.hysteresis.slopes import every_matrix, slope_matrices
 
 SINGULAR = 1e-9
 
@@ -67,10 +75,11 @@ class Invertibility:
             f"{self._name(k)} with {n} operators engaged (thresholds to {r:.4g} V){self._between(k)}"
             for k, (n, r) in enumerate(zip(self.engaged, self.thresholds_v, strict=True))
         )
+        first = f"at {places}" if places else "this"
         slopes = np.array2string(self.slopes_um_per_v, precision=4, separator=", ").replace("\n", "")
         return (
             f"The model has no inverse: of its {total} slope matrices {other} have a determinant of the "
-            f"other sign and {self.singular} are singular, first at {places}: {slopes} um/V."
+            f"other sign and {self.singular} are singular, first {first}: {slopes} um/V."
         )
 
 
@@ -170,6 +179,16 @@ def _(
     return Invertibility(*counts, engaged, thresholds, mean, jump)
 
 
+@invertibility.register
+def _(hysteresis: BoucWen, range_v: ArrayLike = math.inf, amplitude_v: float | None = None) -> Invertibility:
+    """A determinant is linear in each slope: it keeps its sign if it does at all ends of the slopes."""
+    m = hysteresis.n_inputs
+    require_square(m, hysteresis.n_outputs, "inverse")
+    slopes = slope_matrices(hysteresis, 1.0)
+    counts, first = _counted_signs(slopes)
+    return Invertibility(*counts, (), (), slopes[first], np.zeros(m))
+
+
 class _Reachable(NamedTuple):
     """Slopes (choice, row) that one input can have, with its engaged operators and zone (choice,)."""
 
@@ -225,11 +244,7 @@ def _enumerated(
 ) -> Invertibility:
     """Examine all determinants one by one."""
     slopes = every_matrix([choices.slopes for choices in reached])
-    determinants = np.linalg.det(slopes)
-    size = np.prod(np.linalg.norm(slopes, axis=1), axis=1)
-    sign = np.where(np.abs(determinants) <= SINGULAR * size, 0, np.sign(determinants)).astype(int)
-    positive, negative, singular = (int((sign == value).sum()) for value in (1, -1, 0))
-    first = int(np.argmax(sign != (1 if positive >= negative else -1)))
+    (positive, negative, singular), first = _counted_signs(slopes)
     engaged: tuple[int, ...] = ()
     zones: list[tuple[float, float]] = []
     if min(positive, negative) or singular:
@@ -248,6 +263,15 @@ def _enumerated(
         2.0 * smallest_v,
         zones_v=tuple(zones),
     )
+
+
+def _counted_signs(slopes: Array) -> tuple[tuple[int, int, int], int]:
+    """Number of positive, negative and singular matrices, and the first whose sign is not that of most."""
+    determinants = np.linalg.det(slopes)
+    size = np.prod(np.linalg.norm(slopes, axis=1), axis=1)
+    sign = np.where(np.abs(determinants) <= SINGULAR * size, 0, np.sign(determinants)).astype(int)
+    positive, negative, singular = (int((sign == value).sum()) for value in (1, -1, 0))
+    return (positive, negative, singular), int(np.argmax(sign != (1 if positive >= negative else -1)))
 
 
 def _ends_v(square: Asymmetric, k: int, zone: int) -> tuple[float, float]:

@@ -54,6 +54,8 @@ class Hysteresis(ABC, Generic[S]):
     """
 
     kind: ClassVar[str]
+    wipes_out: ClassVar[bool] = False
+    """Whether a way that turns and comes back leaves no trace, as with plays."""
 
     @property
     @abstractmethod
@@ -190,6 +192,11 @@ class Hysteresis(ABC, Generic[S]):
         if self.weight_covariance is None:
             return None
         return tuple(np.linalg.norm(known.factor_um_per_v, axis=1) for known in self.weight_covariance)
+
+    @property
+    def n_beside_weights(self) -> int:
+        """How many free numbers it has beside its weights: thresholds, breakpoints, growth."""
+        return 0
 
     @property
     def n_shared_errors(self) -> int:

@@ -50,6 +50,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
     """
 
     kind: ClassVar[str] = "prandtl_ishlinskii"
+    wipes_out: ClassVar[bool] = True
 
     pairs: tuple[tuple[Pair, ...], ...] = field()
     weight_covariance: tuple[WeightCovariance, ...] | None = None
@@ -107,6 +108,11 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
     def bank(self) -> Bank:
         """All operators on one threshold grid an input."""
         return Bank.of(self.pairs)
+
+    @property
+    def n_beside_weights(self) -> int:
+        """Thresholds of the inputs that have more than one."""
+        return int(sum(n for n in self.bank.n if n > 1))
 
     def rest(self) -> PlayState:
         """State of a model that was never driven: all plays at zero."""

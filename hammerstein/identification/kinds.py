@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +14,7 @@ from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.candidates import Built, Task
 from hammerstein.identification.settings import HysteresisKind
 from hammerstein.identification.static.asymmetric import breakpoints_in, enough_dead_zones, fit_asymmetric
+from hammerstein.identification.static.bouc_wen import fit_bouc_wen
 from hammerstein.identification.static.rate_dependent import fit_rate_dependent
 from hammerstein.identification.static.static_block import Thresholds, Weighting
 
@@ -39,6 +40,7 @@ def with_hysteresis(task: Task, built: Built) -> Built:
         return built
     task.progress(f"fitting the {kind.replace('_', ' ')} hysteresis")
     before = built.best
+    task = task.delayed_as(before.candidate.dynamics)
     thresholds_v = [[pair.thresholds_v for pair in row] for row in before.blocks.chosen.hysteresis.pairs]
     found = REPLACEMENTS[kind](task, thresholds_v, before.candidate.dynamics)
     candidate = replace(before.candidate, hysteresis=found.hysteresis)
@@ -54,7 +56,7 @@ def _asymmetric(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Repla
     if count is None:
         task.progress("trying numbers of dead-zones")
         count = enough_dead_zones(
-            task.records, begun, starts=task.starts, delay_samples=task.delay_samples, through=paths
+            task.records, begun, starts=task.starts, delay_samples=task.whole_delay, through=paths
         )
     method: Weighting = "invertible" if settings.method == "closed_form" else settings.method
     fit = fit_asymmetric(
@@ -63,16 +65,11 @@ def _asymmetric(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Repla
         breakpoints_in(task.records, count),
         method=method,
         starts=task.starts,
-        delay_samples=task.delay_samples,
+        delay_samples=task.whole_delay,
         through=paths,
     )
-    record = task.records[0]
-    notes = [f"{count} dead-zones an input stand beside the plays"]
-    notes += [
-        f"slopes from {record.inputs[k]} to {record.outputs[o]} held at a bound, or there were no inverse"
-        for o, k in fit.held
-    ]
-    return Replacement(fit.hysteresis, tuple(notes))
+    told = f"{count} dead-zones an input stand beside the plays"
+    return Replacement(fit.hysteresis, (told, *_bounded(task, fit.held)))
 
 
 def _rate_dependent(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replacement:
@@ -84,7 +81,7 @@ def _rate_dependent(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> R
         grids,
         invertible=task.settings.method == "invertible",
         starts=task.starts,
-        delay_samples=task.delay_samples,
+        delay_samples=task.whole_delay,
         through=task.paths(dynamics),
     )
     told = [
@@ -92,11 +89,38 @@ def _rate_dependent(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> R
         f"{plays.bandwidth_hz:.3g} Hz"
         for name, plays in zip(task.records[0].inputs, fit.hysteresis.inputs, strict=True)
     ]
-    late = f"a delay of {task.delay_samples} samples was taken as known: it looks like growing thresholds"
+    late = f"a delay of {task.delay_samples:g} samples was taken as known: it looks like growing thresholds"
     return Replacement(fit.hysteresis, (*told, late))
+
+
+def _bouc_wen(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replacement:
+    """The Bouc-Wen model, which has no thresholds."""
+    fit = fit_bouc_wen(
+        task.records,
+        invertible=task.settings.method == "invertible",
+        starts=task.starts,
+        delay_samples=task.whole_delay,
+        through=task.paths(dynamics),
+    )
+    record = task.records[0]
+    notes = [
+        f"from {name} to {output}: beta {pair.beta_per_v:.3g}, gamma {pair.gamma_per_v:.3g} 1/V"
+        for output, row in zip(record.outputs, fit.hysteresis.pairs, strict=True)
+        for name, pair in zip(record.inputs, row, strict=True)
+    ]
+    return Replacement(fit.hysteresis, (*notes, *_bounded(task, fit.held)))
+
+
+def _bounded(task: Task, held: Sequence[tuple[int, int]]) -> list[str]:
+    record = task.records[0]
+    return [
+        f"slopes from {record.inputs[k]} to {record.outputs[o]} held at a bound, or there were no inverse"
+        for o, k in held
+    ]
 
 
 REPLACEMENTS: Mapping[HysteresisKind, Callable[[Task, Thresholds, Linear], Replacement]] = {
     "asymmetric": _asymmetric,
     "rate_dependent": _rate_dependent,
+    "bouc_wen": _bouc_wen,
 }

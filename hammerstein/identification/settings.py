@@ -19,7 +19,7 @@ from hammerstein.records.record import Record
 Array = NDArray[np.float64]
 Method = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
 DynamicsKind = Literal["auto", "none", "lag", "second_order", "state_space"]
-HysteresisKind = Literal["prandtl_ishlinskii", "asymmetric", "rate_dependent"]
+HysteresisKind = Literal["prandtl_ishlinskii", "asymmetric", "rate_dependent", "bouc_wen"]
 
 MOST_OPERATORS = 200
 MOST_CREEP_MODES = 5
@@ -51,13 +51,13 @@ class Settings:
     ridge : penalty of the weights, for more thresholds than the records can tell; 0: none
     dynamics : ``none``, ``lag`` (a low-pass each axis), ``second_order`` (a resonance each axis),
         ``state_space``, or ``auto``: what lowers the error of the first three, or a resonance with a low-pass
-    order : number of states of a state-space model
+    order : number of states of a state-space model; None: as many as the records tell
     creep_modes : slow modes of each axis; ``auto``: one where it lowers the error
     delay_samples : whole samples by which the outputs come late; None: found
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; None: unlimited
     start : what went before each record: ``rest``, ``repeated`` (the like of it), or ``auto``: found out
     hysteresis : kind of the static block: ``prandtl_ishlinskii``, or ``asymmetric`` with one-sided dead-zones
-        beside the plays, or ``rate_dependent`` with thresholds that grow with the rate
+        beside the plays, ``rate_dependent`` with thresholds that grow with the rate, or ``bouc_wen``
     dead_zones : of each input of an asymmetric block; None: as many as the records call for
     error_curve : whether the held-out error is found for many numbers of operators
     """
@@ -100,8 +100,8 @@ class Settings:
 
     def _misfits(self) -> list[Mistake]:
         mistakes = []
-        if (self.dynamics == "state_space") != (self.order is not None):
-            mistakes.append(Mistake("order", "belongs to dynamics state_space, and is needed there"))
+        if self.dynamics != "state_space" and self.order is not None:
+            mistakes.append(Mistake("order", "belongs to dynamics state_space"))
         if self.creep_modes not in (0, "auto") and self.dynamics in ("none", "state_space"):
             mistakes.append(Mistake("creep_modes", "belong to dynamics lag, second_order or auto"))
         if self.method == "closed_form" and self.dynamics not in ("none", "auto"):

@@ -59,10 +59,10 @@ class JointFitSpec(BaseModel):
     sample_time_s: SampleTime | None = Field(
         default=None, description="sample time of this experiment, where it is not that of the run"
     )
-    hysteresis: Literal["prandtl_ishlinskii", "asymmetric", "rate_dependent"] | None = Field(
+    hysteresis: Literal["prandtl_ishlinskii", "asymmetric", "rate_dependent", "bouc_wen"] | None = Field(
         default=None,
         description="kind of the static block: asymmetric adds dead-zones, rate_dependent lets thresholds "
-        "grow with the rate; plays if not given",
+        "grow with the rate, bouc_wen has none; plays if not given",
     )
     creep_modes: Modes = 0
     creep_record_s: Length = Field(default=600.0, description="length of the slow record")
