@@ -49,7 +49,10 @@ Ridge = Annotated[float, typer.Option(help="Penalty of the weights; 0: none.")]
 DynamicsOption = Annotated[
     str, typer.Option(help="none, lag, second_order, state_space, or auto: what lowers the error.")
 ]
-Order = Annotated[int | None, typer.Option(help="Order of a state-space model.")]
+Order = Annotated[
+    int | None,
+    typer.Option(help="Order of a state-space model; found if not given."),
+]
 CreepModes = Annotated[str, typer.Option(help="Slow modes of each axis; auto: one if it lowers the error.")]
 DelaySamples = Annotated[int | None, typer.Option(help="Delay of the outputs; found if not given.")]
 SensorBandwidth = Annotated[

@@ -74,6 +74,7 @@ class KeptCases:
             "common": self._common,
             "signal": _signal(case),
             "axis": case.axis,
+            "trial": case.trial,
             "tested": {label: self._tested[label] for label in labels},
             "more": more,
         }
@@ -144,7 +145,7 @@ def _restored(setup: SetUp, case: Case, entry: Kept) -> Result:
         for number, label in enumerate(found["predictions"])
     )
     axis = "all" if case.axis is None else names[case.axis]
-    trace = Trace(case.label, case.signal, axis, response, found["first_sample"], predictions)
+    trace = Trace(case.label, case.signal, axis, response, found["first_sample"], predictions, case.trial)
     return Result(rows_from(found["rows"]), trace, found["unsettled"], found["clipped"])
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
+from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise, split_delay
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.static.normal_equations import (
@@ -154,9 +154,7 @@ def judged_squares(candidate: Candidate, records: Sequence[Record], starts: Sequ
     return np.where(np.isfinite(values), values, np.inf)
 
 
-def crossed_squares(
-    candidate: Candidate, records: Sequence[Record], starts: Sequence[Start], delay_samples: int
-) -> Array:
+def crossed_squares(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
     """Squared errors (record and fold,) where the weights were fitted to the other folds of the same records.
 
     Each record falls into 16 stretches, every fourth of which is one fold: cycles of an experiment lie on
@@ -171,7 +169,8 @@ def crossed_squares(
     assert isinstance(candidate.hysteresis, PrandtlIshlinskii)  # other kinds take their place afterwards
     layout = Layout.of([[pair.thresholds_v for pair in row] for row in candidate.hysteresis.pairs])
     columns = sum(map(len, layout.grids))
-    prompt = candidate.dynamics.model_copy(update={"input_delay_s": 0.0})
+    whole, part_s = split_delay(candidate.dynamics.input_delay_s, records[0].sample_time_s)
+    prompt = candidate.dynamics.model_copy(update={"input_delay_s": part_s})
     sensor = candidate.sensor_bandwidth_hz
     blocks = [discretise(prompt, record.sample_time_s, sensor) for record in records]
     if isinstance(prompt, StaticDynamics) and sensor is None:
@@ -180,7 +179,7 @@ def crossed_squares(
     for o in range(p):
         merge = layout.merge[o]
         parts = [
-            _folds(record, start, layout, delay_samples, path_filters(blocks, i, o, columns, p), o)
+            _folds(record, start, layout, whole, path_filters(blocks, i, o, columns, p), o)
             for i, (record, start) in enumerate(zip(records, starts, strict=True))
         ]
         for fold in range(FOLDS):

@@ -140,7 +140,8 @@ def _facts(model: HammersteinModel, fit: Fit) -> Iterator[tuple[str, str]]:
     longest = max(record.samples * record.sample_time_s for record in fit.records)
     yield "sampled at", f"{rates}; the longest record lasts {longest:.4g} s"
     yield "recorded", markdown(fit.voltages.statement(fit.inputs))
-    yield "delay", f"{fit.delay_samples} sample{'s' * (fit.delay_samples != 1)} of {fit.sample_time_s:.4g} s"
+    plural = "s" * (fit.delay_samples != 1)
+    yield "delay", f"{fit.delay_samples:g} sample{plural} of {fit.sample_time_s:.4g} s"
     if fit.sensor_bandwidth_hz is not None:
         yield "sensor bandwidth, as given", f"{fit.sensor_bandwidth_hz:.4g} Hz"
     yield "inverse", markdown(fit.invertibility)
