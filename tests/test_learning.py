@@ -5,6 +5,7 @@ HAMMERSTEIN_DRAWS sets how many actuators are drawn; the issue asks for 200.
 
 import json
 import os
+import pickle
 import re
 
 import numpy as np
@@ -15,12 +16,14 @@ from hammerstein.commands.cli import main
 from hammerstein.compensators.cycle import centred, rms
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.errors import InputError
+from hammerstein.experiment.prepare import prepare
 from hammerstein.experiment.run import run
 from hammerstein.experiment.selection import TRIAL
 from hammerstein.learning import Unsure, lesson, simulated_trials
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.choice import figures_of, sweep_curves
 from hammerstein.reporting.summary import answer
+from hammerstein.scenario import Scenario
 from hammerstein.scenario.uncertainty import Uncertainty
 from hammerstein.simulation import Plant
 
@@ -223,6 +226,15 @@ def test_a_trial_is_the_same_alone_and_in_any_order(off):
     option = {"label": "learned", "law": "learned", "model": "duo_bimorph", "trial": 3}
     chosen = run(_scenario([3], actuator=off, sweep={}, compensators=[option]))
     assert [row.figures for row in chosen.rows] == [row.figures for row in alone.rows]
+
+
+def test_trials_go_on_in_another_process(off):
+    """A set-up that was used is sent and gives the same numbers there."""
+    setup = prepare(Scenario.model_validate(_scenario([1, 2], actuator=off)))
+    case = list(setup.cases())[1]
+    here = setup.simulate(case)
+    there = pickle.loads(pickle.dumps(setup)).simulate(case)
+    np.testing.assert_array_equal(there.position_um, here.position_um)
 
 
 def test_the_report_leads_with_the_trials(off):

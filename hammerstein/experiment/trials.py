@@ -82,6 +82,10 @@ class Courses:
         self._lock = threading.Lock()
         self._found: WeakKeyDictionary[Plant, dict[Hashable, Course]] = WeakKeyDictionary()
 
+    def __reduce__(self) -> tuple[type[Courses], tuple[()]]:
+        """Another process begins its own: the numbers are the same."""
+        return Courses, ()
+
     def of(self, plant: Plant, key: Hashable, new: Callable[[], Course]) -> Course:
         """The course of a key on an actuator; begun where there is none."""
         with self._lock:
