@@ -212,6 +212,10 @@ class BoucWen(Hysteresis[BoucWenState]):
         """Memory of an actuator that was never driven."""
         return BoucWenState(np.zeros((self.n_outputs, self.n_inputs)), np.zeros(self.n_inputs))
 
+    def after(self, path_v: Array) -> BoucWenState:
+        """Memory after a path; see ``Hysteresis.after``."""
+        return self.respond(path_v, BoucWenState(self.rest().z_v, path_v[:, 0].copy()))[1]
+
     def restore(self, data: dict[str, Any]) -> BoucWenState:
         """Memory from what ``as_dict`` gave."""
         return BoucWenState.from_dict(data)
