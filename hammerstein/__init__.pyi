@@ -1,3 +1,5 @@
+from .comparison.compare import compare as compare
+from .comparison.result import Comparison as Comparison
 from .compensators import (
     Compensator as Compensator,
     DecoupledInverse as DecoupledInverse,

@@ -174,6 +174,37 @@ class Controller(ABC, Generic[S]):
         return ""
 
 
+class Learner(ABC):
+    """A compensator of a path that repeats: what a sensor read in one trial gives the drive of the next.
+
+    A trial plays one period of voltages again and again. The sensor is there while it learns, not later.
+    """
+
+    n_inputs: int
+    n_outputs: int
+    range: DriveRange
+    trial: int = 1  # the trial that is measured, where nothing else is asked for
+
+    @abstractmethod
+    def first(self, reference_um: Array) -> Array:
+        """Period (m, N) of voltages of the first trial, for a period (p, N) of the path."""
+
+    @abstractmethod
+    def following(self, reference_um: Array, drive_v: Array, reading_um: Array) -> Array:
+        """Period (m, N) of the next trial.
+
+        Parameters
+        ----------
+        reference_um : (p, N) one period of the path
+        drive_v : (m, N) the period that was played
+        reading_um : (p, periods N) settled periods that the sensor read
+        """
+
+    def statement(self) -> str:
+        """Say what a user must know of it before a run; empty if nothing."""
+        return ""
+
+
 def checked_reference(reference_um: ArrayLike, n_outputs: int) -> Array:
     """Reference as a contiguous (output, sample) array; InputError names axis and sample of a bad value."""
     reference = np.ascontiguousarray(np.atleast_2d(np.asarray(reference_um, dtype=np.float64)))

@@ -129,6 +129,7 @@ Cycles = Annotated[int, Range(1, 10**9)]
 NoCycles = Annotated[int, Range(0, 10**9)]
 Draws = Annotated[int, Range(1, 10**9)]
 BaseSamples = Annotated[int, Range(8, 2**24)]
+Trial = Annotated[int, Range(1, 1000)]  # the first one is without learning
 Passes = Annotated[int, Range(1, 10**7)]
 Operators = Annotated[int, Range(1, 200)]
 Axes = Annotated[int, Range(1, 100)]

@@ -7,7 +7,7 @@ import numpy as np
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StateSpaceDynamics, StaticDynamics
 from hammerstein.export.code import CCode
 from hammerstein.export.request import Request
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii, RateDependent, RatePlays
 from hammerstein.instruments import Drive, Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.voltages import Voltages
@@ -55,6 +55,40 @@ def three_inputs():
     return HammersteinModel(
         "three in, two out", PrandtlIshlinskii(rows), dynamics, 10.0, tuple("abc"), tuple("xy")
     )
+
+
+def asymmetric(smallest_v=0.0, working_point_v=40.0):
+    """Two axes around 40 V whose plays stand beside dead-zones of their own; one input has none on y."""
+    grid = np.array([smallest_v, 6.0, 20.0])
+    plays = PrandtlIshlinskii(
+        [[Pair(grid, [0.3, 0.1, 0.05]), Pair(grid, [0.02, 0.0, 0.01])],
+         [Pair(grid, [0.01, 0.02, 0.0]), Pair(grid, [0.25, 0.1, 0.08])]]
+    )  # fmt: skip
+    zones = [
+        [DeadZones([20.0, 70.0], [0.06, -0.03]), DeadZones.absent()],
+        [DeadZones([55.0], [0.02]), DeadZones([10.0, 50.0, 90.0], [0.03, 0.05, -0.02])],
+    ]
+    return HammersteinModel(
+        "asymmetric stage",
+        Asymmetric(plays, zones, np.full(2, working_point_v)),
+        AxesDynamics(axes=(Axis(resonance_hz=300.0, damping_ratio=0.05),) * 2),
+        50.0,
+        ("u", "w"),
+        ("x", "y"),
+        instruments=Instruments(drive=Drive(range_v=(0.0, 120.0))),
+        voltages=Voltages.of([working_point_v] * 2, [0.0] * 2, [120.0] * 2),
+    )
+
+
+def rate_dependent():
+    """Two inputs with other plays each, whose thresholds grow with the rate."""
+    inputs = (
+        RatePlays([0.0, 1.0, 4.0], [0.0, 1e-4, 3e-4], bandwidth_hz=400.0),
+        RatePlays([0.0, 2.0], [0.0, 2e-4], bandwidth_hz=700.0),
+    )
+    weights = (([1.0, 0.3, 0.2], [0.05, 0.02]), ([0.1, 0.0, 0.05], [1.2, 0.4]))
+    axes = AxesDynamics(axes=(Axis(resonance_hz=500.0, damping_ratio=0.05), Axis()))
+    return HammersteinModel("fast stage", RateDependent(inputs, weights), axes, 10.0, ("u", "w"), ("x", "y"))
 
 
 def static(model):
@@ -109,6 +143,13 @@ def _cases():
     for law in ("exact_inverse", "none", "model", "hammerstein_inverse"):
         yield Export(f"three inputs {law}", three_inputs(), law)
     yield Export("static", static(two), "hammerstein_inverse")
+    yield Export("asymmetric model", asymmetric(), "model")
+    yield Export("asymmetric model behind plays", asymmetric(smallest_v=1.5, working_point_v=0.0), "model")
+    for law in ("exact_inverse", "hammerstein_inverse"):
+        yield Export(f"asymmetric {law}", asymmetric(), law, {"start_v": (20.0, 60.0)})
+    behind = asymmetric(smallest_v=1.5, working_point_v=0.0)
+    yield Export("asymmetric behind plays", behind, "exact_inverse", {"options": {"softening_v": 0.5}})
+    yield Export("rate-dependent model", rate_dependent(), "model")
 
 
 CASES = tuple(_cases())

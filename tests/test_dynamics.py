@@ -97,7 +97,7 @@ def test_sensor_is_behind_the_position_and_sees_it_continuously():
     assert response[2, 0] == pytest.approx(position * theory.first_order(f, 2000.0), rel=1e-3)
 
 
-@pytest.mark.parametrize("delay_samples", [0, 1, 3])
+@pytest.mark.parametrize("delay_samples", [0, 1, 2.4, 3])
 def test_steps_equal_the_batch_to_the_last_bit(delay_samples):
     dynamics = _axes(CreepMode(gain=0.05, time_constant_s=0.3))
     block = discretise(dynamics.model_copy(update={"input_delay_s": delay_samples * T}), T, 2000.0)
@@ -117,17 +117,37 @@ def test_delay_shifts_the_response():
     assert (late[:, :3] == 0.0).all()
 
 
+@pytest.mark.parametrize("delay_samples", [0.3, 2.75])
+def test_a_fraction_of_a_sample_delays_the_step_response_by_just_that(delay_samples):
+    late = _axes().model_copy(update={"input_delay_s": delay_samples * T})
+    y, _ = discretise(late, T).respond(np.ones((2, 400)))
+    time_s = np.arange(400) * T - delay_samples * T
+    expected = theory.second_order_step(np.maximum(time_s, 0.0), 280.0, 0.12)
+    np.testing.assert_allclose(y[0], expected, atol=1e-12)
+
+
+def test_a_fraction_of_a_sample_is_a_whole_delay_on_a_finer_grid():
+    dynamics = _axes(CreepMode(gain=0.05, time_constant_s=0.3)).model_copy(update={"input_delay_s": 1.25 * T})
+    u = np.random.default_rng(5).normal(size=(2, 300))
+    fine, _ = discretise(dynamics, T / 8, 2000.0).respond(np.repeat(u, 8, axis=1))
+    y, _ = discretise(dynamics, T, 2000.0).respond(u)
+    np.testing.assert_allclose(y, fine[:, ::8], atol=1e-12)
+    settled = discretise(dynamics, T, 2000.0)
+    held, _ = settled.respond(np.full((2, 3), 7.0), settled.settled([7.0, 7.0]))
+    np.testing.assert_allclose(held[:, -1], 7.0 * np.array([1.05, 1.0, 1.05, 1.0]), rtol=1e-9)
+
+
 def test_refuses_another_sample_time_and_a_broken_delay():
     block = discretise(_axes(), T)
     with pytest.raises(InputError, match="sample time"):
         block.respond(np.zeros((2, 5)), sample_time_s=1e-3)
-    for samples in (1.5, 2.001):
-        with pytest.raises(InputError, match="whole number"):
-            discretise(_axes().model_copy(update={"input_delay_s": samples * T}), T)
-    discretise(_axes().model_copy(update={"input_delay_s": (2.0 + 1e-9) * T}), T)  # rounding of 2 T
+    rounded = discretise(_axes().model_copy(update={"input_delay_s": (2.0 + 1e-9) * T}), T)
+    assert len(rounded.A) == len(block.A) + 4  # two whole samples of two inputs
     discrete = StateSpaceDynamics(A=((0.5,),), B=((1.0,),), C=((1.0,),), D=((0.0,),), sample_time_s=1e-3)
     with pytest.raises(InputError, match="identified at"):
         discretise(discrete, T)
+    with pytest.raises(InputError, match="no whole number of samples"):
+        discretise(discrete.model_copy(update={"input_delay_s": 1.5e-3}), 1e-3)
 
 
 def test_state_space_of_the_users_own_is_kept():

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -113,7 +114,11 @@ def test_a_number_that_is_none_changes_nothing(bad):
 
 @needs_compiler
 @pytest.mark.parametrize(
-    "name", ["exact_inverse", "inverse_multiplicative", "three inputs exact_inverse", "model"]
+    "name",
+    [
+        *("exact_inverse", "inverse_multiplicative", "three inputs exact_inverse", "model"),
+        *("asymmetric model", "asymmetric exact_inverse", "rate-dependent model"),
+    ],
 )
 def test_no_signal_costs_more_than_the_bound(name, record_property):
     """Adverse signals, looked for by their cost."""
@@ -290,6 +295,14 @@ def test_a_kind_of_hysteresis_without_code_is_refused_by_name():
 
     with pytest.raises(InputError, match="bouc_wen"):
         c_block_of(Bouc(), None)
+
+
+def test_growth_that_flattens_is_refused_for_it_needs_a_logarithm():
+    export = case("rate-dependent model")
+    bent = tuple(replace(plays, lambda_s_per_v=1e-3) for plays in export.model.hysteresis.inputs)
+    model = replace(export.model, hysteresis=replace(export.model.hysteresis, inputs=bent))
+    with pytest.raises(InputError, match="logarithm"):
+        replace(export, model=model).code().header()
 
 
 def _call(*arguments):

@@ -12,7 +12,10 @@ from export_cases import case
 from hammerstein.export.folder import write_export
 
 BOARD = Path(__file__).parent / "cortex_m4"
-EXPORTS = ("filtered", "inverse_multiplicative", "decoupled_inverse", "model", "started exact_inverse")
+EXPORTS = (
+    *("filtered", "inverse_multiplicative", "decoupled_inverse", "model", "started exact_inverse"),
+    *("asymmetric model behind plays", "asymmetric exact_inverse", "rate-dependent model"),
+)
 LEFT = {
     "2.4": "enumerations without a name hold the constants: they have no tag that could be used",
     "8.7": "what a caller may use must be seen from outside",

@@ -1,5 +1,6 @@
 """Processes that are ended from outside: nothing stays behind, and what can go on goes on."""
 
+import contextlib
 import json
 import os
 import signal
@@ -11,7 +12,9 @@ from functools import partial
 import psutil
 import pytest
 
-from hammerstein.runtime.workers import side_by_side
+from hammerstein.errors import LostProcessError
+from hammerstein.runtime.fanning import in_order
+from hammerstein.runtime.workers import Processes
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of this kind are POSIX")
 
@@ -160,8 +163,11 @@ def ended_by(number, name, log):
 def test_a_task_that_ends_its_process_is_tried_twice_and_does_not_stop_the_others(tmp_path, number):
     log = tmp_path / "log"
     tasks = [partial(ended_by, number if name == "c" else 0, name, log) for name in "abcdefg"]
-    found = list(side_by_side(tasks, 2, lost=lambda index, how: f"{index} {how}"))
-    assert sorted(found) == [f"2 was ended by {signal.Signals(number).name}", *"abdefg"]
+    with Processes(2) as processes:
+        futures = [processes.submit(task) for task in tasks]
+    with pytest.raises(LostProcessError, match=f"was ended by {signal.Signals(number).name}, twice"):
+        futures.pop(2).result()
+    assert [future.result() for future in futures] == [*"abdefg"]
     assert sorted(log.read_text()) == sorted("abccdefg")
 
 
@@ -194,8 +200,8 @@ def fails(kind):
 
 
 def test_an_error_of_a_task_comes_back_with_its_place():
-    with pytest.raises(ZeroDivisionError, match="in a worker") as caught:
-        list(side_by_side([partial(fails, ZeroDivisionError)], 2, lost=str))
+    with pytest.raises(ZeroDivisionError, match="in a worker") as caught, Processes(2) as processes:
+        processes.submit(fails, ZeroDivisionError).result()
     assert "in fails" in "".join(caught.value.__notes__)
 
 
@@ -204,14 +210,28 @@ def size_of_a_result():
 
 
 def test_large_results_come_back_from_more_tasks_than_processes():
-    found = list(side_by_side([size_of_a_result] * 9, 3, lost=str))
+    with Processes(3) as processes:
+        found = list(in_order([size_of_a_result] * 9, processes))
     assert [len(data) for data in found] == [5_000_000] * 9
 
 
 def test_leaving_early_ends_the_workers():
     before = psutil.Process().children(recursive=True)
-    results = side_by_side([partial(time.sleep, 0.0), partial(time.sleep, 60.0)], 2, lost=str)
-    assert next(results) is None
-    results.close()
+    processes = Processes(2)
+    assert processes.submit(time.sleep, 0.0).result() is None
+    long = processes.submit(time.sleep, 60.0)
+    never = [processes.submit(time.sleep, 60.0) for _ in range(3)]
+    time.sleep(1.0)
+    with contextlib.suppress(KeyboardInterrupt), processes:
+        raise KeyboardInterrupt
+    assert all(future.cancelled() for future in never[1:])
+    assert isinstance(long.exception(), LostProcessError)
     after = [p for p in psutil.Process().children(recursive=True) if p not in before]
     assert_gone([p for p in after if "resource_tracker" not in "".join(p.cmdline())][1:], 2.0)
+
+
+def test_a_task_that_cannot_be_sent_is_told_and_the_next_is_done():
+    with Processes(1) as processes:
+        bad, good = processes.submit(lambda: 1), processes.submit(size_of_a_result)
+    assert "pickle" in str(bad.exception())
+    assert len(good.result()) == 5_000_000

@@ -153,6 +153,13 @@ def test_coupled_dynamics_and_weights_are_told_apart():
     assert fit.fit["hammerstein"].mean_percent < 0.1 * fit.fit["linear_dynamics"].mean_percent
     assert "The hysteresis block earns its place" in fit.verdict
 
+    _, found = identify(records, plain(thresholds_v=r, dynamics="state_space"))  # the order from the records
+    assert found.order == 4 == len(a)
+    assert found.fit["hammerstein"].mean_percent == pytest.approx(
+        fit.fit["hammerstein"].mean_percent, rel=1e-6
+    )
+    assert "state space of order 2" in [trial.name for trial in found.trials]
+
     block, gain = fit_linear(records, 4)
     assert np.abs(block.response([0.1])[0].real - np.eye(2)).max() < 0.1  # unit gain, the rest is in the gain
     assert gain.shape == (2, 2)
@@ -288,7 +295,9 @@ def test_progress_is_told():
 
 def test_settings_name_every_mistake_at_once():
     with pytest.raises(InputError) as caught:
-        plain(operators=0, method="best", dynamics="state_space", creep_modes=2, ridge=-1.0, delay_samples=-1)
+        plain(
+            operators=0, method="best", dynamics="none", order=4, creep_modes=2, ridge=-1.0, delay_samples=-1
+        )
     wheres = [mistake.where for mistake in caught.value.mistakes]
     assert wheres == ["method", "order", "creep_modes", "operators", "delay_samples", "ridge"]
     with pytest.raises(InputError, match="closed_form sees no dynamics"):

@@ -5,6 +5,7 @@ HAMMERSTEIN_DRAWS sets how many actuators are drawn; the issue asks for 200.
 
 import json
 import os
+import re
 
 import numpy as np
 import pandas as pd
@@ -14,8 +15,12 @@ from hammerstein.commands.cli import main
 from hammerstein.compensators.cycle import centred, rms
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.errors import InputError
+from hammerstein.experiment.run import run
+from hammerstein.experiment.selection import TRIAL
 from hammerstein.learning import Unsure, lesson, simulated_trials
 from hammerstein.model import HammersteinModel
+from hammerstein.reporting.figures.choice import figures_of, sweep_curves
+from hammerstein.reporting.summary import answer
 from hammerstein.scenario.uncertainty import Uncertainty
 from hammerstein.simulation import Plant
 
@@ -170,3 +175,93 @@ def test_the_command_learns_from_files(tmp_path, model, capsys):
     wrong = ("--learn", path, measured, "--out", tmp_path / "no.csv")
     assert _call("compensate", "duo_bimorph", path, *wrong) == 2
     assert "drive_x_v" in capsys.readouterr().err
+
+
+def _scenario(trials, **changed):
+    """A circle that an actuator 5 % off its model is to follow."""
+    return {
+        "question": "What does learning take away?",
+        "actuator": changed.pop("actuator", "duo_bimorph"),
+        "reference": {"kind": "circle", "radius_um": 20.0, "frequency_hz": 80.0},
+        "sweep": {"trial": trials},
+        "measure": {"settle_cycles": 5, "measured_cycles": 20},
+        "compensators": [{"label": "learned", "law": "learned", "model": "duo_bimorph"}],
+        **changed,
+    }
+
+
+@pytest.fixture(scope="module")
+def off(tmp_path_factory, model):
+    """File of an actuator that is not its model."""
+    place = tmp_path_factory.mktemp("off") / "off.json"
+    UNCERTAIN.draw(model, model.instruments, 3)[0].save(place)
+    return str(place)
+
+
+def test_a_scenario_sweeps_over_trials(off, model, law):
+    """Each trial is the lesson of the one before, done here by hand; the error falls as it promises."""
+    report = run(_scenario([1, 2, 3], actuator=off))
+    plant = Plant(HammersteinModel.load(off), model.instruments)
+    path = report.traces[0].response.reference_um[:, :250]
+    drive = centred(law, model, path)
+    for trace in report.traces:
+        np.testing.assert_array_equal(trace.response.requested_v, np.tile(drive, (1, 20)))
+        read = trace.response.reading_um
+        drive = lesson(model, law, path, drive, read, Unsure(), plant.instruments.sensor.bandwidth_hz).drive_v
+    rms_true = {trial: [r.rms_true_um for r in report.rows if r.trial == trial] for trial in (1, 2, 3)}
+    assert max(rms_true[1]) > 0.1
+    assert max(rms_true[3]) < 0.02 * max(rms_true[1])
+
+
+def test_a_trial_is_the_same_alone_and_in_any_order(off):
+    """Trial 3 on its own learns what 1 and 2 would have taught; threads and draws change nothing."""
+    spread = {"draws": 2, "weights": 0.05, "resonance": 0.01}
+    whole = run(_scenario([3, 1, 2], actuator=off, uncertainty=spread), jobs=2)
+    alone = run(_scenario([3], actuator=off, uncertainty=spread))
+    assert [row for row in whole.rows if row.trial == 3] == list(alone.rows)
+    assert [band for band in whole.bands if band.trial == 3] == list(alone.bands)
+    option = {"label": "learned", "law": "learned", "model": "duo_bimorph", "trial": 3}
+    chosen = run(_scenario([3], actuator=off, sweep={}, compensators=[option]))
+    assert [row.figures for row in chosen.rows] == [row.figures for row in alone.rows]
+
+
+def test_the_report_leads_with_the_trials(off):
+    report = run(_scenario([1, 2, 3], actuator=off, uncertainty={"draws": 3, "weights": 0.05}))
+    assert {"trials", "trials_true"} <= set(figures_of(report))
+    curve = sweep_curves(report, "rms_true_um", TRIAL)[0]
+    assert curve.x.tolist() == [1.0, 2.0, 3.0]
+    median = np.asarray(curve.values)
+    assert (median[:, 0, 1] < median[:, 0, 0]).all()
+    said = answer(report)
+    assert re.search(r"in trial 1: \S+ and \S+ um with learned; in trial 3: ", said)
+    assert report.to_frame()["trial"].tolist() == [1, 1, 2, 2, 3, 3]
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        (
+            {"compensators": [{"label": "e", "law": "exact_inverse", "model": "duo_bimorph"}]},
+            "no option of 'e'",
+        ),
+        (
+            {"reference": {"kind": "circle", "radius_um": 20.0, "frequency_hz": 75.0}},
+            "whole number of samples",
+        ),
+        ({"measure": {"settle_cycles": 2, "measured_cycles": 2}}, "whole periods of 250, 3 or more"),
+    ],
+)
+def test_what_cannot_be_learnt_is_refused_with_one_message(changed, said):
+    with pytest.raises(InputError, match=said):
+        run(_scenario([1, 2], **changed))
+
+
+def test_no_drive_is_sent_ahead_by_a_law_that_learns(tmp_path, capsys):
+    pd.DataFrame({"time_s": T * np.arange(250), "x": circle()[0], "y": circle()[1]}).to_csv(
+        tmp_path / "path.csv", index=False
+    )
+    for more in ((), ("--cycle",)):
+        out = tmp_path / "drive.csv"
+        arguments = ("duo_bimorph", tmp_path / "path.csv", "--law", "learned", *more, "--out", out)
+        assert _call("compensate", *arguments) == 2
+        assert "learned needs the sensor's readings" in capsys.readouterr().err

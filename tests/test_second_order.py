@@ -10,6 +10,7 @@ from theory_linear import second_order_step
 
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
 from hammerstein.identification.candidates import dynamics_of
+from hammerstein.identification.linear.axis_delay import checked_delay
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
 from hammerstein.identification.linear.second_order import AxisFit, fit_axes, refine, search_axes
 from hammerstein.identification.static.regressors import Start
@@ -113,6 +114,28 @@ def test_delay_is_told_from_the_lag_of_the_axes():
     assert fit.delay_samples == 2
     assert fit.dynamics(T).input_delay_s == pytest.approx(2 * T)
     assert fit.axes[0].axis.resonance_hz == pytest.approx(280.0, rel=1e-3)
+
+
+def test_a_part_of_a_sample_of_delay_is_told():
+    late, parts, generator = 19, 8, np.random.default_rng(3)  # two samples and three eighths
+    records = []
+    for record in campaign(0.0):
+        u = np.repeat(record.u_v, parts, axis=1)
+        fine = record_of(u, 0.0, generator, delay=late, sample_time_s=T / parts)
+        y = fine.y_um[:, ::parts]
+        records.append(Record(record.u_v, y + 0.02 * generator.standard_normal(y.shape), T))
+    starts = [Start("rest")] * len(records)
+    guess = search_axes(records, starts, sensor_bandwidth_hz=SENSOR_HZ, delay_samples=None)
+    found = checked_delay(records, starts, [R, R], guess, sensor_bandwidth_hz=SENSOR_HZ)
+    fit = fit_axes(records, [R, R], starts, found, sensor_bandwidth_hz=SENSOR_HZ)
+    assert fit.delay_samples == pytest.approx(late / parts, abs=0.05)
+    whole = fit_axes(records, [R, R], starts, guess, sensor_bandwidth_hz=SENSOR_HZ)
+    for o, (resonance_hz, damping) in enumerate(AXES):
+        axis = fit.axes[o]
+        assert axis.axis.resonance_hz == pytest.approx(resonance_hz, rel=1e-3)
+        assert axis.axis.damping_ratio == pytest.approx(damping, rel=1e-2)
+        assert axis.rms_um == pytest.approx(0.02, rel=0.05)
+        assert whole.axes[o].rms_um > 1.5 * axis.rms_um
 
 
 def test_creep_comes_back_from_a_slow_record_beside_fast_ones():

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from hammerstein.commands import (
+    comparing,
     export as export_command,
     records as record_commands,
     start,
@@ -89,6 +90,8 @@ def _register_others() -> None:
     records = f"record_x.csv record_y.csv {COLUMNS}"
     app.command(epilog=_example(f"loops {records}"))(record_commands.loops)
     app.command(epilog=_example(f"identify {records} --out own.json"))(record_commands.identify)
+    quick = "--operators 8 --dynamics second_order"
+    app.command(epilog=_example(f"compare {records} {quick}"))(comparing.compare)
     app.command(epilog=_example("compensate stage.json path.csv --out drive.csv"))(record_commands.compensate)
     app.command(epilog=_example("export stage.json --law exact_inverse --out c_code"))(export_command.export)
     app.command(epilog=_example("sweep circle.toml --out rows.csv"))(study_commands.sweep)

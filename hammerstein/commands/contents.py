@@ -56,9 +56,11 @@ def _json(path: Path) -> Contents:
         return Contents("report", tuple(_report(found)))
     if form.startswith("hammerstein-baseline/"):
         return Contents("baseline", (("rows", str(len(found.get("rows", ())))),))
+    if form.startswith("hammerstein-comparison/"):
+        return Contents("comparison", tuple(_comparison(found)))
     if isinstance(found, dict) and "held_records" in found:
         return Contents("fit report", tuple(_fit(found)))
-    raise InputError(str(path), "is no model, report, fit report or baseline of hammerstein")
+    raise InputError(str(path), "is no model, report, fit report, comparison or baseline of hammerstein")
 
 
 def _scenario(path: Path) -> Iterator[tuple[str, str]]:
@@ -128,6 +130,13 @@ def _fit(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "verdict", str(found.get("verdict"))
     yield "records", ", ".join(map(str, found.get("records", ())))
     yield "held back", ", ".join(map(str, found.get("held_records", ()))) or "none"
+
+
+def _comparison(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    yield "models", ", ".join(str(one.get("name")) for one in found.get("models", ()))
+    yield "records", ", ".join(map(str, found.get("records", ())))
+    yield "held back", ", ".join(map(str, found.get("held_records", ()))) or "none"
+    yield "recommended", " ".join(map(str, found.get("sentences", ())))
 
 
 def _table(path: Path) -> Iterator[tuple[str, str]]:

@@ -23,6 +23,28 @@ from hammerstein.commands.law_options import (
     Start,
     volts,
 )
+from hammerstein.commands.record_options import (
+    AcceptGain,
+    AsJson,
+    CreepModes,
+    DelaySamples,
+    DynamicsOption,
+    Files,
+    Inputs,
+    InputScale,
+    Operators,
+    Order,
+    Outputs,
+    OutputScale,
+    Placing,
+    Rate,
+    Ridge,
+    SensorBandwidth,
+    Thresholds,
+    Time,
+    Validate,
+    Weights,
+)
 from hammerstein.commands.terminal import complain, hushed, show, tell, tell_json
 from hammerstein.escaping import clean
 
@@ -36,28 +58,6 @@ _OPTIONS = {"sensor_bandwidth_hz": "sensor-bandwidth", "thresholds_v": "threshol
 MOST_NAMED = 3
 """Records whose names make up that of a folder."""
 
-Files = Annotated[
-    list[Path], typer.Argument(metavar="FILE...", help="Records: CSV, .dat, .npy, .mat, Parquet.")
-]
-Inputs = Annotated[str, typer.Option(metavar="COL[,COL]", help="Voltage columns, by name or number from 1.")]
-Outputs = Annotated[
-    str, typer.Option(metavar="COL[,COL]", help="Displacement columns, by name or number from 1.")
-]
-Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Samples a second.")]
-Time = Annotated[str | None, typer.Option(metavar="COL", help="Time column in s, instead of --rate.")]
-InputScale = Annotated[
-    float | None,
-    typer.Option(metavar="S", help="Factor from the file's number to V; from its unit if not given."),
-]
-OutputScale = Annotated[
-    float | None,
-    typer.Option(metavar="S", help="Factor from the file's number to um; from its unit if not given."),
-]
-AcceptGain = Annotated[
-    bool, typer.Option("--accept-gain", help="Take a gain outside 0.001 to 1000 um/V as it is.")
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
-
 
 def refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
     """Refuse an output that cannot be written, holds something else, or is one of the files that are read."""
@@ -70,12 +70,23 @@ def refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
     refuse_overwriting("--out", out, content)
 
 
+def refuse_fitted(held: Sequence[Path], files: Sequence[Path]) -> None:
+    """Refuse records that are held back and fitted at once."""
+    from hammerstein.errors import InputError
+
+    twice = sorted({str(f) for f in held if f.resolve() in {g.resolve() for g in files}})
+    if twice:
+        raise InputError(
+            "--validate", f"{twice[0]} is among the records that are fitted; hold back another one"
+        )
+
+
 def _columns(words: str) -> list[str]:
     return [word.strip() for word in words.split(",") if word.strip()]
 
 
 @contextmanager
-def _told_by_options(source: str) -> Iterator[None]:
+def told_by_options(source: str) -> Iterator[None]:
     """Let the mistakes in what a function was told name the options that told it."""
     from hammerstein.errors import InputError
 
@@ -91,7 +102,7 @@ def _told_by_options(source: str) -> Iterator[None]:
         raise InputError("options", named) from None
 
 
-def _reader(
+def reader(
     inputs: str,
     outputs: str,
     rate: float | None,
@@ -113,7 +124,7 @@ def _reader(
     )
 
 
-def _checked_gains(records: Sequence[Record], accepted: bool) -> list[Gain]:
+def checked_gains(records: Sequence[Record], accepted: bool) -> list[Gain]:
     """Gains of the records; a person is asked about those that no actuator has, a script is refused."""
     from hammerstein.errors import InputError
     from hammerstein.records.gains import doubtful_gains, pair_gains
@@ -130,7 +141,7 @@ def _checked_gains(records: Sequence[Record], accepted: bool) -> list[Gain]:
     return gains
 
 
-def _folder_name(files: Sequence[Path]) -> str:
+def folder_name(files: Sequence[Path]) -> str:
     """Name of the folder of several records: no other set of records has it."""
     from hashlib import sha256
 
@@ -167,10 +178,10 @@ def loops(
     if figures:
         refuse_unwritable("--out", out)
         refuse_name(files[0])
-        prepare(out / _folder_name(files), LOOPS, LOOPS_FILES)
-    read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
+        prepare(out / folder_name(files), LOOPS, LOOPS_FILES)
+    read = reader(inputs, outputs, rate, time, input_scale, output_scale)
     records = read(files, all_driven=False)
-    gains = _checked_gains(records, accept_gain)
+    gains = checked_gains(records, accept_gain)
     found = {record.source: loop_table(record) for record in records}
     empty = {record.source: without_loops(record) for record in records if not found[record.source]}
     if len(empty) == len(records):
@@ -194,7 +205,7 @@ def loops(
         from hammerstein.reporting.figures import save_figures
 
         figure = loops_of_records(records, [found[record.source] for record in records])
-        for path in save_figures({"loops": figure} if figure else {}, out / _folder_name(files), LOOPS):
+        for path in save_figures({"loops": figure} if figure else {}, out / folder_name(files), LOOPS):
             (complain if as_json else tell)(str(path))
 
 
@@ -207,44 +218,23 @@ def identify(
     input_scale: InputScale = None,
     output_scale: OutputScale = None,
     accept_gain: AcceptGain = False,
-    validate: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="Records held back; may be repeated.")
-    ] = None,
-    operators: Annotated[
-        str, typer.Option(help="Thresholds of each pair; auto: as many as the records call for.")
-    ] = "auto",
-    partition: Annotated[
-        str,
-        typer.Option(
-            help="Thresholds: uniform in time or voltage, fitted to the records, or auto: fitted if it pays."
-        ),
-    ] = "auto",
-    thresholds: Annotated[
-        str | None, typer.Option(metavar="V[,V]", help="Thresholds in V for all pairs, instead of these.")
-    ] = None,
-    method: Annotated[
-        str, typer.Option(help="invertible, least_squares, nonnegative or closed_form.")
-    ] = "invertible",
+    validate: Validate = None,
+    operators: Operators = "auto",
+    partition: Placing = "auto",
+    thresholds: Thresholds = None,
+    method: Weights = "invertible",
     hysteresis: Annotated[
         str, typer.Option(help="Static block: prandtl_ishlinskii, asymmetric, rate_dependent or bouc_wen.")
     ] = "prandtl_ishlinskii",
     dead_zones: Annotated[
         int | None, typer.Option(help="Of each input, with asymmetric; found if not given.")
     ] = None,
-    ridge: Annotated[float, typer.Option(help="Penalty of the weights; 0: none.")] = 0.0,
-    dynamics: Annotated[
-        str, typer.Option(help="none, lag, second_order, state_space, or auto: what lowers the error.")
-    ] = "auto",
-    order: Annotated[int | None, typer.Option(help="Order of a state-space model.")] = None,
-    creep_modes: Annotated[
-        str, typer.Option(help="Slow modes of each axis; auto: one if it lowers the error.")
-    ] = "auto",
-    delay_samples: Annotated[
-        int | None, typer.Option(help="Delay of the outputs; found if not given.")
-    ] = None,
-    sensor_bandwidth: Annotated[
-        float | None, typer.Option(metavar="HZ", help="Of the sensor, from its data sheet.")
-    ] = None,
+    ridge: Ridge = 0.0,
+    dynamics: DynamicsOption = "auto",
+    order: Order = None,
+    creep_modes: CreepModes = "auto",
+    delay_samples: DelaySamples = None,
+    sensor_bandwidth: SensorBandwidth = None,
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where the model goes.")] = Path("model.json"),
     report: Annotated[
         Path | None,
@@ -256,7 +246,6 @@ def identify(
     """Identify a model from measured records, and say how far it can be trusted."""
     from hammerstein.commands.tables import fit_table, gains_table, kept_aside
     from hammerstein.commands.warm_up import compile_once
-    from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.identify import identify as identified
     from hammerstein.identification.settings import settings_of
@@ -265,7 +254,7 @@ def identify(
     from hammerstein.reporting.fit_page import fit_json
     from hammerstein.storage.staging import prepare
 
-    with _told_by_options("identification"):
+    with told_by_options("identification"):
         settings = settings_of(
             operators=operators,
             thresholds=thresholds,
@@ -282,19 +271,15 @@ def identify(
         )
     held = validate or []
     refuse_output(out, [*files, *held], CONTENT)
-    twice = sorted({str(f) for f in held if f.resolve() in {g.resolve() for g in files}})
-    if twice:
-        raise InputError(
-            "--validate", f"{twice[0]} is among the records that are fitted; hold back another one"
-        )
+    refuse_fitted(held, files)
     folder = report or out.parent / f"{out.stem}_fit"
     refuse_unwritable("--report", folder)
     prepare(folder, FIT, ALWAYS)
     compile_once(complain)
-    read = _reader(inputs, outputs, rate, time, input_scale, output_scale)
+    read = reader(inputs, outputs, rate, time, input_scale, output_scale)
     records, validation = read(files), read(held, all_driven=False) if held else ()
-    gains = _checked_gains(records, accept_gain)
-    with _Spinner() as spinner:
+    gains = checked_gains(records, accept_gain)
+    with Spinner() as spinner:
         model, fit = identified(
             records, settings, validation=validation, name=out.stem, progress=spinner.tell
         )
@@ -311,10 +296,10 @@ def identify(
     tell(f"model in {out}, fit report in {folder}")
 
 
-class _Spinner:
+class Spinner:
     """What is being done, on stderr, when a person watches."""
 
-    def __enter__(self) -> _Spinner:
+    def __enter__(self) -> Spinner:
         self.status = None
         if sys.stderr.isatty() and not hushed():
             from rich.console import Console
@@ -463,7 +448,7 @@ def compensate(
     compile_once(complain)
     ends, begins = volts("--range", range_v), volts("--start", start)
     terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
-    with _told_by_options("compensate"):
+    with told_by_options("compensate"):
         if learn is not None:
             _write_lesson(model, reference, law, options, terms, out, learn, unsure, as_json)
             return

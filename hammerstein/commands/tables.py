@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from hammerstein.commands.playing import Played
+    from hammerstein.comparison.result import Comparison
     from hammerstein.compensators.drive_file import Compensation
     from hammerstein.experiment.plan import Plan
     from hammerstein.identification.fit import Fit
@@ -131,6 +132,27 @@ def fit_table(fit: Fit) -> Table:
             cells += ["", ""] if held is None else [f"{held.nrmse_percent[o]:.3f}", f"{held.rms_um[o]:.4g}"]
             table.add_row(KIND_NAMES[kind], output, "chosen" if kind == fit.kind else "", *cells)
     return table
+
+
+def comparison_table(found: Comparison) -> Table:
+    """One line a model, simplest first; the recommended one is marked."""
+    from hammerstein.reporting.compare_page import HEADER, cells
+
+    rates = found.frequencies_hz if len(found.frequencies_hz) > 1 else ()
+    where = "held back" if found.held else "fitted"
+    table = _table("Models on the same records", (HEADER[0], "", "", *HEADER[1:]))
+    for hz in rates:
+        table.add_column(f"{where} at {hz:g} Hz [%]", justify="right")
+    for entry in found.entries:
+        marked = "recommended" if entry.name == found.recommended else ""
+        at = [f"{entry.judged_at[hz].mean_percent:.3g}" for hz in rates]
+        table.add_row(entry.name, marked, "", *cells(entry), *at)
+    return table
+
+
+def failed_table(found: Comparison) -> Table:
+    """One line for each kind that could not be fitted."""
+    return facts_table("Not fitted", ((one.name, one.reason) for one in found.failed))
 
 
 def gains_table(gains: Sequence[Gain]) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import wait
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from hammerstein.compiled import CHECKED
 from hammerstein.model import HammersteinModel
-from hammerstein.runtime.workers import side_by_side
+from hammerstein.runtime.workers import Processes
 
 MODEL, RANGE_V, SAMPLE_TIME_S, SAMPLES = "duo_bimorph", 10.0, 50e-6, 800
 
@@ -20,8 +21,9 @@ def compile_once(say: Callable[[str], None]) -> None:
     if not _must_compile():
         return
     say("compiling the time loops, once after installation (15 to 25 s)")
-    for _ in side_by_side((_use_the_others, _use_inverse), 2, lost=lambda *_: None):
-        pass  # what is not compiled here is compiled when it is used
+    with Processes(2) as processes:
+        wait([processes.submit(use) for use in (_use_the_others, _use_inverse)])
+    # what is not compiled here is compiled when it is used
 
 
 def _must_compile() -> bool:

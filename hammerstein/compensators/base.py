@@ -11,7 +11,7 @@ from hammerstein.driving import RangeLike
 from hammerstein.plugins import Family
 
 if TYPE_CHECKING:
-    from hammerstein.blocks import Controller, Law
+    from hammerstein.blocks import Controller, Law, Learner
     from hammerstein.model import HammersteinModel
 
 
@@ -30,7 +30,7 @@ class Compensator(BaseModel, ABC):
     @abstractmethod
     def design(
         self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float
-    ) -> Law[Any] | Controller[Any]:
+    ) -> Law[Any] | Controller[Any] | Learner:
         """Build the law.
 
         Parameters

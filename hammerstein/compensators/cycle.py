@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.blocks import Controller, Law
+from hammerstein.blocks import Law
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.drive_file import (
     Terms,
@@ -142,8 +142,8 @@ def design_of(model_path: str, path: Path, law: str, options: Mapping[str, Any],
     time_s = model.instruments.drive.sample_time_s
     _, reference, _ = read_path(path, model, time_s)
     built = compensator_of(law, options).design(model, limits, time_s)
-    if isinstance(built, Controller):
-        raise InputError("--law", "feedback needs the sensor's readings: it has no drive to send ahead")
+    if not isinstance(built, Law):
+        raise InputError("--law", f"{law} needs the sensor's readings: it has no drive to send ahead")
     return Design(model, limits, built, reference, source, str(path))
 
 
@@ -195,10 +195,11 @@ def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Arra
     time_s, limits = model.instruments.drive.sample_time_s, law.range
     drive, share = settled(law, reference_um), 1.0
     turn = np.linalg.pinv(model.hysteresis.gain(half_stroke(drive)))
-    off = _middle(played(model, limits, drive, time_s)[0] - reference_um)
+    play = player(model, limits, time_s)
+    off = _middle(play(drive)[0] - reference_um)
     for _ in range(CENTRING_ROUNDS):
         trial = np.clip(drive - share * (turn @ off), limits.low_v[:, None], limits.high_v[:, None])
-        left = _middle(played(model, limits, trial, time_s)[0] - reference_um)
+        left = _middle(play(trial)[0] - reference_um)
         if np.abs(left).max() < np.abs(off).max():
             drive, off = trial, left
         else:
@@ -222,12 +223,24 @@ def played(
 
     Positions count from the start. The actuator stands at its start before the first.
     """
-    here, samples = model.on_grid(sample_time_s), drive_v.shape[1]
+    return player(model, limits, sample_time_s)(drive_v)
+
+
+def player(
+    model: HammersteinModel, limits: DriveRange, sample_time_s: float
+) -> Callable[[Array], tuple[Array, float]]:
+    """What ``played`` gives for voltages (m, N), for any number of them."""
+    here, block = model.on_grid(sample_time_s), discretise(model.dynamics, sample_time_s)
     before, memory = here.hysteresis.respond(limits.history())
-    v, _ = here.static_response(np.tile(drive_v, (1, PLAYED_PERIODS)), memory)
-    position, _ = discretise(here.dynamics, sample_time_s).respond(v - before[:, -1:])
-    last, one_before = position[:, -samples:], position[:, -2 * samples : -samples]
-    return last.copy(), float(np.abs(last - one_before).max())
+
+    def play(drive_v: Array) -> tuple[Array, float]:
+        samples = drive_v.shape[1]
+        v, _ = here.static_response(np.tile(drive_v, (1, PLAYED_PERIODS)), memory)
+        position, _ = block.respond(v - before[:, -1:])
+        last, one_before = position[:, -samples:], position[:, -2 * samples : -samples]
+        return last.copy(), float(np.abs(last - one_before).max())
+
+    return play
 
 
 def held_least(cycle: Cycle, points: int) -> Array:

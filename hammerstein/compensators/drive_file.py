@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
-from hammerstein.blocks import Controller, Law, checked_reference
+from hammerstein.blocks import Law, checked_reference
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.exact.reach import Reach, Shortfall, reach, require_reach, shortfall
@@ -212,8 +212,8 @@ def compensation_of(
     )
     reference = checked_reference(reference_um, len(model.outputs))
     built = compensator_of(law, options).design(model, limits, drive.sample_time_s)
-    if isinstance(built, Controller):
-        raise InputError("--law", "feedback needs the sensor's readings: it has no drive to send ahead")
+    if not isinstance(built, Law):
+        raise InputError("--law", f"{law} needs the sensor's readings: it has no drive to send ahead")
     asked = built.drive_for(reference)
     held, _ = drive.apply(asked)
     predicted = shortfall(model, built, reference, asked, drive.sample_time_s, held)

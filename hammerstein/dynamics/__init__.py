@@ -13,6 +13,7 @@ from hammerstein.dynamics.models import (
     discretise,
     low_pass,
     natural_frequency_hz,
+    split_delay,
 )
 
 __all__ = [
@@ -28,4 +29,5 @@ __all__ = [
     "discretise",
     "low_pass",
     "natural_frequency_hz",
+    "split_delay",
 ]

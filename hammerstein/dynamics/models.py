@@ -386,11 +386,26 @@ class LinearBlock:
         timebase = self.sample_time_s if self.A.size else None  # without states it fits any
         return control.ss(self.A, self.B, self.C, self.D, timebase)
 
-    def held(self, sample_time_s: float) -> LinearBlock:
-        """Put a block in continuous time on a grid, exactly for an input held over each sample."""
+    def held(self, sample_time_s: float, late_s: float = 0.0) -> LinearBlock:
+        """Put a block in continuous time on a grid, exactly for an input held over each sample.
+
+        The input may come ``late_s`` late, less than a sample. Its last value is then carried as a state and
+        works until the new one arrives (Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., 1997,
+        section 2.3).
+        """
         from scipy.signal import cont2discrete
 
+        if late_s:
+            return self.held(late_s).then(self.held(sample_time_s - late_s), sample_time_s)
         a, b, c, d, _ = cont2discrete((self.A, self.B, self.C, self.D), sample_time_s, "zoh")
+        return LinearBlock(a, b, c, d, sample_time_s)
+
+    def then(self, rest: LinearBlock, sample_time_s: float) -> LinearBlock:
+        """Give one sample that begins with this block's step by the last input and ends with the other's."""
+        n, m = self.B.shape
+        a = np.block([[np.zeros((m, m + n))], [rest.A @ self.B, rest.A @ self.A]])
+        b = np.vstack([np.eye(m), rest.B])
+        c, d = np.hstack([self.D, self.C]), np.zeros_like(self.D)
         return LinearBlock(a, b, c, d, sample_time_s)
 
     def rest(self) -> Array:
@@ -510,9 +525,10 @@ def discretise(
 
     Raises
     ------
-    InputError : a discrete block on another sample time, or a delay that is no whole number of samples
+    InputError : a discrete block on another sample time, or one whose delay is no whole number of samples
     """
     block = dynamics.block()
+    samples, late_s = split_delay(dynamics.input_delay_s, sample_time_s)
     if block.sample_time_s != CONTINUOUS:
         if not math.isclose(block.sample_time_s, sample_time_s, rel_tol=1e-9):
             raise InputError(
@@ -520,22 +536,34 @@ def discretise(
                 f"the model was identified at {block.sample_time_s:g} s a sample and cannot run at "
                 f"{sample_time_s:g} s; set the drive's sample_time_s to the model's",
             )
+        if late_s:
+            raise InputError(
+                "dynamics",
+                f"the input delay of {dynamics.input_delay_s:g} s is no whole number of samples of "
+                f"{sample_time_s:g} s, on which this block is discrete; round it",
+            )
         if sensor_bandwidth_hz is not None:
             sensor = low_pass(sensor_bandwidth_hz, block.n_outputs)
             block = block.observed_by(sensor.held(sample_time_s))
     else:
         if sensor_bandwidth_hz is not None:
             block = block.observed_by(low_pass(sensor_bandwidth_hz, block.n_outputs))
-        block = block.held(sample_time_s)
-    return block.delayed(_whole_samples(dynamics.input_delay_s, sample_time_s))
+        block = block.held(sample_time_s, late_s)
+    return block.delayed(samples)
 
 
-def _whole_samples(delay_s: float, sample_time_s: float) -> int:
-    samples = round(delay_s / sample_time_s)
-    if abs(samples * sample_time_s - delay_s) > 1e-6 * sample_time_s:
-        raise InputError(
-            "dynamics",
-            f"the input delay of {delay_s:g} s is no whole number of samples of {sample_time_s:g} s; "
-            "choose a sample time that divides it",
-        )
-    return samples
+def split_delay(delay_s: float, sample_time_s: float) -> tuple[int, float]:
+    """Whole samples of a delay, and the rest of it [s], which is less than a sample.
+
+    Examples
+    --------
+    >>> split_delay(3e-4, 1e-4)
+    (3, 0.0)
+    >>> split_delay(0.375, 0.25)
+    (1, 0.125)
+    """
+    nearest = round(delay_s / sample_time_s)
+    if abs(nearest * sample_time_s - delay_s) <= 1e-6 * sample_time_s:
+        return nearest, 0.0
+    whole = math.floor(delay_s / sample_time_s)
+    return whole, delay_s - whole * sample_time_s

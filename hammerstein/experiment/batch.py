@@ -11,13 +11,13 @@ from hammerstein.errors import HammersteinError, InputError, LostProcessError, M
 from hammerstein.experiment.prepare import Progress, Window
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
+from hammerstein.runtime.fanning import Jobs, spread
 from hammerstein.runtime.faults import as_error
 from hammerstein.runtime.store import Store
-from hammerstein.runtime.workers import side_by_side
+from hammerstein.runtime.workers import Processes
 from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.storage.manifest import refuse_name
 
-WHY_LOST = ". The system does so when the memory is full: run fewer side by side (--jobs 1), or less at once."
 Finish = Callable[[Report], tuple[Path, ...]]
 """What is done with each report; it gives the places of files that were kept under another name."""
 
@@ -82,7 +82,7 @@ def load_all(paths: Sequence[Path]) -> dict[str, Scenario]:
 def run_all(
     scenarios: dict[str, Scenario],
     finish: Finish,
-    jobs: int,
+    jobs: Jobs,
     progress: Progress | None = None,
     store: Store | None = None,
 ) -> Iterator[Outcome]:
@@ -91,21 +91,24 @@ def run_all(
     What the store has is not worked out again.
 
     With several scenarios and jobs, each scenario runs in a process of its own; a single one uses threads.
-    The numbers depend on neither. Outcomes come in the order in which the scenarios finish.
+    Where an executor is given, its workers take the cases of one scenario after the other. The numbers depend
+    on nothing of that. Outcomes come in the order in which the scenarios finish.
     """
-    if jobs == 1 or len(scenarios) == 1:
+    if not isinstance(jobs, int) or jobs == 1 or len(scenarios) == 1:
         for name, scenario in scenarios.items():
             yield _outcome(name, scenario, finish, jobs, progress, store)
         return
     # Long ones first, so that none is left alone at the end.
     by_size = sorted(scenarios.items(), key=lambda item: -_size(item[1]))
     tasks = [partial(_outcome, name, scenario, finish, 1, None, store) for name, scenario in by_size]
-
-    def lost(number: int, how: str) -> Outcome:
-        name = by_size[number][0]
-        return Outcome(name, None, LostProcessError(f"{name}: its process {how}, twice{WHY_LOST}"))
-
-    yield from side_by_side(tasks, min(jobs, len(scenarios)), lost)
+    with Processes(min(jobs, len(scenarios))) as processes:
+        for batch in spread(tasks, processes, len(tasks)):
+            for number, future in batch:
+                try:
+                    yield future.result()
+                except LostProcessError as error:
+                    name = by_size[number][0]
+                    yield Outcome(name, None, _of(name, error))
 
 
 def _size(scenario: Scenario) -> float:
@@ -125,7 +128,7 @@ def _outcome(
     name: str,
     scenario: Scenario,
     finish: Finish,
-    jobs: int,
+    jobs: Jobs,
     progress: Progress | None,
     store: Store | None,
 ) -> Outcome:

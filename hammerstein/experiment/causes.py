@@ -87,7 +87,7 @@ def rows_needed(
     setup = prepare(scenario, name, model=model, fresh=store is not None and store.fresh)
     cases = [case for case in setup.cases() if needed_by(setup, case, claims)]
     kept = KeptCases(setup, store)
-    return [row for case in cases for row in kept.result(case).rows]
+    return [row for result in kept.results(cases) for row in result.rows]
 
 
 def _value(variation: Variation, claim: Claim, store: Store | None) -> float:

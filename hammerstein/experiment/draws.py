@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,9 @@ from numpy.typing import NDArray
 
 from hammerstein.experiment.kept import KeptCases, rows_from
 from hammerstein.experiment.measure import drawn_rows
-from hammerstein.experiment.prepare import Case, Experiment, Progress
+from hammerstein.experiment.prepare import Case, Experiment, Progress, SetUp
 from hammerstein.metrics import METRICS, Row
+from hammerstein.runtime.fanning import Jobs, in_order, on_workers
 from hammerstein.runtime.store import Kept
 from hammerstein.simulation import Plant
 
@@ -23,22 +25,31 @@ Array = NDArray[np.float64]
 TOGETHER = 25  # actuators that are worked out, and kept, in one piece
 
 
-@dataclass(frozen=True, eq=False)
-class Actuators:
-    """Many actuators near the nominal one.
+class Actuators(ABC):
+    """Many actuators near the nominal one; what another process needs to make them.
 
     what : for a person who watches
-    key : everything that tells them from others, as plain JSON; how many there are does not count
-    count : how many there are
-    plant : gives the one of a number
-    seed : gives the seed of its noise
     """
 
     what: str
-    key: Any
-    count: int
-    plant: Callable[[int], Plant]
-    seed: Callable[[int], int]
+
+    @property
+    @abstractmethod
+    def key(self) -> Any:
+        """Everything that tells them from others, as plain JSON; how many there are does not count."""
+
+    @property
+    @abstractmethod
+    def count(self) -> int:
+        """How many there are."""
+
+    @abstractmethod
+    def plant(self, number: int) -> Plant:
+        """Give the actuator of a number."""
+
+    @abstractmethod
+    def seed(self, number: int) -> int:
+        """Give the seed of its noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,36 +70,47 @@ def drawn_metrics() -> list[str]:
 
 
 def figures_on(
-    actuators: Actuators, kept: KeptCases, cases: Sequence[Case], jobs: int, progress: Progress | None
+    actuators: Actuators, kept: KeptCases, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
 ) -> list[Figures]:
     """Figures of every case on all actuators.
 
     The laws are those of the nominal actuator. Pieces run side by side; the numbers do not depend on
     ``jobs``.
     """
-    from joblib import Parallel, delayed
-
-    runs = [_Run(actuators, kept, case) for case in cases]
+    runs = [_Run(actuators, kept.setup, case) for case in cases]
     starts = range(0, actuators.count, TOGETHER)
     pieces = [range(first, min(first + TOGETHER, actuators.count)) for first in starts]
-    parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")
-    found: list[list[Figures]] = []
-    for piece in parallel(delayed(_over)(runs, piece) for piece in pieces):
-        found.append(piece)
+    found = [_known(kept, runs, piece) for piece in pieces]
+    left = [[i for i, figures in enumerate(known) if figures is None] for known in found]
+    open_ = [number for number, missing in enumerate(left) if missing]
+
+    def finished(done: int, figures: Sequence[Figures]) -> None:
+        number = open_[done]
+        for i, one in zip(left[number], figures, strict=True):
+            found[number][i] = one
+            _keep(kept, runs[i], pieces[number], one)
         if progress:
-            progress(actuators.what, len(found), len(pieces))
+            progress(f"{actuators.what}{on_workers(jobs)}", done + 1, len(open_))
+
+    tasks = (partial(_over, [runs[i] for i in left[number]], pieces[number]) for number in open_)
+    for _ in in_order(tasks, jobs, finished):
+        pass
+    each = [[one for one in known if one is not None] for known in found]
     return [
         Figures(same[0].rows, np.concatenate([part.values for part in same]))
-        for same in zip(*found, strict=True)
+        for same in zip(*each, strict=True)
     ]
 
 
 class _Run:
     """One case, to be done on many actuators: its voltages are worked out once, when they are needed."""
 
-    def __init__(self, actuators: Actuators, kept: KeptCases, case: Case) -> None:
-        self.actuators, self.kept, self.case = actuators, kept, case
+    def __init__(self, actuators: Actuators, setup: SetUp, case: Case) -> None:
+        self.actuators, self.setup, self.case = actuators, setup, case
         self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Run, (self.actuators, self.setup, self.case)
 
     @property
     def experiment(self) -> Experiment:
@@ -98,17 +120,13 @@ class _Run:
 
     @cached_property
     def _experiment(self) -> Experiment:
-        return self.kept.setup.experiment(self.case)
-
-    def key(self, numbers: range) -> str:
-        """Key of the figures on these actuators."""
-        return self.kept.key(self.case, "draws", [self.actuators.key, numbers.start, numbers.stop])
+        return self.setup.experiment(self.case)
 
     def over(self, plants: Sequence[Plant], numbers: range) -> Figures:
         """Figures on these actuators."""
-        setup, names = self.kept.setup, drawn_metrics()
+        names = drawn_metrics()
         drawn = [
-            drawn_rows(setup, self.case, self.experiment(plant, self.actuators.seed(number)))
+            drawn_rows(self.setup, self.case, self.experiment(plant, self.actuators.seed(number)))
             for plant, number in zip(plants, numbers, strict=True)
         ]
         values = [[[row.figures.get(name, np.nan) for name in names] for row in rows] for rows in drawn]
@@ -116,21 +134,27 @@ class _Run:
 
 
 def _over(runs: Sequence[_Run], numbers: range) -> list[Figures]:
-    """Figures of every case on some actuators, which are made once for all cases that are not kept."""
-    return list(_each(runs, numbers))
+    """Figures of some cases on some actuators, which are made once for all of them."""
+    plants = [runs[0].actuators.plant(number) for number in numbers]
+    return [run.over(plants, numbers) for run in runs]
 
 
-def _each(runs: Sequence[_Run], numbers: range) -> Iterator[Figures]:
-    plants: list[Plant] = []
-    for run in runs:
-        store = run.kept.store
-        key = "" if store is None else run.key(numbers)
-        entry = None if store is None else store.read(key)
-        if entry is not None:
-            yield Figures(rows_from(entry.document), entry.arrays["values"])
-            continue
-        plants = plants or [run.actuators.plant(number) for number in numbers]
-        figures = run.over(plants, numbers)
-        if store is not None:
-            store.write(key, Kept([row.key() for row in figures.rows], {"values": figures.values}))
-        yield figures
+def _key(kept: KeptCases, run: _Run, numbers: range) -> str:
+    return kept.key(run.case, "draws", [run.actuators.key, numbers.start, numbers.stop])
+
+
+def _known(kept: KeptCases, runs: Sequence[_Run], numbers: range) -> list[Figures | None]:
+    """Figures of every case on these actuators, as far as they were kept."""
+    if kept.store is None:
+        return [None] * len(runs)
+    entries = [kept.store.read(_key(kept, run, numbers)) for run in runs]
+    return [
+        None if entry is None else Figures(rows_from(entry.document), entry.arrays["values"])
+        for entry in entries
+    ]
+
+
+def _keep(kept: KeptCases, run: _Run, numbers: range, figures: Figures) -> None:
+    if kept.store is not None:
+        document = [row.key() for row in figures.rows]
+        kept.store.write(_key(kept, run, numbers), Kept(document, {"values": figures.values}))

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.experiment.measure import Result, rows_of
-from hammerstein.experiment.prepare import Case, SetUp, scenario_axes
+from hammerstein.experiment.prepare import Case, Progress, SetUp, scenario_axes
 from hammerstein.experiment.report import Prediction, Trace
 from hammerstein.metrics import METRICS, Row
+from hammerstein.runtime.fanning import Jobs, in_order, on_workers
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.signals import FromFile
 from hammerstein.simulation import WIRES, Response
@@ -37,17 +38,33 @@ class KeptCases:
     def __init__(self, setup: SetUp, store: Store | None) -> None:
         self.setup, self.store = setup, store
 
-    def result(self, case: Case) -> Result:
-        """Rows and trace of a case."""
+    def results(
+        self, cases: Sequence[Case], jobs: Jobs = 1, progress: Progress | None = None
+    ) -> list[Result]:
+        """Rows and traces of cases; what the store has not is worked out side by side, and kept at once."""
+        found = {i: known for i, case in enumerate(cases) if (known := self._known(case)) is not None}
+        left = [i for i in range(len(cases)) if i not in found]
+
+        def finished(number: int, result: Result) -> None:
+            i = left[number]
+            found[i] = result
+            self._keep(cases[i], result)
+            if progress:
+                progress(f"simulating{on_workers(jobs)}", len(found), len(cases))
+
+        for _ in in_order((partial(rows_of, self.setup, cases[i]) for i in left), jobs, finished):
+            pass
+        return [found[i] for i in range(len(cases))]
+
+    def _known(self, case: Case) -> Result | None:
         if self.store is None:
-            return rows_of(self.setup, case)
-        key = self.key(case, "case")
-        entry = self.store.read(key)
-        if entry is not None:
-            return _restored(self.setup, case, entry)
-        result = rows_of(self.setup, case)
-        self.store.write(key, _packed(result))
-        return result
+            return None
+        entry = self.store.read(self.key(case, "case"))
+        return None if entry is None else _restored(self.setup, case, entry)
+
+    def _keep(self, case: Case, result: Result) -> None:
+        if self.store is not None:
+            self.store.write(self.key(case, "case"), _packed(result))
 
     def key(self, case: Case, kind: str, more: Any = None) -> str:
         """Key of something that follows from a case, and of what else it depends on."""
@@ -57,6 +74,7 @@ class KeptCases:
             "common": self._common,
             "signal": _signal(case),
             "axis": case.axis,
+            "trial": case.trial,
             "tested": {label: self._tested[label] for label in labels},
             "more": more,
         }
@@ -127,7 +145,7 @@ def _restored(setup: SetUp, case: Case, entry: Kept) -> Result:
         for number, label in enumerate(found["predictions"])
     )
     axis = "all" if case.axis is None else names[case.axis]
-    trace = Trace(case.label, case.signal, axis, response, found["first_sample"], predictions)
+    trace = Trace(case.label, case.signal, axis, response, found["first_sample"], predictions, case.trial)
     return Result(rows_from(found["rows"]), trace, found["unsettled"], found["clipped"])
 
 

@@ -62,6 +62,7 @@ def rows_of(setup: SetUp, case: Case) -> Result:
         response=response.after(window.first),
         first_sample=window.first,
         predictions=predictions,
+        trial=case.trial,
     )
     unsettled = "" if settled(setup, case, response) else advice(setup, case)
     clipped = setup.plant.instruments.sensor.clipped(response.reading_um[:, window.first :])
@@ -136,6 +137,7 @@ def _key(setup: SetUp, case: Case) -> dict[str, Any]:
         "frequency_hz": case.signal.highest_frequency_hz,
         "amplitude_v": signal.get("amplitude_v", signal.get("radius_v")),
         "amplitude_um": signal.get("amplitude_um", signal.get("radius_um")),
+        "trial": case.trial,
     }
 
 

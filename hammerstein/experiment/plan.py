@@ -18,6 +18,7 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.prepare import Window, driven_axes, plant_of, scenario_axes
 from hammerstein.experiment.recording import STRETCH
 from hammerstein.experiment.sensitivity import evaluations, varying
+from hammerstein.learning import Learned
 from hammerstein.runtime.memory import COPIES, free_bytes, run_bytes
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec
@@ -29,6 +30,7 @@ SECONDS_A_SAMPLE = 1e-6
 SECONDS_A_CASE = 5e-3
 SECONDS_A_PASS = 8e-8
 SECONDS_A_TAP = 2e-9
+SECONDS_A_LEARNT_SAMPLE = 5e-6
 SECONDS_OF_A_FIT, SECONDS_A_FITTED_SAMPLE = 5.0, 4e-5
 BYTES_A_ROW = 3_000
 BYTES_OF_DRAWN_FIGURES = 200
@@ -173,7 +175,7 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
     seconds = samples * SECONDS_A_SAMPLE * (1 + models) + cases * SECONDS_A_CASE + work
     seconds *= 1 + len(scenario.claims_also_on)
     every = scenario.measure.record_every or 1
-    whole = any(isinstance(c, HammersteinInverse | Feedback) for c in scenario.compensators)
+    whole = any(isinstance(c, HammersteinInverse | Feedback | Learned) for c in scenario.compensators)
     at_once = longest if every == 1 or whole else min(longest, STRETCH)
     kept = run_bytes(samples / every, m, p + 2 * models)
     kept += COPIES * jobs * run_bytes(at_once, m, p + 2 * models)
@@ -219,6 +221,8 @@ def _work(compensator: Compensator, sample_time_s: float) -> float:
         return SECONDS_A_PASS * compensator.iterations
     if isinstance(compensator, HammersteinInverse) and compensator.filter_hz:
         return SECONDS_A_TAP * TAPS * 0.5 / (sample_time_s * compensator.filter_hz)
+    if isinstance(compensator, Learned):
+        return SECONDS_A_LEARNT_SAMPLE
     return 0.0
 
 

@@ -9,15 +9,17 @@ import math
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hammerstein.blocks import Controller, Law
+from hammerstein.blocks import Controller, Law, Learner
 from hammerstein.compensators.feedback.pid import closed_loop
 from hammerstein.driving import DriveRange
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, Mistake, SimulationError
+from hammerstein.experiment.trials import Course, Courses, whole_period
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.memory import refuse_too_long
@@ -28,7 +30,7 @@ from hammerstein.signals import Excitation, FromFile, OnAxes, Reference
 from hammerstein.simulation import Plant, Response
 
 Array = NDArray[np.float64]
-AnyLaw = Law[Any] | Controller[Any]
+AnyLaw = Law[Any] | Controller[Any] | Learner
 Progress = Callable[[str, int, int], None]
 Experiment = Callable[[Plant, int], Response]
 """From an actuator and a seed to its response, from rest."""
@@ -38,14 +40,18 @@ REACH_POINTS = 5000  # enough to find the largest value of a path
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One run of a scenario: a signal, the axis it excites (None: all), and the label of what is tested."""
+    """One run of a scenario: a signal, the axis it excites (None: all), and the label of what is tested.
+
+    trial : which one of a compensator that learns; None: what its options say
+    """
 
     signal: Reference | Excitation
     axis: int | None
     label: str
+    trial: int | None = None
 
     def seed(self, scenario_seed: int) -> list[int]:
-        """Seed of the case: does not depend on the other cases of the scenario."""
+        """Seed of the case: does not depend on the other cases of the scenario; the same for all trials."""
         return [scenario_seed, zlib.crc32(f"{self.signal!r} {self.axis} {self.label}".encode())]
 
 
@@ -82,11 +88,16 @@ class SetUp:
         """Every case, in the order of the report."""
         scenario = self.scenario
         axes = driven_axes(scenario, len(scenario_axes(scenario, self.plant.model)))
-        for signal in scenario.signals():
+        for signal, trial in scenario.runs():
             tested = [c.label for c in scenario.compensators if c.is_tested_at(signal.highest_frequency_hz)]
             for label in [""] if scenario.drive is not None else tested:
                 for axis in axes:
-                    yield Case(signal, axis, label)
+                    yield Case(signal, axis, label, trial)
+
+    @cached_property
+    def courses(self) -> Courses:
+        """Trials that were done, of compensators that learn: each goes on from the one before."""
+        return Courses()
 
     def simulate(self, case: Case) -> Response:
         """Response of one case.
@@ -110,12 +121,28 @@ class SetUp:
         law = self.laws[case.label]
         if isinstance(law, Controller):
             return lambda tested, seed: closed_loop(law, tested, values, case.seed(seed))
+        if isinstance(law, Learner):
+            return self._learning(case, law, values, window)
         return _following(plant, law.drive_for(values), values, case)
 
+    def _learning(self, case: Case, law: Learner, values: Array, window: Window) -> Experiment:
+        """Do a trial on an actuator, after those before it."""
+        samples = case.signal.period_s / self.plant.sample_time_s
+        period = whole_period(samples if case.signal.repeats else math.inf, case.label)
+        number = case.trial or law.trial
+
+        def experiment(tested: Plant, seed: int) -> Response:
+            own = case.seed(seed)
+            key = (case.label, *own)
+            course = self.courses.of(tested, key, lambda: Course(law, values, window.first, period, own))
+            return course.trial(tested, number)
+
+        return experiment
+
     def runs_on(self, case: Case) -> bool:
-        """Whether a case can be simulated piece by piece: no law that looks ahead or reads the sensor."""
+        """Whether a case can be simulated piece by piece: no law that looks ahead, reads or learns."""
         law = None if self.scenario.drive is not None else self.laws[case.label]
-        return not isinstance(law, Controller) and (law is None or not law.preview_samples)
+        return law is None or (isinstance(law, Law) and not law.preview_samples)
 
     def stretches(self, case: Case, samples: int) -> Iterator[Response]:
         """Response of one case, stretch by stretch: for runs that do not fit the memory.
@@ -125,11 +152,11 @@ class SetUp:
         scenario, plant = self.scenario, self.plant
         total = Window.of(scenario, case.signal, plant.sample_time_s).total
         law = None if scenario.drive is not None else self.laws[case.label]
-        if isinstance(law, Controller) or not self.runs_on(case):
+        if not (law is None or isinstance(law, Law)) or not self.runs_on(case):
             raise InputError(
                 f"compensator {case.label!r}",
                 "works on the whole path, not on stretches; use a law that neither looks ahead nor feeds "
-                "back",
+                "back nor learns",
             )
         state, memory = plant.rest(case.seed(scenario.seed)), None if law is None else law.rest()
         for first in range(0, total, samples):

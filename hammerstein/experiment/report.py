@@ -44,6 +44,7 @@ class Band:
     frequency_hz: float
     amplitude_v: float | None
     amplitude_um: float | None
+    trial: int | None
     metric: str
     p5_um: float
     median_um: float
@@ -64,6 +65,7 @@ class Sensitivity:
     frequency_hz: float
     amplitude_v: float | None
     amplitude_um: float | None
+    trial: int | None
     metric: str
     parameter: str
     first: float
@@ -84,6 +86,7 @@ class Trace:
     response: Response
     first_sample: int
     predictions: tuple[Prediction, ...] = ()
+    trial: int | None = None
 
     @property
     def time_s(self) -> Array:

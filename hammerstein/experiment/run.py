@@ -18,6 +18,7 @@ from hammerstein.experiment.sensitivity import sensitivities_of
 from hammerstein.experiment.uncertainty_bands import bands_of
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
+from hammerstein.runtime.fanning import Jobs
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario, scenario_of
 from hammerstein.scenario.claims import verdicts
@@ -120,7 +121,7 @@ def _chosen(
 def run(
     scenario: ScenarioSource,
     name: str | None = None,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     progress: Progress | None = None,
     store: Store | None = None,
 ) -> Report:
@@ -130,7 +131,7 @@ def run(
     ----------
     scenario : what to run: a scenario, its file, or a mapping with what a file would hold
     name : what the report is called; the name of the file, or "scenario", if not given
-    jobs : threads; the numbers do not depend on it
+    jobs : threads, or an executor of ``concurrent.futures``; the numbers do not depend on it
     progress : called with what is done, how much of it, and of how much
     store : where the results of cases are kept and found; all are worked out if not given
 
@@ -142,19 +143,12 @@ def run(
     ------
     the errors of ``prepare``, and SimulationError where a run diverges
     """
-    from joblib import Parallel, delayed
-
     own_name, scenario = scenario_of(scenario)
     name = name or own_name
-    plan_of(scenario, jobs).refuse_too_large()
+    plan_of(scenario, jobs if isinstance(jobs, int) else 1).refuse_too_large()
     setup = prepare(scenario, name, progress, fresh=store is not None and store.fresh)
     cases, kept = list(setup.cases()), KeptCases(setup, store)
-    results = []
-    parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")
-    for i, result in enumerate(parallel(delayed(kept.result)(case) for case in cases)):
-        results.append(result)
-        if progress:
-            progress("simulating", i + 1, len(cases))
+    results = kept.results(cases, jobs, progress)
     rows = tuple(row for result in results for row in result.rows)
     _refuse_not_finite(rows)
     answers: dict[str, Sequence[Row]] = {setup.plant.model.name: rows}

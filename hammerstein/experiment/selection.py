@@ -14,23 +14,25 @@ TINY = 1e-6  # um; smaller values are rounding errors
 
 @dataclass(frozen=True, order=True)
 class Condition:
-    """Frequency and amplitude of one run; the amplitude is None for a signal that names none."""
+    """Frequency and amplitude of one run, None for a signal that names none; and its trial, if it has one."""
 
     frequency_hz: float
     amplitude: float | None
     unit: str
+    trial: int | None = None
 
     @classmethod
     def of(cls, row: Row) -> Condition:
         """Condition of a row."""
         if row.amplitude_um is not None:
-            return cls(row.frequency_hz, row.amplitude_um, "um")
-        return cls(row.frequency_hz, row.amplitude_v, "V")
+            return cls(row.frequency_hz, row.amplitude_um, "um", row.trial)
+        return cls(row.frequency_hz, row.amplitude_v, "V", row.trial)
 
     def words(self) -> str:
         """Say it: ``50 Hz, 10 V``."""
         frequency = [f"{self.frequency_hz:g} Hz"] if self.frequency_hz else []
-        return ", ".join(frequency + ([] if self.amplitude is None else [f"{self.amplitude:g} {self.unit}"]))
+        amplitude = [] if self.amplitude is None else [f"{self.amplitude:g} {self.unit}"]
+        return ", ".join(frequency + amplitude + ([] if self.trial is None else [f"trial {self.trial}"]))
 
 
 def conditions_of(rows: Iterable[Row]) -> list[Condition]:
@@ -46,16 +48,45 @@ def told_apart(conditions: Sequence[Condition]) -> dict[Condition, str]:
     """
     one_frequency = len({condition.frequency_hz for condition in conditions}) == 1
     one_amplitude = len({condition.amplitude for condition in conditions}) == 1
-    if one_frequency and one_amplitude:
+    one_trial = len({condition.trial for condition in conditions}) == 1
+    if one_frequency and one_amplitude and one_trial:
         return {condition: condition.words() for condition in conditions}
     return {
         condition: Condition(
             0.0 if one_frequency else condition.frequency_hz,
             None if one_amplitude else condition.amplitude,
             condition.unit,
+            None if one_trial else condition.trial,
         ).words()
         for condition in conditions
     }
+
+
+@dataclass(frozen=True)
+class Over:
+    """What curves of a report are drawn over.
+
+    key : of a row; words : label of the axis; figure : how the files of its figures begin
+    """
+
+    key: str
+    words: str
+    figure: str
+
+    def of(self, row: Row) -> float:
+        """Value of a row."""
+        return float(getattr(row, self.key) or 0.0)
+
+
+FREQUENCY = Over("frequency_hz", "frequency [Hz]", "sweep")
+TRIAL = Over("trial", "trial", "trials")
+
+
+def swept_over(report: Report, most: int) -> Over | None:
+    """Trials where there are several, else more than so many frequencies; None for single runs."""
+    if len({row.trial for row in report.rows}) > 1:
+        return TRIAL
+    return FREQUENCY if len({row.frequency_hz for row in report.rows}) > most else None
 
 
 def labels_of(rows: Iterable[Row]) -> list[str]:

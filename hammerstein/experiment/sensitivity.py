@@ -10,6 +10,7 @@ covariance. Saltelli et al., Computer Physics Communications 181 (2010) 259-270;
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from hammerstein.experiment.prepare import Case, Progress
 from hammerstein.experiment.report import Sensitivity
 from hammerstein.experiment.uncertainty_bands import NO_PART
 from hammerstein.model import HammersteinModel
+from hammerstein.runtime.fanning import Jobs
 from hammerstein.scenario.uncertainty import Parameter, Uncertainty
 from hammerstein.simulation import Plant
 
@@ -43,36 +45,63 @@ def evaluations(samples: int, parameters: int) -> int:
     return (parameters + 2) * samples
 
 
+@dataclass(frozen=True, eq=False)
+class _Exchanged(Actuators):
+    """Actuators of one matrix of normal numbers (sample, number), of another, and of both mixed.
+
+    All actuators meet the same noise, so that the parameters are the only cause.
+    """
+
+    uncertainty: Uncertainty
+    nominal: Plant
+    scenario_seed: int
+    parts: tuple[slice, ...]
+    one: Array
+    other: Array
+    what = "finding sensitivities"
+
+    @property
+    def key(self) -> list[Any]:
+        """How uncertain the actuator is, and how many samples there are."""
+        return [self.uncertainty.model_dump_json(exclude=NO_PART), len(self.one)]
+
+    @property
+    def count(self) -> int:
+        """All blocks of samples."""
+        return evaluations(len(self.one), len(self.parts))
+
+    def plant(self, number: int) -> Plant:
+        """Give the actuator of a number: of a row of one matrix, or with the numbers of a group exchanged."""
+        block, at = divmod(number, len(self.one))
+        normal = (self.other if block == 1 else self.one)[at]
+        if block >= 2:  # the first matrix, with the columns of one group from the other
+            normal = normal.copy()
+            normal[self.parts[block - 2]] = self.other[at, self.parts[block - 2]]
+        return Plant(*self.uncertainty.of(self.nominal.model, self.nominal.instruments, normal))
+
+    def seed(self, number: int) -> int:
+        """Give the seed of its noise, the same for all."""
+        return self.scenario_seed
+
+
 def sensitivities_of(
-    kept: KeptCases, cases: Sequence[Case], jobs: int, progress: Progress | None
+    kept: KeptCases, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
 ) -> tuple[Sensitivity, ...]:
     """Indices of every row and figure for every parameter; nothing where the scenario asks for none.
 
-    All actuators meet the same noise, so that the parameters are the only cause.
-
     Raises InputError where nothing is uncertain.
     """
-    uncertainty, nominal = kept.setup.scenario.uncertainty, kept.setup.plant
+    scenario, nominal = kept.setup.scenario, kept.setup.plant
+    uncertainty = scenario.uncertainty
     if uncertainty is None or uncertainty.sensitivity is None:
         return ()
-    samples = uncertainty.sensitivity
     groups = _groups(uncertainty, nominal.model)
-    one, other = _base(uncertainty, sum(p.size for p in uncertainty.parameters(nominal.model)))
-
-    def plant(number: int) -> Plant:
-        block, at = divmod(number, samples)
-        normal = (other if block == 1 else one)[at]
-        if block >= 2:  # the first matrix, with the columns of one group from the other
-            normal = normal.copy()
-            normal[groups[block - 2][1]] = other[at, groups[block - 2][1]]
-        return Plant(*uncertainty.of(nominal.model, nominal.instruments, normal))
-
-    key = [uncertainty.model_dump_json(exclude=NO_PART), samples]
-    seed = kept.setup.scenario.seed
-    count = evaluations(samples, len(groups))
-    actuators = Actuators("finding sensitivities", key, count, plant, lambda number: seed)
+    base = _base(uncertainty, sum(p.size for p in uncertainty.parameters(nominal.model)))
+    parts = tuple(part for _, part in groups)
+    actuators = _Exchanged(uncertainty, nominal, scenario.seed, parts, *base)
     found = figures_on(actuators, kept, cases, jobs, progress)
     names = [parameter.name for parameter, _ in groups]
+    samples = uncertainty.sensitivity
     return tuple(one for figures in found for one in _indices(figures, names, samples, uncertainty.seed))
 
 

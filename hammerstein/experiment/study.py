@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 from pydantic import ValidationError
@@ -16,12 +18,12 @@ from hammerstein.experiment.kept import rows_from
 from hammerstein.experiment.prepare import Progress
 from hammerstein.experiment.run import run
 from hammerstein.metrics import Row
+from hammerstein.runtime.fanning import Jobs, given, in_order, on_workers
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario import Scenario
 from hammerstein.validation import mistakes_of
 
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[(\d+)\])?")
-AT_ONCE = 4  # runs a job that may be waiting to be written
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,11 @@ class Sampled:
 
 
 def sampled(
-    scenario: Scenario, name: str, jobs: int = 1, progress: Progress | None = None, store: Store | None = None
+    scenario: Scenario,
+    name: str,
+    jobs: Jobs = 1,
+    progress: Progress | None = None,
+    store: Store | None = None,
 ) -> Iterator[Sampled]:
     """Every run of the study of a scenario, in order; memory does not grow with their number.
 
@@ -47,7 +53,7 @@ def sampled(
     Parameters
     ----------
     scenario, name : what to run, and what it is called in messages
-    jobs : threads; the numbers do not depend on it
+    jobs : threads, or an executor of ``concurrent.futures``; the numbers do not depend on it
     progress : called with what is done, how much of it, and of how much
     store : where rows are kept and found; all are worked out if not given
 
@@ -55,21 +61,33 @@ def sampled(
     ------
     InputError : there is no study, or a key is no number of the scenario
     """
-    from joblib import Parallel, delayed
-
     study = scenario.study
     if study is None:
         raise InputError(name, "has no table [study] that says which values to run")
     whole = {key for key in study.values if _is_whole(scenario, name, key, study.values[key][0])}
-    parallel = Parallel(n_jobs=jobs, prefer="threads", return_as="generator", pre_dispatch=AT_ONCE * jobs)
-    numbered = enumerate(study.points(), start=1)
-    found = parallel(
-        delayed(_one)(scenario, name, number, _rounded(values, whole), store) for number, values in numbered
-    )
-    count = study.count()
-    for one in found:
+    count, keys = study.count(), dict[int, str]()
+
+    def begun(number: int, values: Mapping[str, float]) -> Callable[[], Sampled] | Future[Sampled]:
+        try:
+            here = varied(scenario, values, name)
+            key = _key(here)
+        except HammersteinError as error:
+            return given(Sampled(number, values, (), str(error)))
+        entry = None if store is None else store.read(key)
+        if entry is not None:
+            return given(Sampled(number, values, rows_from(entry.document)))
+        keys[number] = key
+        return partial(_one, here, name, number, values)
+
+    def finished(index: int, one: Sampled) -> None:
+        key = keys.pop(index + 1, "")
+        if store is not None and key and not one.error:
+            store.write(key, Kept([asdict(row) for row in one.rows]))
+
+    tasks = (begun(i, _rounded(values, whole)) for i, values in enumerate(study.points(), start=1))
+    for one in in_order(tasks, jobs, finished):
         if progress:
-            progress("sampling", one.number, count)
+            progress(f"sampling{on_workers(jobs)}", one.number, count)
         yield one
 
 
@@ -89,26 +107,17 @@ def _is_whole(scenario: Scenario, name: str, key: str, value: float) -> bool:
     return False
 
 
-def _one(
-    scenario: Scenario, name: str, number: int, values: Mapping[str, float], store: Store | None
-) -> Sampled:
+def _one(scenario: Scenario, name: str, number: int, values: Mapping[str, float]) -> Sampled:
     try:
-        return Sampled(number, values, _rows(varied(scenario, values, name), name, store))
+        return Sampled(number, values, run(scenario, name).rows)
     except HammersteinError as error:
         return Sampled(number, values, (), str(error))
 
 
-def _rows(scenario: Scenario, name: str, store: Store | None) -> tuple[Row, ...]:
-    if store is None:
-        return run(scenario, name).rows
+def _key(scenario: Scenario) -> str:
+    """Key of the rows of a scenario and of what its files hold."""
     files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in scenario.files()]
-    key = key_of("sampled", [scenario.portable(), files])
-    entry = store.read(key)
-    if entry is not None:
-        return rows_from(entry.document)
-    rows = run(scenario, name).rows
-    store.write(key, Kept([asdict(row) for row in rows]))
-    return rows
+    return key_of("sampled", [scenario.portable(), files])
 
 
 def varied(scenario: Scenario, values: Mapping[str, float], name: str = "scenario") -> Scenario:

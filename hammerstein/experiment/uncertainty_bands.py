@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from hammerstein.experiment.draws import Actuators, Figures, drawn_metrics, figu
 from hammerstein.experiment.kept import KeptCases
 from hammerstein.experiment.prepare import Case, Progress
 from hammerstein.experiment.report import Band
+from hammerstein.runtime.fanning import Jobs
+from hammerstein.scenario.uncertainty import Uncertainty
 from hammerstein.simulation import Plant
 
 SEED_STEP = 7919  # keeps the noise of one draw apart from that of another scenario's seed
@@ -17,24 +20,42 @@ NO_PART = {"draws", "sensitivity"}
 """Keys of an uncertainty that change no draw."""
 
 
+@dataclass(frozen=True, eq=False)
+class Drawn(Actuators):
+    """Draws of an uncertain actuator; each has another noise."""
+
+    uncertainty: Uncertainty
+    nominal: Plant
+    scenario_seed: int
+    what = "drawing actuators"
+
+    @property
+    def key(self) -> str:
+        """How uncertain it is."""
+        return self.uncertainty.model_dump_json(exclude=NO_PART)
+
+    @property
+    def count(self) -> int:
+        """How many are drawn."""
+        return self.uncertainty.draws
+
+    def plant(self, number: int) -> Plant:
+        """Give the draw of a number."""
+        return Plant(*self.uncertainty.draw(self.nominal.model, self.nominal.instruments, number))
+
+    def seed(self, number: int) -> int:
+        """Give the seed of its noise."""
+        return self.scenario_seed + SEED_STEP * (number + 1)
+
+
 def bands_of(
-    kept: KeptCases, cases: Sequence[Case], jobs: int, progress: Progress | None
+    kept: KeptCases, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
 ) -> tuple[Band, ...]:
-    """Median and 5-95 % band of every row over the draws; nothing where the scenario has no uncertainty.
-
-    Each draw has another noise.
-    """
-    uncertainty, nominal = kept.setup.scenario.uncertainty, kept.setup.plant
-    if uncertainty is None:
+    """Median and 5-95 % band of every row over the draws; nothing where the scenario has no uncertainty."""
+    scenario = kept.setup.scenario
+    if scenario.uncertainty is None:
         return ()
-
-    def plant(number: int) -> Plant:
-        return Plant(*uncertainty.draw(nominal.model, nominal.instruments, number))
-
-    seed, key = kept.setup.scenario.seed, uncertainty.model_dump_json(exclude=NO_PART)
-    drawn = Actuators(
-        "drawing actuators", key, uncertainty.draws, plant, lambda number: seed + SEED_STEP * (number + 1)
-    )
+    drawn = Drawn(scenario.uncertainty, kept.setup.plant, scenario.seed)
     found = figures_on(drawn, kept, cases, jobs, progress)
     return tuple(band for figures in found for band in _bands(figures))
 

@@ -11,7 +11,14 @@ import numpy as np
 
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import PlayState, PrandtlIshlinskii
+from hammerstein.hysteresis import (
+    Asymmetric,
+    AsymmetricState,
+    PlayState,
+    PrandtlIshlinskii,
+    RateDependent,
+    RateState,
+)
 
 
 @dataclass(frozen=True)
@@ -66,7 +73,10 @@ class CPart:
 def c_block_of(hysteresis: object, state: object) -> CPart:
     """Forward block of a kind of hysteresis, from a state on.
 
-    A kind that is added registers itself here, with templates of the part under its name.
+    A kind that is added registers itself here, and says by ``hysteresis`` which template of ``parts`` is its
+    own: macros ``types``, ``memory`` (members of the memory, ``start`` fills them), ``functions``, and
+    ``call``, which turns ``u[M]``, counted from the working point, into ``v[ROWS]``. ``helpers`` names those
+    of ``least`` and ``most`` that it calls.
 
     Raises
     ------
@@ -77,7 +87,7 @@ def c_block_of(hysteresis: object, state: object) -> CPart:
 
 def _no_code(hysteresis: object) -> InputError:
     kind = getattr(hysteresis, "kind", type(hysteresis).__name__)
-    return InputError("export", f"hysteresis of kind {kind} has no C code; prandtl_ishlinskii has")
+    return InputError("export", f"hysteresis of kind {kind} has no C code")
 
 
 @c_block_of.register
@@ -94,7 +104,62 @@ def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
         held += [floor] * (segments - len(held))
         plays.append({"count": int(state.count[k]), "stack": held})
     own = Table("operators", bank.n, "Operators of each input.")
-    return _grid(hysteresis, segments) + CPart(indices=(own,), start={"plays": plays})
+    values = {"hysteresis": "plays", "helpers": ("most",)}
+    return _grid(hysteresis, segments) + CPart(indices=(own,), start={"plays": plays}, values=values)
+
+
+@c_block_of.register
+def _(hysteresis: Asymmetric, state: AsymmetricState) -> CPart:
+    """The plays, and a line in each zone of the dead-zones."""
+    lines = hysteresis.lines
+    own = CPart(
+        sizes=(Size("ZONES", lines.ends.shape[1], "zones that an input can have"),),
+        tables=(
+            Table("smallest_play", hysteresis.smallest_v, "Smallest threshold of each input [V]."),
+            Table("zone_end", lines.ends, "Upper end of each zone [V]: input, zone."),
+            Table("zone_slope", lines.slope, "Slope of its line [um/V]: input, zone, output."),
+            Table("zone_start", lines.intercept, "Where its line begins [um]: input, zone, output."),
+        ),
+        indices=(Table("bends", lines.n, "Dead-zones of each input."),),
+        start={"smallest": state.smallest_v},
+        values={"hysteresis": "asymmetric", "helpers": ("least", "most")},
+    )
+    return c_block_of(hysteresis.plays, state.plays) + own
+
+
+@c_block_of.register
+def _(hysteresis: RateDependent, state: RateState) -> CPart:
+    """Every play by itself, for its threshold moves from sample to sample.
+
+    Raises InputError where the growth flattens: that takes a logarithm, and there is no libm.
+    """
+    bank = hysteresis.bank
+    if bank.lam.any():
+        raise InputError(
+            "export",
+            "thresholds whose growth flattens (lambda_s_per_v above 0) need a logarithm, which the code has "
+            "not; identify with lambda_s_per_v = 0",
+        )
+    return CPart(
+        sizes=(
+            Size("ROWS", hysteresis.n_outputs, "outputs of the hysteresis"),
+            Size("N", bank.r.shape[1], "plays of an input, at most"),
+        ),
+        tables=(
+            Table("PERIOD", hysteresis.grid_s, "Sample time [s]."),
+            Table("pole", hysteresis.poles, "Pole of the low-pass through which each rate is seen."),
+            Table("threshold", bank.r, "Thresholds at rest [V]: input, play."),
+            Table("growth", bank.b, "Volts a threshold grows for each V/s [s]: input, play."),
+            Table("weight", bank.w, "Weights [um/V]: input, play, output."),
+        ),
+        indices=(Table("operators", bank.n, "Plays of each input."),),
+        start={"play": state.plays_v, "before": state.last_v, "rate": state.rate_v_per_s},
+        values={
+            "n_plays": bank.r.shape[1],
+            "hysteresis": "rate_dependent",
+            "helpers": ("least", "most"),
+        },
+    )
 
 
 def _segment_above(

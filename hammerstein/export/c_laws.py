@@ -19,6 +19,7 @@ from hammerstein.driving import DriveRange
 from hammerstein.errors import InputError
 from hammerstein.export.c_blocks import CPart, Size, Table, c_block_of, c_moving_block_of, linear_part
 from hammerstein.export.forward import ForwardModel
+from hammerstein.hysteresis.asymmetric import ZoneLines
 
 Array = NDArray[np.float64]
 
@@ -125,8 +126,6 @@ def c_inverse_of(law: StaticInverse[Any], start: Any) -> CPart:
 @c_inverse_of.register
 def _(law: ExactInverseLaw, start: Any) -> CPart:
     """The walk over the pieces: the table of ``exact.pieces`` by its names."""
-    if law.square.lines.n.any():
-        raise InputError("export", "the exact inverse of a model with dead-zones has no C code")
     m, bank, table = law.n_inputs, law.square.plays.bank, law.design_table()
     about = table[pieces.HERE, :, pieces.ABOUT]
     segments = bank.r.shape[1] + 2
@@ -153,6 +152,25 @@ def _(law: ExactInverseLaw, start: Any) -> CPart:
         ),
         start={"hand": [_hand(start, k) for k in range(m)]},
         values={"segments": segments, "held": held.tolist()},
+    ) + _zones(law.square.lines, segments)
+
+
+def _zones(lines: ZoneLines, segments: int) -> CPart:
+    """Dead-zones beside the plays, where there are any."""
+    if not lines.n.any():
+        return CPart(values={"zones": False, "depths": segments})
+    zones = lines.ends.shape[1]
+    return CPart(
+        sizes=(
+            Size("ZONES", zones, "zones that an input can have"),
+            Size("DEPTHS", segments + zones, "pieces that a walk of an input can have passed"),
+        ),
+        tables=(
+            Table("zone_end", lines.ends, "Upper end of each zone [V]: input, zone."),
+            Table("zone_slope", lines.slope, "Slope of its line [um/V]: input, zone, row."),
+            Table("zone_start", lines.intercept, "Where its line begins [um]: input, zone, row."),
+        ),
+        values={"zones": True, "depths": segments + zones},
     )
 
 

@@ -139,13 +139,13 @@ class CCode:
             .get_template(template)
             .render(
                 **self.context(),
-                **part.values,
+                **{key: value for key, value in part.values.items() if key != "helpers"},
                 sizes=part.sizes,
                 tables=[_Written(table, self.real) for table in part.tables],
                 indices=[_Written(table, self.real) for table in part.indices],
                 at_start=initializer({**part.start, "last": self._last()}),
                 about=[] if measured is None else self._about(measured),
-                helpers=("most",) if self.is_model else ("least", "most"),
+                helpers=part.values.get("helpers", ()) if self.is_model else ("least", "most"),
             )
         )
         return in_single_precision(text) if self.request.float32 else text

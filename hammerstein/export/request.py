@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hammerstein.blocks import Controller, Law
+from hammerstein.blocks import Law
 from hammerstein.compensators.drive_file import Terms, allowed_range, compensator_of, refuse_flagged
 from hammerstein.errors import InputError
 from hammerstein.export.forward import ForwardModel
@@ -56,7 +56,7 @@ class Request(BaseModel):
                 raise InputError("--law model", f"takes no options; {', '.join(sorted(self.options))} is one")
             return ForwardModel(model, limits, self.sample_time_s)
         law = compensator_of(self.law, self.options).design(model, limits, self.sample_time_s)
-        if isinstance(law, Controller):
+        if not isinstance(law, Law):
             raise InputError(
                 "--law", f"{self.law} needs the sensor's readings; only sensorless laws are exported"
             )

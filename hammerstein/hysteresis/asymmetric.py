@@ -243,6 +243,11 @@ class Asymmetric(Hysteresis[AsymmetricState]):
         """Give the same hysteresis for voltages counted from another working point (m,) [V]."""
         return replace(self, working_point_v=np.asarray(working_point_v, dtype=np.float64))
 
+    @property
+    def n_beside_weights(self) -> int:
+        """Thresholds of the plays, and breakpoints of the dead-zones."""
+        return self.plays.n_beside_weights + int(self.lines.n.sum())
+
     def rest(self) -> AsymmetricState:
         """State of a model that was never driven."""
         return AsymmetricState(self.plays.rest(), np.zeros(self.n_inputs))

@@ -185,6 +185,11 @@ class BoucWen(Hysteresis[BoucWenState]):
         """Number of weights of every pair (output, input): d and a."""
         return ((2,) * self.n_inputs,) * self.n_outputs
 
+    @property
+    def n_beside_weights(self) -> int:
+        """Beta and gamma of each pair."""
+        return 2 * self.n_inputs * self.n_outputs
+
     def describe(self) -> str:
         """Say in a few words what it is."""
         rates = [pair.load_per_v for row in self.pairs for pair in row if pair.hysteretic_um_per_v]

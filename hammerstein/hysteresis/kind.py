@@ -202,6 +202,11 @@ class Hysteresis(ABC, Generic[S]):
         return tuple(np.linalg.norm(known.factor_um_per_v, axis=1) for known in self.weight_covariance)
 
     @property
+    def n_beside_weights(self) -> int:
+        """How many free numbers it has beside its weights: thresholds, breakpoints, growth."""
+        return 0
+
+    @property
     def n_shared_errors(self) -> int:
         """How many normal numbers ``drawn`` takes before those of the weights: for what outputs share."""
         return 0

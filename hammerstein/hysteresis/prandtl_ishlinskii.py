@@ -109,6 +109,11 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
         """All operators on one threshold grid an input."""
         return Bank.of(self.pairs)
 
+    @property
+    def n_beside_weights(self) -> int:
+        """Thresholds of the inputs that have more than one."""
+        return int(sum(n for n in self.bank.n if n > 1))
+
     def rest(self) -> PlayState:
         """State of a model that was never driven: all plays at zero."""
         return self.state_of([np.zeros(n) for n in self.bank.n], at_rest=True)

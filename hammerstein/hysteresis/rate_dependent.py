@@ -200,6 +200,11 @@ class RateDependent(Hysteresis[RateState]):
         cut = np.array([plays.bandwidth_hz for plays in self.inputs])
         return np.exp(-2.0 * np.pi * cut * self.grid_s)
 
+    @property
+    def n_beside_weights(self) -> int:
+        """Of each input thresholds, the growth that its plays share, and the bandwidth of the rate."""
+        return sum(len(plays.thresholds_v) + 2 for plays in self.inputs)
+
     def loop_gain(self) -> Array:
         """Gain beta of the loop from each voltage through its rate back to itself in the inverse (m,).
 

@@ -21,15 +21,15 @@ from hammerstein.dynamics import (
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.identification.fit import Kind
+from hammerstein.identification.linear.axis_delay import checked_delay
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
 from hammerstein.identification.linear.coupled import fit_linear, fit_static_coupled, refit_linear
-from hammerstein.identification.linear.delay import static_delay
+from hammerstein.identification.linear.delay import delay_in_samples, static_delay
 from hammerstein.identification.linear.second_order import (
     TINY,
     AxesFit,
     AxisFit,
     FirstGuess,
-    checked_delay,
     fit_axes,
     fit_axis,
     parameters_of as axis_parameters,
@@ -71,7 +71,11 @@ WORTHWHILE = 5e-3
 CLEARLY_FELT = 0.5
 """Part of the error that dynamics leave, below which thresholds are not fitted without them, too."""
 PATIENCE = 2
-"""Turns in a row without that, after which they end."""
+"""Turns in a row without that, after which they end; and orders in a row that lower the error no more."""
+FEWER = (0.75, 0.5)
+"""Parts of the number of thresholds with which their fit is tried again."""
+ORDERS = (1, 2, 3, 4, 6, 8, 12)
+"""States for each output that are tried where no order is given."""
 KEPT = "fitting the thresholds gains nothing: they are uniform in time"
 
 Array = NDArray[np.float64]
@@ -88,7 +92,7 @@ class Task:
     records: tuple[Record, ...]
     starts: tuple[Start, ...]
     thresholds_v: Thresholds
-    delay_samples: int
+    delay_samples: float
     settings: Settings
     progress: Progress
     static_delay_samples: int | None = None
@@ -107,9 +111,20 @@ class Task:
         """Give a single threshold of 0 to every pair: a linear gain."""
         return [[np.zeros(min(len(r), 1)) for r in row] for row in self.thresholds_v]
 
+    @property
+    def whole_delay(self) -> int:
+        """Whole samples of the delay, by which the plays are shifted; what is left belongs to the path."""
+        return math.floor(self.delay_samples)
+
+    def delayed_as(self, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics) -> Task:
+        """Give the task with the delay of a linear block."""
+        delay = delay_in_samples(dynamics.input_delay_s, self.records[0].sample_time_s)
+        return replace(self, delay_samples=delay)
+
     def paths(self, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics) -> list[LinearBlock]:
-        """Discrete path of each record from the static block to the reading, without delay."""
-        prompt = dynamics.model_copy(update={"input_delay_s": 0.0})
+        """Discrete path of each record from the static block to the reading, with the part of a sample."""
+        part_s = (self.delay_samples - self.whole_delay) * self.records[0].sample_time_s
+        prompt = dynamics.model_copy(update={"input_delay_s": part_s})
         sensor = self.settings.sensor_bandwidth_hz
         if isinstance(prompt, StaticDynamics) and sensor is None:
             return []
@@ -230,7 +245,7 @@ def static_blocks(
     layout = Layout.of(thresholds_v)
     refuse_unreached(task.records, layout.grids)
     moments = static_moments(
-        task.records, layout.grids, task.starts, task.delay_samples, task.paths(dynamics) or None
+        task.records, layout.grids, task.starts, task.whole_delay, task.paths(dynamics) or None
     )
 
     def solved(how: Weighting) -> StaticFit:
@@ -250,7 +265,7 @@ def static_blocks(
 def _closed_form(task: Task, free: StaticFit) -> StaticFit:
     """Closed form on the settled loops, brought forward by the delay."""
     settings = task.settings
-    d = task.delay_samples
+    d = task.whole_delay
     prompt = [
         Record(
             record.u_v[:, : record.samples - d],
@@ -294,7 +309,7 @@ def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> Built:
             task, axes, blocks = _behind_fitted(task, guess, axes, blocks, static.best.blocks)
     if settings.fits_thresholds and any(axis_identified(axis) for axis in axes):
         begun = blocks
-        axes, blocks = _thresholds_and_axes(task, guess, axes, begun)
+        axes, blocks = _with_fewer_if_needed(task, guess, axes, begun)
         notes = (KEPT,) if blocks is begun and settings.partition == "fitted" else ()
     before = axes
     axes, blocks, tried = _grown(task, axes, blocks)
@@ -318,11 +333,11 @@ def _first_axes(
     task: Task, guesses: Sequence[FirstGuess]
 ) -> tuple[Task, FirstGuess, tuple[AxisFit, ...], tuple[tuple[str, Found], ...]]:
     """Of the shapes guessed the best, fitted with all records, the task with its delay, and all as models."""
-    if len(guesses) == 1:
-        return task, guesses[0], _axes(task, task.thresholds_v, guesses[0], 1).axes, ()
-    fits = [_axes(task, task.thresholds_v, guess, thinning(task.records)) for guess in guesses]
-    guess = _best_shapes(guesses, fits)
-    others = _others(task, guesses, fits)
+    guess = guesses[0]
+    others: tuple[tuple[str, Found], ...] = ()
+    if len(guesses) > 1:
+        fits = [_axes(task, task.thresholds_v, guess, thinning(task.records)) for guess in guesses]
+        guess, others = _best_shapes(guesses, fits), _others(task, guesses, fits)
     task = replace(task, delay_samples=guess.delay_samples)
     return task, guess, _axes(task, task.thresholds_v, guess, 1).axes, others
 
@@ -467,6 +482,24 @@ def _with(task: Task, grids: tuple[Array, ...], blocks: Blocks, o: int, old: Axi
     return fit if told else old
 
 
+def _with_fewer_if_needed(
+    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], begun: Blocks
+) -> tuple[tuple[AxisFit, ...], Blocks]:
+    """Thresholds and axes fitted, with fewer thresholds than begun with where so many lead to no inverse."""
+    found = _thresholds_and_axes(task, guess, axes, begun)
+    settings, number = task.settings, max(map(len, task.thresholds_v[0]))
+    free = settings.operators == "auto" and settings.thresholds_v is None
+    for part in FEWER:
+        if found[1] is not begun or not free:
+            break
+        fewer = replace(task, thresholds_v=settings.thresholds(task.records, math.ceil(part * number)))
+        blocks = static_blocks(fewer, fewer.thresholds_v, dynamics_of(axes), settings.method)
+        trial = _thresholds_and_axes(fewer, guess, axes, blocks)
+        if trial[1] is not blocks and gained(begun.chosen, trial[1].chosen):
+            found = trial
+    return found
+
+
 def _thresholds_and_axes(
     task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: Blocks
 ) -> tuple[tuple[AxisFit, ...], Blocks]:
@@ -535,8 +568,7 @@ def with_errors(task: Task, found: Found) -> Found:
     if not found.blocks.fitted:
         return found
     dynamics = found.candidate.dynamics
-    late = replace(task, delay_samples=round(dynamics.input_delay_s / task.records[0].sample_time_s))
-    chosen = with_threshold_errors(_fitting(late, dynamics), found.blocks.chosen)
+    chosen = with_threshold_errors(_fitting(task.delayed_as(dynamics), dynamics), found.blocks.chosen)
     candidate = replace(found.candidate, hysteresis=chosen.hysteresis)
     return replace(found, candidate=candidate, blocks=replace(found.blocks, chosen=chosen))
 
@@ -545,7 +577,7 @@ def _fitting(
     task: Task, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics, every: int = 1
 ) -> ThresholdTask:
     """What stays fixed while thresholds are fitted in front of given dynamics."""
-    return ThresholdTask(task.records, task.starts, task.delay_samples, task.paths(dynamics), every)
+    return ThresholdTask(task.records, task.starts, task.whole_delay, task.paths(dynamics), every)
 
 
 def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:
@@ -563,34 +595,77 @@ def _as_found(axes: Sequence[AxisFit]) -> AxesDynamics:
     return AxesDynamics(axes=tuple(fit.axis for fit in axes))
 
 
+@dataclass(frozen=True, eq=False)
+class StateSpaceTrial:
+    """A state-space model of some order: alone, and behind a static block."""
+
+    order: int
+    alone: Candidate
+    blocks: Blocks
+    best: Candidate
+    error: float
+
+
 def build_state_space(task: Task) -> Built:
-    """All four kinds, with a state-space model of the order asked for."""
-    settings = task.settings
-    assert settings.order is not None  # refused by Settings
+    """All four kinds, with a state-space model of the order asked for, or of the fewest states that do."""
     static = build_static(_late(task))
-    task.progress("fitting the linear dynamics")
-    block, gain = fit_linear(task.records, settings.order, task.progress)
-    alone = task.candidate(_gain_model(gain), _state_space(block))
+    trials = _orders_tried(task)
+    least = min(trial.error for trial in trials)
+    begun = next(trial for trial in trials if trial.error <= least / (1.0 - FELT))
+    blocks, best = _in_turn(task, begun)
+    found: dict[Kind, Found] = {
+        **static.found,
+        "linear_dynamics": Found(begun.alone, static.found["linear"].blocks),
+        "hammerstein": Found(best, blocks),
+    }
+    rest = [trial for trial in trials if trial is not begun]
+    others = tuple((f"state space of order {one.order}", Found(one.best, one.blocks)) for one in rest)
+    return Built(found, "hammerstein", others=others)
+
+
+def _orders_tried(task: Task) -> list[StateSpaceTrial]:
+    """Models of the order asked for, or of growing orders until two in a row lower the error no more."""
+    order = task.settings.order
+    if order is not None:
+        return [_of_order(task, order)]
+    trials: list[StateSpaceTrial] = []
+    for states in ORDERS:
+        try:
+            trials.append(_of_order(task, states * task.outputs))
+        except IdentificationError:  # more states than the lines of the response can tell
+            if not trials:
+                raise
+            break
+        errors = [trial.error for trial in trials]
+        if len(errors) - 1 - int(np.argmin(errors)) >= PATIENCE:
+            break
+    return trials
+
+
+def _of_order(task: Task, order: int) -> StateSpaceTrial:
+    task.progress(f"fitting linear dynamics of order {order}")
+    block, gain = fit_linear(task.records, order, task.progress)
     task.progress("fitting the static block in front of them")
     blocks, best = _hammerstein(task, block)
-    before, error = _error(task, alone), _error(task, best)
+    alone = task.candidate(_gain_model(gain), _state_space(block))
+    return StateSpaceTrial(order, alone, blocks, best, _error(task, best))
+
+
+def _in_turn(task: Task, begun: StateSpaceTrial) -> tuple[Blocks, Candidate]:
+    """Linear dynamics and static block fitted in turn, as long as that lowers the error."""
+    blocks, best, error, before = begun.blocks, begun.best, begun.error, _error(task, begun.alone)
     told = len(task.records[0].u_v) == task.outputs  # or the outputs of the static block move together
     for _ in range(MOST_ROUNDS if told else 0):
         if error > (1.0 - FELT) * before:
             break
         task.progress("fitting the linear dynamics behind the static block")
         hysteresis = blocks.chosen.hysteresis
-        again = refit_linear(task.records, task.starts, hysteresis, settings.order, task.progress)
+        again = refit_linear(task.records, task.starts, hysteresis, begun.order, task.progress)
         trial = _hammerstein(task, again)
         before, now = error, _error(task, trial[1])
         if now < error:
             (blocks, best), error = trial, now
-    found: dict[Kind, Found] = {
-        **static.found,
-        "linear_dynamics": Found(alone, static.found["linear"].blocks),
-        "hammerstein": Found(best, blocks),
-    }
-    return Built(found, "hammerstein")
+    return blocks, best
 
 
 def _error(task: Task, candidate: Candidate) -> float:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
+from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise, split_delay
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.static.normal_equations import (
@@ -79,17 +79,35 @@ def chosen(trials: Sequence[Trial]) -> int:
     >>> chosen([Trial("blocked", 1, squares, False), Trial("small", 5, squares[::-1])])
     1
     """
+    best = least(trials)
     means = np.array([float(np.mean(trial.squares)) for trial in trials])
-    told = [i for i in range(len(trials)) if trials[i].told]
-    best = min(told, key=lambda i: means[i])
     if not np.isfinite(means[best]):
         return best
-    chance = [i for i in told if means[i] - means[best] <= _spread(trials[i], trials[best])]
+    chance = as_good(trials)
     close = [i for i in chance if means[i] <= MOST_WORSE**2 * means[best]]
     usable = [i for i in close if trials[i].invertible]
     if not usable:
         usable = sorted((i for i in chance if trials[i].invertible), key=lambda i: means[i])[:1]
     return min(usable or close, key=lambda i: trials[i].parameters)
+
+
+def least(trials: Sequence[Trial]) -> int:
+    """Trial with the least error, of those whose dynamics the records tell."""
+    told = [i for i in range(len(trials)) if trials[i].told]
+    return min(told, key=lambda i: float(np.mean(trials[i].squares)))
+
+
+def as_good(trials: Sequence[Trial]) -> list[int]:
+    """Trials whose error is within one standard error of the least, itself among them."""
+    i = least(trials)
+    best = trials[i]
+    if not np.isfinite(best.squares).all():
+        return [i]
+    return [
+        i
+        for i, trial in enumerate(trials)
+        if trial.told and float(np.mean(trial.squares) - np.mean(best.squares)) <= _spread(trial, best)
+    ]
 
 
 def _spread(trial: Trial, best: Trial) -> float:
@@ -104,8 +122,7 @@ def parameters_of(candidate: Candidate) -> int:
     """Free numbers of a model: weights, thresholds that are shared by the outputs, and the linear block."""
     hysteresis, dynamics = candidate.hysteresis, candidate.dynamics
     weights = sum(sum(row) for row in hysteresis.operators)
-    plays: Sequence[int] = hysteresis.bank.n.tolist() if isinstance(hysteresis, PrandtlIshlinskii) else []
-    thresholds = int(sum(n for n in plays if n > 1))
+    thresholds = hysteresis.n_beside_weights
     if isinstance(dynamics, StaticDynamics):
         return weights + thresholds
     if isinstance(dynamics, AxesDynamics):
@@ -137,9 +154,7 @@ def judged_squares(candidate: Candidate, records: Sequence[Record], starts: Sequ
     return np.where(np.isfinite(values), values, np.inf)
 
 
-def crossed_squares(
-    candidate: Candidate, records: Sequence[Record], starts: Sequence[Start], delay_samples: int
-) -> Array:
+def crossed_squares(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
     """Squared errors (record and fold,) where the weights were fitted to the other folds of the same records.
 
     Each record falls into 16 stretches, every fourth of which is one fold: cycles of an experiment lie on
@@ -154,7 +169,8 @@ def crossed_squares(
     assert isinstance(candidate.hysteresis, PrandtlIshlinskii)  # other kinds take their place afterwards
     layout = Layout.of([[pair.thresholds_v for pair in row] for row in candidate.hysteresis.pairs])
     columns = sum(map(len, layout.grids))
-    prompt = candidate.dynamics.model_copy(update={"input_delay_s": 0.0})
+    whole, part_s = split_delay(candidate.dynamics.input_delay_s, records[0].sample_time_s)
+    prompt = candidate.dynamics.model_copy(update={"input_delay_s": part_s})
     sensor = candidate.sensor_bandwidth_hz
     blocks = [discretise(prompt, record.sample_time_s, sensor) for record in records]
     if isinstance(prompt, StaticDynamics) and sensor is None:
@@ -163,7 +179,7 @@ def crossed_squares(
     for o in range(p):
         merge = layout.merge[o]
         parts = [
-            _folds(record, start, layout, delay_samples, path_filters(blocks, i, o, columns, p), o)
+            _folds(record, start, layout, whole, path_filters(blocks, i, o, columns, p), o)
             for i, (record, start) in enumerate(zip(records, starts, strict=True))
         ]
         for fold in range(FOLDS):

@@ -57,7 +57,7 @@ class Fit:
     amplitude_v : largest half swing of an input in the records [V]
     amplitudes_v : (input,) half swing of each one [V]
     voltages : working point and range of the records
-    delay_samples : whole samples by which the outputs come late
+    delay_samples : samples by which the outputs come late
     sample_time_s : time between samples of the records [s]
     sensor_bandwidth_hz : what the sensor was taken for [Hz]
     offsets_um : (record, output) readings that belong to an output of zero [um]
@@ -87,7 +87,7 @@ class Fit:
     amplitude_v: float
     amplitudes_v: tuple[float, ...]
     voltages: Voltages
-    delay_samples: int
+    delay_samples: float
     sample_time_s: float
     sensor_bandwidth_hz: float | None
     offsets_um: tuple[tuple[float, ...], ...]

@@ -11,7 +11,7 @@ from typing import NamedTuple, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.dynamics import StaticDynamics
+from hammerstein.dynamics import StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.candidates import (
     Built,
@@ -29,6 +29,7 @@ from hammerstein.identification.excitation import answers, excitation_statements
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.leftover import leftover_statements
+from hammerstein.identification.linear.delay import delay_in_samples
 from hammerstein.identification.linear.second_order import FirstGuess, search_axes
 from hammerstein.identification.operators import (
     CURVE_SAMPLES,
@@ -159,8 +160,8 @@ def identify(
     if settings.hysteresis == "rate_dependent" and settings.delay_samples is None:
         settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
     tell = progress or (lambda _: None)
-    ready = _ready(records)
-    held = _ready(validation) if validation else ()
+    ready = prepared(records)
+    held = prepared(validation) if validation else ()
     _refuse_mixed([*ready, *held])
     if not settings.shapes and settings.dynamics != "state_space":
         refuse_one_way(ready)
@@ -198,8 +199,7 @@ def _kept(
         if held:
             squares = judged_squares(candidate, held, held_starts)
         else:
-            delay = round(candidate.dynamics.input_delay_s / task.records[0].sample_time_s)
-            squares = crossed_squares(candidate, task.records, task.starts, delay)
+            squares = crossed_squares(candidate, task.records, task.starts)
         swing, record = float(half_swing(task.records).max()), task.records[0]
         told = invertibility_of(
             candidate.hysteresis, candidate.dynamics, swing, record.sample_time_s, record.inputs
@@ -212,7 +212,7 @@ def _kept(
     return replace(built, kind=kind, found={**built.found, kind: with_errors(task, found)}), marked
 
 
-def _ready(records: Sequence[Record]) -> tuple[Record, ...]:
+def prepared(records: Sequence[Record]) -> tuple[Record, ...]:
     """Records from where they last rested, with their voltages counted from there."""
     if not records:
         raise InputError("records", "none was given")
@@ -298,7 +298,7 @@ def _first_model(
         task.thresholds_v,
         method="least_squares",
         starts=begun,
-        delay_samples=delay,
+        delay_samples=task.whole_delay,
         through=task.paths(dynamics) or None,
     )
     return task.candidate(found.hysteresis, dynamics)
@@ -321,18 +321,21 @@ def _task(
     static = _static_delay(records, starts, settings, tell)
     delay = guesses[-1].delay_samples if guesses else static
     task = Task(records, starts, (), delay, settings, tell, static)
+    if guesses:
+        fine = replace(task, thresholds_v=_fine(settings).thresholds(records, DELAY_OPERATORS))
+        guesses = tuple(with_checked_delay(fine, guess) for guess in guesses)
+        task = replace(task, delay_samples=guesses[-1].delay_samples)
     curve: tuple[CurvePoint, ...] = ()
     wanted = settings.error_curve or (settings.operators == "auto" and settings.thresholds_v is None)
     if wanted and settings.uses_axes:
         tell("trying numbers of operators")
-        paths = task.paths(first.dynamics)
-        place = settings.begun_with
-        curve = error_curve(records, starts, partition=place, delay_samples=delay, through=paths)
+        paths = task.paths(guesses[-1].dynamics() if guesses else first.dynamics)
+        place, whole = settings.begun_with, task.whole_delay
+        curve = error_curve(records, starts, partition=place, delay_samples=whole, through=paths)
     chosen = enough_operators(curve) if curve else DEFAULT_OPERATORS
     if settings.fits_thresholds and settings.operators == "auto":
         chosen = min(chosen, MOST_FITTED)
-    task = replace(task, thresholds_v=settings.thresholds(records, chosen))
-    return task, tuple(with_checked_delay(task, guess) for guess in guesses), curve
+    return replace(task, thresholds_v=settings.thresholds(records, chosen)), guesses, curve
 
 
 def _static_delay(
@@ -346,7 +349,7 @@ def _static_delay(
     thresholds_v = _fine(settings).thresholds(few, DELAY_OPERATORS)
     return late_static(
         Task(few, begun, thresholds_v, settings.delay_samples or 0, settings, tell)
-    ).delay_samples
+    ).whole_delay
 
 
 def _fine(settings: Settings) -> Settings:
@@ -404,7 +407,7 @@ def _account(
         amplitude_v=amplitude,
         amplitudes_v=tuple(swing.tolist()),
         voltages=voltages,
-        delay_samples=round(best.dynamics.input_delay_s / record.sample_time_s),
+        delay_samples=delay_in_samples(best.dynamics.input_delay_s, record.sample_time_s),
         sample_time_s=record.sample_time_s,
         sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
         offsets_um=tuple(tuple(row) for row in _offsets(best, task).tolist()),
@@ -412,7 +415,7 @@ def _account(
         held_starts=held_starts,
         axes=built.best.axes,
         trials=trials,
-        order=settings.order,
+        order=len(best.dynamics.A) if isinstance(best.dynamics, StateSpaceDynamics) else None,
         error_curve=curve,
         not_identifiable=tuple(_unknown(task, built, answer)),
         flags=tuple(flags),

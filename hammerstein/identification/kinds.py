@@ -72,6 +72,7 @@ def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tu
     settings, kind = task.settings, task.settings.hysteresis
     task.progress(f"fitting the {kind.replace('_', ' ')} hysteresis")
     before = built.best
+    task = task.delayed_as(before.candidate.dynamics)
     thresholds_v = [[pair.thresholds_v for pair in row] for row in before.blocks.chosen.hysteresis.pairs]
     delays = range(MOST_DELAY + 1) if held and _free_delay(task) else [task.delay_samples]
     tried = [_before(task, thresholds_v, Behind((), delay)) for delay in delays]
@@ -189,7 +190,7 @@ def _asymmetric(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Repla
     if count is None:
         task.progress("trying numbers of dead-zones")
         count = enough_dead_zones(
-            task.records, begun, starts=task.starts, delay_samples=task.delay_samples, through=paths
+            task.records, begun, starts=task.starts, delay_samples=task.whole_delay, through=paths
         )
     method: Weighting = "invertible" if settings.method == "closed_form" else settings.method
     fit = fit_asymmetric(
@@ -198,7 +199,7 @@ def _asymmetric(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Repla
         breakpoints_in(task.records, count),
         method=method,
         starts=task.starts,
-        delay_samples=task.delay_samples,
+        delay_samples=task.whole_delay,
         through=paths,
     )
     told = f"{count} dead-zones an input stand beside the plays"
@@ -214,7 +215,7 @@ def _rate_dependent(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> R
         grids,
         invertible=task.settings.method == "invertible",
         starts=task.starts,
-        delay_samples=task.delay_samples,
+        delay_samples=task.whole_delay,
         through=task.paths(dynamics),
     )
     told = [
@@ -222,7 +223,7 @@ def _rate_dependent(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> R
         f"{plays.bandwidth_hz:.3g} Hz"
         for name, plays in zip(task.records[0].inputs, fit.hysteresis.inputs, strict=True)
     ]
-    late = f"a delay of {task.delay_samples} samples was taken as known: it looks like growing thresholds"
+    late = f"a delay of {task.delay_samples:g} samples was taken as known: it looks like growing thresholds"
     return Replacement(fit.hysteresis, (*told, late))
 
 
@@ -232,7 +233,7 @@ def _bouc_wen(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replace
         task.records,
         invertible=task.settings.method == "invertible",
         starts=task.starts,
-        delay_samples=task.delay_samples,
+        delay_samples=task.whole_delay,
         through=task.paths(dynamics),
     )
     record = task.records[0]

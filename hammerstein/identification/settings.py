@@ -51,7 +51,7 @@ class Settings:
     ridge : penalty of the weights, for more thresholds than the records can tell; 0: none
     dynamics : ``none``, ``lag`` (a low-pass each axis), ``second_order`` (a resonance each axis),
         ``state_space``, or ``auto``: what lowers the error of the first three, or a resonance with a low-pass
-    order : number of states of a state-space model
+    order : number of states of a state-space model; None: as many as the records tell
     creep_modes : slow modes of each axis; ``auto``: one where it lowers the error
     delay_samples : whole samples by which the outputs come late; None: found
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; None: unlimited
@@ -100,8 +100,8 @@ class Settings:
 
     def _misfits(self) -> list[Mistake]:
         mistakes = []
-        if (self.dynamics == "state_space") != (self.order is not None):
-            mistakes.append(Mistake("order", "belongs to dynamics state_space, and is needed there"))
+        if self.dynamics != "state_space" and self.order is not None:
+            mistakes.append(Mistake("order", "belongs to dynamics state_space"))
         if self.creep_modes not in (0, "auto") and self.dynamics in ("none", "state_space"):
             mistakes.append(Mistake("creep_modes", "belong to dynamics lag, second_order or auto"))
         if self.method == "closed_form" and self.dynamics not in ("none", "auto"):

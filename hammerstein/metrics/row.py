@@ -24,6 +24,7 @@ class Row:
     frequency_hz: float
     amplitude_v: float | None = None
     amplitude_um: float | None = None
+    trial: int | None = None
     figures: Mapping[str, float] = field(default_factory=dict)
 
     def __getattr__(self, name: str) -> float | None:

@@ -12,6 +12,7 @@ from hammerstein.experiment.report import Report
 from hammerstein.regression.baseline import Baseline, numbers_of
 from hammerstein.regression.compare import Finding, Kind, compare
 from hammerstein.regression.result import DEFAULT_FOLDER, CheckResult, ScenarioCheck
+from hammerstein.runtime.fanning import Jobs
 from hammerstein.scenario import scenario_of
 from hammerstein.scenario.scenario import ScenarioSource
 
@@ -20,7 +21,7 @@ def check_files(
     paths: Sequence[Path],
     baseline_folder: Path = DEFAULT_FOLDER,
     update: bool = False,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     progress: Progress | None = None,
     finished: Callable[[str], None] | None = None,
 ) -> CheckResult:
@@ -34,7 +35,7 @@ def check_files(
     paths : scenario files, or folders of them
     baseline_folder : where the baselines are
     update : accept the numbers: write the baselines, in place of comparing. Nothing is written otherwise.
-    jobs : scenarios side by side; the numbers do not depend on it
+    jobs : scenarios side by side, or an executor that takes their cases; the numbers do not depend on it
     progress : called with what is done, how much of it, and of how much
     finished : called with the name of each scenario that is done
 
@@ -58,7 +59,7 @@ def check(
     scenario: ScenarioSource,
     baseline: str | Path | None = None,
     update: bool = False,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     progress: Progress | None = None,
 ) -> CheckResult:
     """Run one scenario, or every scenario of a folder, and compare the numbers with what was accepted.

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import PurePath
-from typing import Any
 
 import numpy as np
 
@@ -71,9 +70,9 @@ def fit_body(model: HammersteinModel, fit: Fit) -> str:
         "## Errors",
         *_errors(fit),
         "## Model",
-        _table(("", ""), _facts(model, fit)),
+        table(("", ""), _facts(model, fit)),
         "## Weights",
-        _table(
+        table(
             ("pair", "operators", "gain [um/V]", "slopes [um/V]", "largest standard error [um/V]"),
             _pairs(model, fit),
         ),
@@ -108,7 +107,7 @@ def _errors(fit: Fit) -> Iterator[str]:
                 "model",
                 *(f"{markdown(name)} [{unit}]" for name in fit.outputs for unit in ("%", "um")),
             ]
-            yield _table(header, [_score(fit, kind, score) for kind, score in scores.items()])
+            yield table(header, [_score(fit, kind, score) for kind, score in scores.items()])
     if fit.trials:
         yield "### All models that were tried"
         where = (
@@ -120,7 +119,7 @@ def _errors(fit: Fit) -> Iterator[str]:
             f"Judged on {where}, mean of the outputs. Kept is the one with the fewest parameters whose error "
             "is within one standard error of the least, and within 5 % of it."
         )
-        yield _table(("model", "parameters", "error [%]"), map(_trial, fit.trials))
+        yield table(("model", "parameters", "error [%]"), map(_trial, fit.trials))
 
 
 def _trial(trial: Trial) -> list[str]:
@@ -141,7 +140,8 @@ def _facts(model: HammersteinModel, fit: Fit) -> Iterator[tuple[str, str]]:
     longest = max(record.samples * record.sample_time_s for record in fit.records)
     yield "sampled at", f"{rates}; the longest record lasts {longest:.4g} s"
     yield "recorded", markdown(fit.voltages.statement(fit.inputs))
-    yield "delay", f"{fit.delay_samples} sample{'s' * (fit.delay_samples != 1)} of {fit.sample_time_s:.4g} s"
+    plural = "s" * (fit.delay_samples != 1)
+    yield "delay", f"{fit.delay_samples:g} sample{plural} of {fit.sample_time_s:.4g} s"
     if fit.sensor_bandwidth_hz is not None:
         yield "sensor bandwidth, as given", f"{fit.sensor_bandwidth_hz:.4g} Hz"
     yield "inverse", markdown(fit.invertibility)
@@ -187,7 +187,7 @@ def _thresholds(model: HammersteinModel, fit: Fit) -> Iterator[str]:
             error = "held" if i in known.open or r == 0.0 else f"{known.errors_v[i]:.1g}"
             rows.append([markdown(name), f"{r:.4g}", error])
         first += len(pair.thresholds_v)
-    yield _table(("input", "threshold [V]", "standard error [V]"), rows)
+    yield table(("input", "threshold [V]", "standard error [V]"), rows)
     yield "Errors of thresholds and weights together, for given dynamics; 0 is an end, open places are held."
 
 
@@ -206,7 +206,7 @@ def _dynamics(model: HammersteinModel, fit: Fit) -> Iterator[str]:
         )
         cells = [f"{v:.5g} ± {e:.1g} %" if v is not None and e is not None else "none" for v, e in found]
         rows.append([markdown(name), *cells, creep or "none"])
-    yield _table(("axis", "resonance [Hz]", "damping ratio", "lag [s]", "creep (gain, time constant)"), rows)
+    yield table(("axis", "resonance [Hz]", "damping ratio", "lag [s]", "creep (gain, time constant)"), rows)
     yield (
         "Standard errors hold for errors that are related within a sixteenth of a record: what the model "
         "misses is in them."
@@ -220,7 +220,8 @@ def _pictures(figures: Sequence[str]) -> Iterator[str]:
         yield f"*{CAPTIONS.get(stem, stem)}*"
 
 
-def _table(header: Sequence[str], rows: Any) -> str:
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Table in Markdown."""
     lines = [" | ".join(header), " | ".join(["---"] * len(header))]
     lines += [" | ".join(row) for row in rows]
     return "\n".join(f"| {line} |" for line in lines)

@@ -37,6 +37,8 @@ class Picture:
 
 # What a figure is and how to read it, by the first words of its file name; longer ones first.
 TITLES = {
+    "trials_true": "Error of the true position against trial",
+    "trials": "Error against trial",
     "sweep_true": "Error of the true position against frequency",
     "sweep": "Sweep over frequency",
     "operators": "Error against the number of operators",
@@ -53,6 +55,9 @@ CAPTIONS = {
     "sweep_true": "As above, for the true position, which a sensor without lag and noise would read.",
     "sweep": "One panel for each transfer, one curve for each compensator or model. Both axes are "
     "logarithmic where the values span more than about a decade.",
+    "trials_true": "As above, for the true position, which no learner sees.",
+    "trials": "One panel for each measured axis. Trial 1 is without learning; each one after it corrects the "
+    "voltages by what the sensor read in the one before.",
     "operators": "The rms error of models that differ by their number of play operators alone.",
     "loops": "One row of panels for each measured axis, one column for each driven one. Each curve is the "
     "mean of the measured cycles.",
@@ -79,6 +84,7 @@ KEYS = {
     "frequency_hz": "frequency of the signal [Hz], the higher of two; 0 for a signal from a file",
     "amplitude_v": "amplitude or radius of the driving voltage [V]",
     "amplitude_um": "amplitude or radius of the reference [um]",
+    "trial": "which trial of a compensator that learns; the first is without learning",
 }
 
 
@@ -148,7 +154,10 @@ def _kind(name: str) -> str:
 
 def place_of(name: str) -> tuple[int, str]:
     """Order on the page: what is compared first, then its errors, the true position last."""
-    order = ("drift", "loops", "path", "operators", "sweep", "errors", "sweep_true", "sensitivity", "")
+    order = (
+        *("drift", "loops", "path", "operators", "trials_true", "trials", "sweep"),
+        *("errors", "sweep_true", "sensitivity", ""),
+    )
     return order.index(_kind(name)), name
 
 
@@ -156,16 +165,18 @@ def picture_of(name: str, report: Report) -> Picture:
     """What the figure of a PNG file is, and how to read it."""
     kind, stem = _kind(name), PurePath(name).stem
     compared, models = report.scenario.reference is not None, report.scenario.models
+    banded = [
+        "A line with a band is the median of the drawn actuators, the band 5 to 95 % of them; a thin line is "
+        "the nominal actuator."
+    ] * bool(report.bands)
     remarks = {
         "loops": ["The wide grey line is the ideal.", _lag(report)] * compared
         + ["Dark broken lines are the models."] * bool(models and len(models) <= MOST_OVERLAYS),
         "sweep": ["A vertical tick stands where a curve's model was identified."]
         * bool(identified_at(report))
-        + [
-            "A line with a band is the median of the drawn actuators, the band 5 to 95 % of them; a thin "
-            "line is the nominal actuator."
-        ]
-        * bool(report.bands),
+        + banded,
+        "trials_true": banded,
+        "trials": banded,
         "path": ["True is the actuator's position, without the sensor."] * compared,
     }
     caption = " ".join([CAPTIONS.get(kind, ""), *remarks.get(kind, [])])

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from hammerstein.experiment.report import Report
+from hammerstein.experiment.report import Band, Report
 from hammerstein.experiment.selection import (
     Condition,
     conditions_of,
@@ -114,23 +114,30 @@ def _uncertain(report: Report, quote: Quote) -> Iterator[str]:
         else ("rms_true_um", "rms error, direct transfers,")
     )
     direct = {tuple(row.key().values()) for row in report.rows if is_direct(report, row)}
-    told = []
-    for label in labels_of(report.rows):
-        bands = [
-            band
-            for band in report.bands
-            if (band.compensator, band.metric) == (label, metric)
-            and tuple(getattr(band, name) for name in KEY) in direct
-        ]
-        if bands:
-            worst = max(bands, key=lambda band: band.p95_um)
-            told.append(f"{number(worst.median_um)} and {number(worst.p95_um)} um with {quote(label)}")
-    if told:
+    told_bands = [
+        band
+        for band in report.bands
+        if band.metric == metric and tuple(getattr(band, name) for name in KEY) in direct
+    ]
+    trials = sorted({band.trial for band in told_bands}, key=lambda trial: trial or 0)
+    clauses = []
+    for trial in dict.fromkeys([*trials[:1], *trials[-1:]]):
+        told = listed(list(_worst_bands([band for band in told_bands if band.trial == trial], quote)))
+        clauses.append(told if trial is None else f"in trial {trial}: {told}")
+    if told_bands:
         draws = report.scenario.uncertainty.draws
         yield (
             f"Over {draws} drawn actuators the {words} of the true position, where it is worst, has the "
-            f"median and the 95 % limit {listed(told)}. For the nominal actuator, which none of them is:"
+            f"median and the 95 % limit {'; '.join(clauses)}. For the nominal actuator, which none of them "
+            "is:"
         )
+
+
+def _worst_bands(bands: Sequence[Band], quote: Quote) -> Iterator[str]:
+    """Median and 95 % limit of each label, in the row where it is worst."""
+    for label in dict.fromkeys(band.compensator for band in bands):
+        worst = max((band for band in bands if band.compensator == label), key=lambda band: band.p95_um)
+        yield f"{number(worst.median_um)} and {number(worst.p95_um)} um with {quote(label)}"
 
 
 def _compared(report: Report, quote: Quote) -> Iterator[str]:
@@ -158,7 +165,7 @@ def _compared(report: Report, quote: Quote) -> Iterator[str]:
 
 
 def _sentences(rows: Sequence[Row], merit: Merit, contest: Contest) -> Iterator[str]:
-    conditions = sorted(conditions_of(rows), key=lambda c: (c.amplitude or 0.0, c.frequency_hz))
+    conditions = sorted(conditions_of(rows), key=lambda c: (c.amplitude or 0.0, c.frequency_hz, c.trial or 0))
     values = {c: _values((row for row in rows if Condition.of(row) == c), merit) for c in conditions}
     values = {condition: found for condition, found in values.items() if found}
     if 0 < len(values) <= MOST_CLAUSES:

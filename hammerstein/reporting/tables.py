@@ -87,13 +87,15 @@ def _key_header(report: Report, rows: Sequence[Row]) -> tuple[str, ...]:
     source = "compensator" if report.scenario.reference is not None else "model"
     names = [source] if any(row.compensator for row in rows) else []
     names += ["frequency [Hz]"] if any(row.frequency_hz for row in rows) else []
-    return (*names, *([] if condition.amplitude is None else [f"amplitude [{condition.unit}]"]))
+    names += [] if condition.amplitude is None else [f"amplitude [{condition.unit}]"]
+    return (*names, *([] if condition.trial is None else ["trial"]))
 
 
 def _key_cells(rows: Sequence[Row], label: str, condition: Condition) -> tuple[str, ...]:
     cells = [label] if any(row.compensator for row in rows) else []
     cells += [f"{condition.frequency_hz:.6g}"] if any(row.frequency_hz for row in rows) else []
-    return (*cells, *([] if condition.amplitude is None else [f"{condition.amplitude:g}"]))
+    cells += [] if condition.amplitude is None else [f"{condition.amplitude:g}"]
+    return (*cells, *([] if condition.trial is None else [str(condition.trial)]))
 
 
 def _path_errors(report: Report, rows: Sequence[Row], title: str, which: str, remark: str) -> NumberTable:

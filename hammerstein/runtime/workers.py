@@ -1,131 +1,193 @@
-"""Tasks in processes side by side, of which any may die."""
+"""Tasks side by side in threads that nobody waits for at the end, and in processes of which any may die.
+
+Those of ``concurrent.futures`` have the same interface. Its threads hold up the end of the program after
+Ctrl-C; its processes give up all tasks when one of them dies, and cannot be ended before Python 3.14.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import signal
+import threading
 import traceback
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from multiprocessing.connection import Connection, wait
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
+from functools import partial
+from multiprocessing.connection import Connection
+from queue import Empty, SimpleQueue
+from types import TracebackType
+from typing import Any, ParamSpec, TypeVar
 
-from hammerstein.runtime.interrupts import deferred_interrupts
-from hammerstein.runtime.processes import context, make_ready
+from hammerstein.errors import LostProcessError
+from hammerstein.runtime.processes import begin_loading, context, make_ready
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 PATIENCE_S = 3.0
 TRIES = 2
+WHY_LOST = "The system does so when the memory is full: run fewer side by side (--jobs 1), or less at once."
 
 
-def side_by_side(
-    tasks: Sequence[Callable[[], T]], processes: int, lost: Callable[[int, str], T]
-) -> Iterator[T]:
-    """Results of the tasks in the order in which they end; the first ones begin first.
-
-    A task whose process dies, as the system ends one when the memory is full, is tried once more. Where the
-    results are left early, as by Ctrl-C, what still runs is stopped.
+class _Crew(Executor):
+    """Threads that take one task after the other; the end of the program does not wait for them.
 
     Parameters
     ----------
-    tasks : functions that another process can import, with their arguments
-    processes : how many work at a time
-    lost : gives the result of a task whose process died every time, from its number and how it died
+    workers : how many work at a time; each begins when there is a task for it
     """
-    waiting, tried = deque(range(len(tasks))), [0] * len(tasks)
-    workers: list[_Worker] = []
-    try:
-        while waiting or any(worker.number is not None for worker in workers):
-            _employ(workers, waiting, tasks, tried, processes)
-            for worker in _heard(workers):
-                number = worker.number
-                assert number is not None
-                try:
-                    result = worker.result()
-                except EOFError:
-                    workers.remove(worker)
-                    if tried[number] < TRIES:
-                        waiting.appendleft(number)
-                    else:
-                        yield lost(number, worker.end())
-                    continue
-                yield result
-    finally:
-        _dismiss(workers)
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        self._tasks: SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None] = SimpleQueue()
+        self._threads: list[threading.Thread] = []
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Hand over a function with its arguments."""
+        future: Future[T] = Future()
+        self._tasks.put((future, partial(fn, *args, **kwargs)))
+        if len(self._threads) < self.workers:
+            self._threads.append(threading.Thread(target=self._serve, daemon=True))
+            self._threads[-1].start()
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End when all is done, or without what has not begun where that is cancelled."""
+        if cancel_futures:
+            with contextlib.suppress(Empty):
+                while (left := self._tasks.get_nowait()) is not None:
+                    left[0].cancel()
+        for _ in self._threads:
+            self._tasks.put(None)
+        for thread in self._threads if wait else ():
+            thread.join()
+
+    def _serve(self) -> None:
+        """Do what comes."""
+        raise NotImplementedError
+
+    def _coming(self) -> Iterator[tuple[Future[Any], Callable[[], Any]]]:
+        """Tasks that nobody has cancelled."""
+        while (found := self._tasks.get()) is not None:
+            if found[0].set_running_or_notify_cancel():
+                yield found
+
+
+class Threads(_Crew):
+    """Threads of this process; where the block is left by an exception, nobody waits for what still runs."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.shutdown(wait=kind is None, cancel_futures=kind is not None)
+
+    def _serve(self) -> None:
+        for future, task in self._coming():
+            try:
+                future.set_result(task())
+            except BaseException as error:
+                future.set_exception(error)
+
+
+class Processes(_Crew):
+    """Processes that do one task after another.
+
+    A task whose process dies, as the system ends one when the memory is full, is tried once more; then its
+    future holds a LostProcessError. Where the block is left by an exception, as by Ctrl-C, what still runs is
+    ended.
+    """
+
+    def __init__(self, workers: int) -> None:
+        super().__init__(workers)
+        self._busy: set[_Worker] = set()
+        self._lock = threading.Lock()
+        self._closed = False
+        begin_loading()
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the processes when their work is done, or at once where the rest is cancelled."""
+        if cancel_futures:
+            with self._lock:
+                self._closed = True
+                for worker in self._busy:
+                    worker.process.terminate()
+        super().shutdown(wait, cancel_futures=cancel_futures)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.shutdown(cancel_futures=kind is not None)
+
+    def _serve(self) -> None:
+        """Let one process do what comes, and another one when that dies."""
+        worker: _Worker | None = None
+        for future, task in self._coming():
+            worker = self._done(future, task, worker)
+        if worker is not None:
+            worker.end()
+
+    def _done(self, future: Future[Any], task: Callable[[], Any], worker: _Worker | None) -> _Worker | None:
+        """Do a task; give the process that has done it, if it lives."""
+        how = "was ended"
+        for _ in range(TRIES):
+            if (worker := self._begun(worker)) is None:
+                break
+            try:
+                done, result = worker.answer(task)
+            except EOFError:
+                self._free(worker)
+                how, worker = worker.end(), None
+                continue
+            except Exception as error:  # the task cannot be sent
+                done, result = False, error
+            self._free(worker)
+            (future.set_result if done else future.set_exception)(result)
+            return worker
+        future.set_exception(LostProcessError(f"its process {how}, twice. {WHY_LOST}"))
+        return None
+
+    def _begun(self, worker: _Worker | None) -> _Worker | None:
+        """Process for a task; none where all are to end."""
+        with self._lock:
+            if self._closed:
+                return None
+            found = _Worker() if worker is None else worker
+            self._busy.add(found)
+            return found
+
+    def _free(self, worker: _Worker) -> None:
+        with self._lock:
+            self._busy.discard(worker)
 
 
 class _Worker:
     """A process that does one task after another."""
 
     def __init__(self) -> None:
-        self.number: int | None = None
         self.connection, theirs = context().Pipe()
         self.process = context().Process(target=_work, args=(theirs,), daemon=True)  # type: ignore[attr-defined]  # every context has it
         self.process.start()
         theirs.close()
 
-    def begin(self, number: int, task: Callable[[], Any]) -> None:
-        """Hand over a task."""
-        self.number = number
-        with contextlib.suppress(OSError):  # it has died; that is heard from its connection
-            self.connection.send(task)
-
-    def result(self) -> Any:
-        """Result of the task; its own error, or EOFError if the process has died."""
+    def answer(self, task: Callable[[], Any]) -> tuple[bool, Any]:
+        """Whether a task was done, and its result, or its error; EOFError if the process has died."""
         try:
+            self.connection.send(task)
             done, result = self.connection.recv()
         except OSError:
             raise EOFError from None
-        self.number = None
-        if not done:
-            raise result
-        return result
+        return done, result
 
     def end(self) -> str:
-        """How the process ended, in words."""
+        """End the process, which has no task or has died; give how it ended, in words."""
+        self.connection.close()
         self.process.join(PATIENCE_S)
+        if self.process.is_alive():
+            self.process.kill()
         code = self.process.exitcode
         if code is not None and code < 0:
             return f"was ended by {signal.Signals(-code).name}"
         return f"ended with code {code}"
-
-
-def _employ(
-    workers: list[_Worker],
-    waiting: deque[int],
-    tasks: Sequence[Callable[[], Any]],
-    tried: list[int],
-    processes: int,
-) -> None:
-    """Give every task that waits to a process, as long as there are any."""
-    free = [worker for worker in workers if worker.number is None]
-    while waiting and (free or len(workers) < processes):
-        if not free:
-            with deferred_interrupts():  # one in the middle would leave a process that nobody knows
-                free.append(_Worker())
-                workers.append(free[0])
-        number = waiting.popleft()
-        tried[number] += 1
-        free.pop().begin(number, tasks[number])
-
-
-def _heard(workers: Sequence[_Worker]) -> list[_Worker]:
-    """Busy processes that have answered, or died."""
-    busy = {worker.connection: worker for worker in workers if worker.number is not None}
-    return [busy[connection] for connection in wait(list(busy))]  # type: ignore[index]  # what was given
-
-
-def _dismiss(workers: Sequence[_Worker]) -> None:
-    """End all processes: those without a task by themselves, the others by force."""
-    for worker in workers:
-        worker.connection.close()
-        if worker.number is not None:
-            worker.process.terminate()
-    for worker in workers:
-        worker.process.join(PATIENCE_S)
-        if worker.process.is_alive():
-            worker.process.kill()
 
 
 def _work(connection: Connection) -> None:

@@ -13,7 +13,7 @@ from pydantic_core import PydanticKnownError
 
 from hammerstein.errors import InputError
 from hammerstein.metrics import KEY, METRICS, Row
-from hammerstein.quantities import Agreed, Figure, Frequency, Size
+from hammerstein.quantities import Agreed, Figure, Frequency, Size, Trial
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
@@ -80,6 +80,7 @@ class Quantity(BaseModel):
     to_hz: Frequency | None = None
     amplitude_v: Size | None = None
     amplitude_um: Size | None = None
+    trial: Trial | None = None
     of: Literal["max", "min", "mean", "spread"] = "max"
 
     def value(self, rows: Iterable[Row]) -> float:

@@ -19,7 +19,18 @@ from hammerstein.files import read_limited
 from hammerstein.instruments import Instruments
 from hammerstein.model import place_of
 from hammerstein.plugins import load_plugins
-from hammerstein.quantities import Cycles, FileName, Frequency, NoCycles, Passes, Seed, Size, Tolerated, Wait
+from hammerstein.quantities import (
+    Cycles,
+    FileName,
+    Frequency,
+    NoCycles,
+    Passes,
+    Seed,
+    Size,
+    Tolerated,
+    Trial,
+    Wait,
+)
 from hammerstein.scenario.claims import Claim, MetricName, NumberName
 from hammerstein.scenario.source import ModelSource
 from hammerstein.scenario.study import Study
@@ -31,11 +42,12 @@ from hammerstein.validation import mistakes_of
 MOST_VALUES = 10_000  # of one key of a sweep
 Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=MOST_VALUES)]
 Sizes = Annotated[tuple[Size, ...], Field(min_length=1, max_length=MOST_VALUES)]
+Trials = Annotated[tuple[Trial, ...], Field(min_length=1, max_length=MOST_VALUES)]
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
 class Sweep(BaseModel):
-    """Values that take the place of one in the signal.
+    """Values that take the place of one in the signal, or in every compensator.
 
     Several keys give every combination, or with ``combine = "zip"`` the first values together, the second
     ones, and so on.
@@ -51,6 +63,7 @@ class Sweep(BaseModel):
     amplitude_um: Sizes | None = None
     amplitude_v: Sizes | None = None
     radius_um: Sizes | None = None
+    trial: Trials | None = Field(default=None, description="trials of compensators that learn, from 1 on")
 
     def values(self) -> list[tuple[str, tuple[float, ...]]]:
         """Keys that are swept, with their values."""
@@ -79,7 +92,9 @@ class Sweep(BaseModel):
 
 
 SWEPT = tuple(name for name in Sweep.model_fields if name != "combine")
-"""Keys of a signal that a sweep may give values for."""
+"""Keys that a sweep may give values for."""
+OF_COMPENSATORS = ("trial",)
+"""Those of them that are options of compensators, not keys of a signal."""
 
 
 class Measure(BaseModel):
@@ -170,7 +185,11 @@ class Scenario(BaseModel):
             told = ", ".join(f"{key} {length}" for key, length in lengths.items()) or "no key has any"
             yield f'sweep.combine = "zip" wants as many values of each key: {told}'
         for key in lengths:
-            if signal is not None and key not in signal.model_dump():
+            if key in OF_COMPENSATORS:
+                without = [c.label for c in self.compensators if key not in type(c).model_fields]
+                if without or not self.compensators:
+                    yield f"sweep.{key} is no option of {', '.join(map(repr, without)) or 'any compensator'}"
+            elif signal is not None and key not in signal.model_dump():
                 yield f"sweep.{key} is not a key of the {signal.kind} in this scenario"
 
     def _never_tested(self) -> Iterator[str]:
@@ -200,9 +219,16 @@ class Scenario(BaseModel):
 
     def signals(self, only: str | None = None) -> Iterator[Reference | Excitation]:
         """Every signal of the sweep; of one swept key alone if ``only`` names it."""
+        for signal, _ in self.runs(only):
+            yield signal
+
+    def runs(self, only: str | None = None) -> Iterator[tuple[Reference | Excitation, int | None]]:
+        """Every signal of the sweep with its trial, where trials are swept; ``only`` as for ``signals``."""
         fields = {name: name.removesuffix("_um").removesuffix("_v") for name in SWEPT}
         for values in self.sweep.combinations(only):
-            yield self.signal.model_copy(update={fields[key]: value for key, value in values.items()})
+            own = {fields[key]: value for key, value in values.items() if key not in OF_COMPENSATORS}
+            trial = values.get("trial")
+            yield self.signal.model_copy(update=own), None if trial is None else int(trial)
 
     def portable(self) -> dict[str, Any]:
         """Content as plain JSON, the same wherever its files lie."""

@@ -16,7 +16,7 @@ from .changes import Change
 from .recording import Recording
 
 LIBRARIES = (
-    "control", "h5py", "hypothesis", "jinja2", "joblib", "matplotlib.pyplot", "numba", "numpy", "pandas",
+    "control", "h5py", "hypothesis", "jinja2", "matplotlib.pyplot", "numba", "numpy", "pandas",
     "PIL.Image", "pydantic", "pytest", "rich.console", "scipy.linalg", "scipy.optimize", "scipy.signal",
     "typer.testing",
 )  # fmt: skip

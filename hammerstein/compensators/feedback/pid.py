@@ -315,10 +315,10 @@ class Feedback(Compensator):
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> FeedbackController:
         """Build the controller, see ``Compensator.design``."""
-        added: Law[Any] | Controller[Any] | None = None
+        added = None
         if self.feedforward is not None:
             added = COMPENSATORS.value({"law": self.feedforward}).design(model, range_v, sample_time_s)
-        assert not isinstance(added, Controller)  # none of those that may be named reads the sensor
+        assert added is None or isinstance(added, Law)  # none of those that may be named reads the sensor
         bandwidth = model.instruments.sensor.bandwidth_hz
         return FeedbackController(
             model, range_v, sample_time_s, bandwidth, self._gains(), self.derivative, feedforward=added

@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.blocks import Array
-from hammerstein.dynamics import AxesDynamics, LinearBlock, StateSpaceDynamics, StaticDynamics, discretise
+from hammerstein.dynamics import (
+    AxesDynamics,
+    LinearBlock,
+    StateSpaceDynamics,
+    StaticDynamics,
+    discretise,
+    split_delay,
+)
 from hammerstein.errors import SimulationError
 
 Counts = NDArray[np.int64]
@@ -36,7 +43,7 @@ class LinearInverse:
     A, B, C : forward modes; taps : (j, p, p); ahead : (p,)
     lift : (n, n_s) block state of the forward modes; future : (j, n, p) block state of the backward modes
     zeros : finite zeros of the block
-    delay_samples : input delay, which only adds to the preview
+    delay_samples : whole samples of the input delay, which only add to the preview
     """
 
     block: LinearBlock
@@ -124,9 +131,9 @@ def linear_inverse(
     >>> linear_inverse(axis, 50e-6).preview_samples
     1
     """
-    plain = discretise(dynamics.model_copy(update={"input_delay_s": 0.0}), sample_time_s)
-    whole = discretise(dynamics, sample_time_s)
-    delay = (whole.A.shape[0] - plain.A.shape[0]) // plain.n_inputs
+    discretise(dynamics, sample_time_s)  # the delay may be too long
+    delay, late_s = split_delay(dynamics.input_delay_s, sample_time_s)
+    plain = discretise(dynamics.model_copy(update={"input_delay_s": late_s}), sample_time_s)
     _require_stable(plain)
     ahead, first, free = _first_reaction(plain)
     gain = np.linalg.inv(first)

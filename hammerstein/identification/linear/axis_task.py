@@ -80,7 +80,8 @@ class AxisTask:
     """What stays fixed while one axis is fitted.
 
     ``every`` leaves out samples of the sums, not of the signals: 3 takes every third. ``kept`` takes the
-    place of the columns of all thresholds, see ``mixed``.
+    place of the columns of all thresholds, see ``mixed``. Whole samples of the delay shift the columns, the
+    rest of it belongs to the path.
     """
 
     records: tuple[Record, ...]
@@ -88,7 +89,7 @@ class AxisTask:
     grids: tuple[Array, ...]
     output: int
     shape: AxisShape
-    delay_samples: int
+    delay_samples: float
     sensor_bandwidth_hz: float | None
     every: int = 1
     kept: tuple[Columns, ...] = ()
@@ -125,9 +126,10 @@ class AxisTask:
     def blocks(self, number: int, filters: Sequence[Filter]) -> Iterator[tuple[int, Array]]:
         """First sample and columns of each block of a record behind the filters."""
         record, start = self.records[number], self.starts[number]
+        whole = math.floor(self.delay_samples)
         if self.kept:
-            return self.kept[number].blocks(start, self.delay_samples, filters)
-        return regressor_blocks(delayed(record, start, self.delay_samples), start, self.grids, filters)
+            return self.kept[number].blocks(start, whole, filters)
+        return regressor_blocks(delayed(record, start, whole), start, self.grids, filters)
 
     @property
     def limits(self) -> tuple[Array, Array]:
@@ -151,16 +153,16 @@ class AxisTask:
             a = np.block([[a, np.zeros((len(a), 1))], [s * c, np.full((1, 1), -s)]])
             b = np.vstack([b, s * d])
             c, d = np.eye(len(a))[-1:], np.zeros((1, 1))
-        return held(a, b, c, d, sample_time_s)
+        return held(a, b, c, d, sample_time_s, self.delay_samples % 1.0)
 
     def sensor(self, sample_time_s: float) -> LinearBlock:
         """Discrete path of an axis without dynamics: the sensor alone."""
-        one = np.ones((1, 1))
+        late, one = self.delay_samples % 1.0, np.ones((1, 1))
         if self.sensor_bandwidth_hz is None:
             none = np.empty((0, 0))
-            return LinearBlock(none, np.empty((0, 1)), np.empty((1, 0)), one, sample_time_s)
+            return held(none, np.empty((0, 1)), np.empty((1, 0)), one, sample_time_s, late)
         s = 2.0 * math.pi * self.sensor_bandwidth_hz * one
-        return held(-s, s, one, 0.0 * one, sample_time_s)
+        return held(-s, s, one, 0.0 * one, sample_time_s, late)
 
     def derivatives(self, x: Array, slopes: Array, sample_time_s: float) -> Heard:
         """Derivatives of the output by every x_i, for the static block with these slopes."""
@@ -224,8 +226,10 @@ def axis_matrices(shape: AxisShape, x: Array) -> tuple[Array, Array, Array, Arra
     return a, b, c[None], np.full((1, 1), through)
 
 
-def held(a: Array, b: Array, c: Array, d: Array, sample_time_s: float) -> LinearBlock:
+def held(a: Array, b: Array, c: Array, d: Array, sample_time_s: float, late: float = 0.0) -> LinearBlock:
     """Block on a sample grid, exact for an input held over each sample: exponential of [[A, B], [0, 0]] T.
+
+    The input comes a part ``late`` of a sample late, as in ``LinearBlock.held``.
 
     Examples
     --------
@@ -233,6 +237,9 @@ def held(a: Array, b: Array, c: Array, d: Array, sample_time_s: float) -> Linear
     >>> abs(float(held(-one, one, one, 0.0 * one, 1.0).A[0, 0]) - math.exp(-1.0)) < 1e-15
     True
     """
+    if late:
+        end = held(a, b, c, d, (1.0 - late) * sample_time_s)
+        return held(a, b, c, d, late * sample_time_s).then(end, sample_time_s)
     n, m = b.shape
     full = np.zeros((n + m, n + m))
     full[:n, :n], full[:n, n:] = a * sample_time_s, b * sample_time_s

@@ -1,4 +1,4 @@
-"""Whole samples by which the outputs come late."""
+"""Samples by which the outputs come late."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.dynamics import LinearBlock
+from hammerstein.dynamics import LinearBlock, split_delay
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import Thresholds, fit_static
 from hammerstein.records.record import Record
@@ -17,6 +17,18 @@ Array = NDArray[np.float64]
 MOST_DELAY = 5
 DELAY_GAIN = 0.01
 """Part by which a longer delay must lower the error, or the shorter one is kept."""
+
+
+def delay_in_samples(delay_s: float, sample_time_s: float) -> float:
+    """Samples of a delay, whole ones without rounding.
+
+    Examples
+    --------
+    >>> delay_in_samples(3e-4, 1e-4)
+    3.0
+    """
+    whole, part_s = split_delay(delay_s, sample_time_s)
+    return whole + part_s / sample_time_s
 
 
 def shortest_delay(rms_um: Array) -> int:

@@ -46,8 +46,6 @@ ENOUGH = 1e-7
 """Relative gain of a step under which the search has arrived."""
 TINY = 1e-300
 WORSE_DELAYS = 2
-CLEARLY_BETTER = 0.98
-"""Part of the error under which another delay takes the place of the one found first."""
 GUESS_SAMPLES = 60_000
 GUESS_OPERATORS = 20
 SEARCH_TURNS = 2
@@ -333,13 +331,13 @@ class FirstGuess:
     ----------
     shapes : what each axis consists of
     parameters : of each axis, see ``AxisShape``
-    delay_samples : whole samples by which the outputs come late
+    delay_samples : samples by which the outputs come late
     delay_rms_um : (delay, output) rms of what is left for every delay tried; empty if it was given
     """
 
     shapes: tuple[AxisShape, ...]
     parameters: tuple[Array, ...]
-    delay_samples: int
+    delay_samples: float
     delay_rms_um: Array
 
     def dynamics(self) -> AxesDynamics:
@@ -438,56 +436,12 @@ def _delay_search(tasks: Sequence[AxisTask], begins: Sequence[Array], most_delay
     return points
 
 
-def checked_delay(
-    records: Sequence[Record],
-    starts: Sequence[Start],
-    grids: Sequence[Array],
-    guess: FirstGuess,
-    *,
-    sensor_bandwidth_hz: float | None = None,
-) -> FirstGuess:
-    """Guess with the delay that is best with all thresholds; the guess itself if that is the one it has.
-
-    The few thresholds of the search smooth the hysteresis, which looks like a delay of a sample or so.
-
-    Parameters
-    ----------
-    records, starts : as for the search
-    grids : thresholds of each input [V]
-    guess : what the search has found; nothing is done if the delay was given
-    sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; none if not given
-    """
-    if not len(guess.delay_rms_um):
-        return guess
-    quick, begun = shortened(records, starts, GUESS_SAMPLES)
-    every = thinning(quick)
-
-    def points(delay: int, begins: Sequence[Array]) -> list[Point]:
-        tasks = [
-            AxisTask(quick, begun, tuple(grids), o, shape, delay, sensor_bandwidth_hz, every)
-            for o, shape in enumerate(guess.shapes)
-        ]
-        return [refine(task, x) for task, x in zip(tasks, begins, strict=True)]
-
-    here, delay = points(guess.delay_samples, guess.parameters), guess.delay_samples
-    for step in (-1, 1):
-        while 0 <= delay + step <= MOST_DELAY:
-            there = points(delay + step, [point.x for point in here])
-            ratios = [new.rms / max(old.rms, TINY) for new, old in zip(there, here, strict=True)]
-            if math.prod(ratios) >= CLEARLY_BETTER ** len(ratios):
-                break
-            here, delay = there, delay + step
-    if delay == guess.delay_samples:
-        return guess
-    return replace(guess, parameters=tuple(point.x for point in here), delay_samples=delay)
-
-
 @dataclass(frozen=True, eq=False)
 class AxesFit:
     """Dynamics of all axes and the delay of the inputs."""
 
     axes: tuple[AxisFit, ...]
-    delay_samples: int
+    delay_samples: float
 
     def dynamics(self, sample_time_s: float) -> AxesDynamics:
         """Give the linear block of the model."""

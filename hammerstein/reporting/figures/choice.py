@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hammerstein.experiment.report import Band, Report, Sensitivity, Trace
-from hammerstein.experiment.selection import banded_metric, identified_at
+from hammerstein.experiment.selection import (
+    FREQUENCY,
+    Condition,
+    Over,
+    banded_metric,
+    identified_at,
+    swept_over,
+    told_apart,
+)
 from hammerstein.metrics import KEY, Row
 from hammerstein.reporting.figures.loop_data import (
     MOST_CURVES,
@@ -35,7 +44,7 @@ def figures_of(report: Report) -> dict[str, Figure]:
     """Figures that answer a scenario, by name.
 
     Few values of one signal on each axis in turn give loops and errors over the cycle; more than four
-    frequencies give curves over frequency; everything else is drawn as a path.
+    frequencies give curves over frequency, trials curves over them; everything else is drawn as a path.
 
     Parameters
     ----------
@@ -55,8 +64,9 @@ def figures_of(report: Report) -> dict[str, Figure]:
 
 
 def _answers(report: Report) -> dict[str, Figure]:
-    if len({row.frequency_hz for row in report.rows}) > MOST_LOOPS:
-        return _sweeps(report)
+    over = swept_over(report, MOST_LOOPS)
+    if over is not None:
+        return _sweeps(report, over)
     if not report.traces:
         return {}
     signal = report.scenario.signal
@@ -133,20 +143,20 @@ def _loops(report: Report) -> dict[str, Figure]:
     return figures | _operators(report)
 
 
-def _sweeps(report: Report) -> dict[str, Figure]:
+def _sweeps(report: Report, over: Over) -> dict[str, Figure]:
     """Error of the reading and, for a compensator, of the true position; without a target the gain."""
     volts = report.scenario.drive is not None
     seen = "Model error, seen by the sensor" if volts else "Error of the sensor's reading"
-    wanted = [("sweep", "rms_um", "rms error [µm]", seen)]
+    wanted = [(over.figure, "rms_um", "rms error [µm]", seen)]
     if volts and all(row.rms_um is None for row in report.rows):
-        wanted = [("sweep", "gain", "gain [µm/V]", "Gain of the first harmonic")]
+        wanted = [(over.figure, "gain", "gain [µm/V]", "Gain of the first harmonic")]
     if not volts:
-        wanted.append(("sweep_true", "rms_true_um", "rms error [µm]", "Error of the true position"))
+        wanted.append((f"{over.figure}_true", "rms_true_um", "rms error [µm]", "Error of the true position"))
     figures = {}
     for name, merit, quantity, title in wanted:
-        curves = sweep_curves(report, merit)
+        curves = sweep_curves(report, merit, over)
         if any(np.isfinite(curve.values).any() for curve in curves):
-            figures[name] = sweep_figure(curves, transfers_of(report), quantity, title)
+            figures[name] = sweep_figure(curves, transfers_of(report), quantity, title, over.words)
     return figures
 
 
@@ -177,32 +187,38 @@ def transfers_of(report: Report) -> list[list[str]]:
     ]
 
 
-def sweep_curves(report: Report, merit: str) -> list[SweepCurve]:
-    """One figure of merit against frequency, a curve for each compensator or model (and amplitude)."""
-    amplitudes = {(row.amplitude_v, row.amplitude_um) for row in report.rows}
+def sweep_curves(report: Report, merit: str, over: Over) -> list[SweepCurve]:
+    """One figure of merit over a swept value, a curve for each compensator or model and other swept value."""
+    told = told_apart(list(dict.fromkeys(_other(row, over) for row in report.rows)))
     rows_of: dict[str, list[Row]] = {}
     for row in report.rows:
-        size = f"{row.amplitude_v:g} V" if row.amplitude_um is None else f"{row.amplitude_um:g} µm"
-        words = [row.compensator, size if len(amplitudes) > 1 else ""]
+        others = told[_other(row, over)].replace(" um", " µm") if len(told) > 1 else ""
+        words = [row.compensator, others]
         rows_of.setdefault(", ".join(word for word in words if word) or "reading", []).append(row)
     bands = {_key(band): band for band in report.bands if band.metric == merit}
-    identified = identified_at(report)
+    identified = identified_at(report) if over is FREQUENCY else {}
     curves = []
     for label, rows in rows_of.items():
-        frequencies = sorted({row.frequency_hz for row in rows})
-        where = [(row, frequencies.index(row.frequency_hz)) for row in rows]
+        places = sorted({over.of(row) for row in rows})
+        where = [(row, places.index(over.of(row))) for row in rows]
         found = [(row, at, bands[_key(row)]) for row, at in where if _key(row) in bands]
-        low = _grid(report, len(frequencies), [(row, at, band.p5_um) for row, at, band in found])
-        high = _grid(report, len(frequencies), [(row, at, band.p95_um) for row, at, band in found])
-        middle = _grid(report, len(frequencies), [(row, at, band.median_um) for row, at, band in found])
-        values = _grid(report, len(frequencies), [(row, at, getattr(row, merit)) for row, at in where])
+        low = _grid(report, len(places), [(row, at, band.p5_um) for row, at, band in found])
+        high = _grid(report, len(places), [(row, at, band.p95_um) for row, at, band in found])
+        middle = _grid(report, len(places), [(row, at, band.median_um) for row, at, band in found])
+        values = _grid(report, len(places), [(row, at, getattr(row, merit)) for row, at in where])
         mark = identified.get(rows[0].compensator)
-        x = np.array(frequencies)
+        x = np.array(places)
         if found:  # the line of a band is its median
             curves.append(SweepCurve(label, x, middle, mark, (low, high), nominal=values))
         else:
             curves.append(SweepCurve(label, x, values, mark))
     return curves
+
+
+def _other(row: Row, over: Over) -> Condition:
+    """Condition of a row without the value that it is drawn over."""
+    own = Condition.of(row)
+    return replace(own, frequency_hz=0.0) if over is FREQUENCY else replace(own, trial=None)
 
 
 def _key(row: Row | Band | Sensitivity) -> tuple[object, ...]:
@@ -258,7 +274,7 @@ def _paths(report: Report) -> dict[str, Figure]:
 def path_runs_of(report: Report, trace: Trace) -> Iterator[PathRun]:
     """A compensator's reading against its reference, or each model's prediction against the reading."""
     response, signal, time_s = trace.response, trace.signal, trace.time_s
-    group = swept_label(signal, report.scenario.sweep)
+    group = swept_label(trace, report.scenario.sweep)
     length = float(np.ptp(time_s))
     period = min(length, signal.period_s) if signal.repeats else length
     shown = min(length, SHOWN_CYCLES * period)

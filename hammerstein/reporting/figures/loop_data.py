@@ -12,7 +12,6 @@ from hammerstein.metrics.cycle import settled_cycle
 from hammerstein.reporting.figures.loops import ErrorRun, LoopRun
 from hammerstein.reporting.figures.style import Array
 from hammerstein.scenario.scenario import Sweep
-from hammerstein.signals import Excitation, Reference
 
 MOST_CURVES = 6  # loops in one panel
 MOST_OVERLAYS = 4  # models drawn over a loop
@@ -22,13 +21,14 @@ SWEPT_WORDS = {
     "amplitude_um": "{:g} µm",
     "amplitude_v": "{:g} V",
     "radius_um": "radius {:g} µm",
+    "trial": "trial {:g}",
 }
 
 
 def legible_parts(traces: Sequence[Trace]) -> dict[str, list[Trace]]:
     """All traces in one figure if it stays legible, otherwise one figure for each compensator; by suffix."""
     labels = list(dict.fromkeys(trace.label for trace in traces))
-    curves = {(trace.label, repr(trace.signal)) for trace in traces}
+    curves = {(trace.label, repr(trace.signal), trace.trial) for trace in traces}
     if len(curves) <= MOST_CURVES or len(labels) == 1:
         return {"": list(traces)}
     return {
@@ -46,9 +46,9 @@ def slug(label: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", label.lower()).strip("_")[:40]
 
 
-def swept_label(signal: Reference | Excitation, sweep: Sweep) -> str:
-    """Values of the sweep in one signal, as in ``50 Hz, 10 V``; empty without a sweep."""
-    values = signal.model_dump()
+def swept_label(trace: Trace, sweep: Sweep) -> str:
+    """Values of the sweep in one trace, as in ``50 Hz, 10 V``; empty without a sweep."""
+    values = trace.signal.model_dump() | {"trial": trace.trial}
     swept = {key: word for key, word in SWEPT_WORDS.items() if len(getattr(sweep, key) or ()) > 1}
     return ", ".join(word.format(values[key]) for key, word in swept.items())
 
@@ -58,7 +58,7 @@ def legend_labels(report: Report, traces: Sequence[Trace]) -> list[str]:
     compared = len({trace.label for trace in traces}) > 1
     labels = []
     for trace in traces:
-        value = swept_label(trace.signal, report.scenario.sweep)
+        value = swept_label(trace, report.scenario.sweep)
         name = trace.label if compared or not value else ""
         told = value and re.search(rf"(?<![\d.]){re.escape(value)}\b", name)
         labels.append(", ".join(word for word in (name, "" if told else value) if word))

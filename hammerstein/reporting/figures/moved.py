@@ -32,7 +32,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_COURSES = 3
-SWEPT = {"frequency_hz": "frequency [Hz]", "amplitude_um": "amplitude [um]", "amplitude_v": "amplitude [V]"}
+SWEPT = {
+    "frequency_hz": "frequency [Hz]",
+    "amplitude_um": "amplitude [um]",
+    "amplitude_v": "amplitude [V]",
+    "trial": "trial",
+}
 LEAST_ALLOWED = 1e-300
 
 

@@ -148,6 +148,8 @@ def _scale(panels: np.ndarray, curves: Sequence[SweepCurve]) -> None:
         if x.max() >= LOGARITHMIC_FROM * x.min():
             axes.set_xscale("log")
             plain_numbers(axes.xaxis)
+        elif (x == np.round(x)).all():
+            axes.xaxis.get_major_locator().set_params(integer=True)
         if values.min() > 0.0 and values.max() >= LOGARITHMIC_FROM * values.min():
             axes.set_yscale("log")
             plain_numbers(axes.yaxis)

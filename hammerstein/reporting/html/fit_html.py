@@ -33,8 +33,9 @@ def fit_html(model: HammersteinModel, fit: Fit, files: Mapping[str, bytes]) -> s
     drawings = pictures(files, titles, MOST_DRAWING_BYTES)
     records = [PurePath(record.source).name for record in fit.records]
     return rendered(
-        "fit.html.jinja",
-        name=model.name,
+        "account.html.jinja",
+        what="Fit report",
+        title=f"How far to trust {model.name}",
         answer=[fit.verdict],
         facts=[KIND_NAMES[fit.kind], f"records: {', '.join(records)}"],
         figures=[

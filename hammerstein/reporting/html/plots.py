@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from hammerstein.escaping import clean
 from hammerstein.experiment.report import Report, Trace
+from hammerstein.experiment.selection import swept_over
 from hammerstein.reporting.figures.choice import path_runs_of, sweep_curves, transfers_of
 from hammerstein.reporting.figures.loop_data import driven_of, errors_of, loop_of, swept_label
 from hammerstein.reporting.figures.path import PathRun
@@ -137,16 +138,17 @@ def plots_of(report: Report) -> UIElement | None:
     labels += [curve.label for _, curves in stepped for curve in curves]
     panels = Panels([label for label in dict.fromkeys(labels) if label != REFERENCE])
     parts: list[Any] = []
-    for curves, titles, quantity, title in sweeps:
-        parts += [Div(text=f"<h3>{title}</h3>"), _drawn_sweep(panels, curves, titles, quantity)]
+    for curves, titles, quantity, title, x_label in sweeps:
+        parts += [Div(text=f"<h3>{title}</h3>"), _drawn_sweep(panels, curves, titles, quantity, x_label)]
     if stepped:
         parts += _drawn_steps(panels, report, stepped)
     return column([panels.legend(), *parts], sizing_mode="stretch_width") if parts else None
 
 
-def _sweeps(report: Report) -> list[tuple[list[SweepCurve], list[list[str]], str, str]]:
-    """Figures of merit over frequency, if there are several."""
-    if len({row.frequency_hz for row in report.rows}) < 3:
+def _sweeps(report: Report) -> list[tuple[list[SweepCurve], list[list[str]], str, str, str]]:
+    """Figures of merit over frequency or trial, if there are several; label of the axis last."""
+    over = swept_over(report, 2)
+    if over is None:
         return []
     wanted = [
         ("rms_um", "Error of the reading", "rms error [µm]"),
@@ -156,14 +158,18 @@ def _sweeps(report: Report) -> list[tuple[list[SweepCurve], list[list[str]], str
         wanted = [("gain", "Gain", "gain [µm/V]")]
     found = []
     for merit, title, quantity in wanted:
-        curves = sweep_curves(report, merit)
+        curves = sweep_curves(report, merit, over)
         if any(np.isfinite(curve.values).any() for curve in curves):
-            found.append((curves, transfers_of(report), quantity, title))
+            found.append((curves, transfers_of(report), quantity, title, over.words))
     return found
 
 
 def _drawn_sweep(
-    panels: Panels, curves: Sequence[SweepCurve], titles: Sequence[Sequence[str]], quantity: str
+    panels: Panels,
+    curves: Sequence[SweepCurve],
+    titles: Sequence[Sequence[str]],
+    quantity: str,
+    x_label: str,
 ) -> UIElement:
     """One panel a transfer, all on one pair of axes."""
     x = np.concatenate([curve.x for curve in curves])
@@ -179,7 +185,7 @@ def _drawn_sweep(
     for o, line in enumerate(titles):
         for k, words in enumerate(line):
             shared = {"x_range": drawn[0].x_range, "y_range": drawn[0].y_range} if drawn else {}
-            plot = panels.panel(words.replace("$", ""), "frequency [Hz]", quantity, **logarithmic, **shared)
+            plot = panels.panel(words.replace("$", ""), x_label, quantity, **logarithmic, **shared)
             if logarithmic["x_axis_type"] == "log":
                 plot.xaxis.ticker = LogTicker(mantissas=[1, 2, 5], num_minor_ticks=0)
             for curve in curves:
@@ -253,7 +259,7 @@ def _steps(report: Report) -> Iterator[tuple[str, list[Curve]]]:
     """Curves of each value of the sweep, thinned to what a page can hold."""
     groups: dict[str, list[Trace]] = {}
     for trace in report.traces:
-        name = swept_label(trace.signal, report.scenario.sweep)
+        name = swept_label(trace, report.scenario.sweep)
         groups.setdefault(name or f"{trace.signal.highest_frequency_hz:g} Hz", []).append(trace)
     names = list(groups)
     if len(names) > MOST_STEPS:

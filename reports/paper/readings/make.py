@@ -15,10 +15,9 @@ import itertools
 import os
 import sys
 from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-
-from joblib import Parallel, delayed
 
 from hammerstein.actuators.readings import READINGS, actuator_of
 from hammerstein.errors import HammersteinError
@@ -110,8 +109,8 @@ def counted(found: dict[str, tuple[float, bool]]) -> int:
 
 def scan(readings: list[Reading]) -> dict[Reading, dict[str, tuple[float, bool]]]:
     """All answers, side by side."""
-    found = Parallel(n_jobs=2)(delayed(answers)(reading) for reading in readings)
-    return dict(zip(readings, found, strict=True))
+    with ProcessPoolExecutor(2) as processes:
+        return dict(zip(readings, processes.map(answers, readings), strict=True))
 
 
 def main() -> None:

@@ -1,0 +1,111 @@
+"""The command that sets every kind of model side by side."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hammerstein.commands.record_options import (
+    AcceptGain,
+    AsJson,
+    CreepModes,
+    DelaySamples,
+    DynamicsOption,
+    Files,
+    Inputs,
+    InputScale,
+    Operators,
+    Order,
+    Outputs,
+    OutputScale,
+    Placing,
+    Rate,
+    Ridge,
+    SensorBandwidth,
+    Thresholds,
+    Time,
+    Validate,
+    Weights,
+)
+from hammerstein.commands.records import Spinner, checked_gains, reader, refuse_fitted, told_by_options
+from hammerstein.commands.terminal import complain, show, tell, tell_json
+
+
+def compare(
+    files: Files,
+    inputs: Inputs,
+    outputs: Outputs,
+    rate: Rate = None,
+    time: Time = None,
+    input_scale: InputScale = None,
+    output_scale: OutputScale = None,
+    accept_gain: AcceptGain = False,
+    validate: Validate = None,
+    operators: Operators = "auto",
+    partition: Placing = "auto",
+    thresholds: Thresholds = None,
+    method: Weights = "invertible",
+    ridge: Ridge = 0.0,
+    dynamics: DynamicsOption = "auto",
+    order: Order = None,
+    creep_modes: CreepModes = "auto",
+    delay_samples: DelaySamples = None,
+    sensor_bandwidth: SensorBandwidth = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the comparison goes.")] = Path("compare"),
+    jobs: Annotated[
+        int, typer.Option(min=1, help="Identifications side by side.", show_default="the processors")
+    ] = os.cpu_count() or 1,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Fit every kind of hysteresis and the linear models to the same records, and recommend one."""
+    from hammerstein.commands.tables import comparison_table, failed_table, kept_aside
+    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.comparison.compare import compare as compared
+    from hammerstein.files import refuse_unwritable
+    from hammerstein.identification.settings import settings_of
+    from hammerstein.reporting.compare_folder import ALWAYS, COMPARISON, write_comparison
+    from hammerstein.storage.staging import prepare
+
+    with told_by_options("identification"):
+        settings = settings_of(
+            operators=operators,
+            thresholds=thresholds,
+            partition=partition,
+            method=method,
+            ridge=ridge,
+            dynamics=dynamics,
+            order=order,
+            creep_modes=creep_modes,
+            delay_samples=delay_samples,
+            sensor_bandwidth_hz=sensor_bandwidth,
+        )
+    held = validate or []
+    refuse_fitted(held, files)
+    refuse_unwritable("--out", out)
+    prepare(out, COMPARISON, ALWAYS)
+    compile_once(complain)
+    read = reader(inputs, outputs, rate, time, input_scale, output_scale)
+    records, validation = read(files), read(held, all_driven=False) if held else ()
+    checked_gains(records, accept_gain)
+    with Spinner() as spinner:
+
+        def watch(what: str, done: int, total: int) -> None:
+            spinner.tell(f"{what} ({done} of {total} done)")
+
+        found = compared(records, settings, validation=validation, jobs=jobs, progress=watch)
+    for place in write_comparison(found, out, figures):
+        complain(kept_aside(place))
+    if as_json:
+        tell_json(json.loads(found.to_json()), indent=1, sort_keys=True)
+        return
+    show(comparison_table(found))
+    if found.failed:
+        show(failed_table(found))
+    for sentence in found.sentences():
+        tell(sentence)
+    tell(f"comparison in {out}, look at {out / 'compare.html'}")

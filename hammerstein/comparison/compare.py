@@ -1,0 +1,141 @@
+"""Every kind of hysteresis and the linear models on the same records: which one to take."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import PurePath
+
+import numpy as np
+
+from hammerstein.comparison.fitting import Fitted, Progress, fit_all
+from hammerstein.comparison.inverting import Inverse, best_other, inverse_of, left_by
+from hammerstein.comparison.judging import scores_at, trial_of
+from hammerstein.comparison.result import Comparison, Entry
+from hammerstein.dynamics import discretise
+from hammerstein.identification.choice import Trial, as_good, chosen, least
+from hammerstein.identification.identify import prepared
+from hammerstein.identification.score import score
+from hammerstein.identification.settings import Settings
+from hammerstein.model import HammersteinModel
+from hammerstein.records.record import Record
+from hammerstein.runtime.fanning import Jobs
+
+TIMED_SAMPLES = 20_000
+REPEATS = 5
+"""Samples of the forward model that are timed, and how often; the shortest time counts."""
+
+
+def compare(
+    records: Sequence[Record],
+    settings: Settings | None = None,
+    *,
+    validation: Sequence[Record] = (),
+    jobs: Jobs = 1,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Fit every kind of hysteresis and the linear models to the same records, and recommend one.
+
+    Each kind is fitted without a linear block and, where plays have one, with that. What a kind cannot do is
+    told in its place. Each compensator is judged on the best model of another kind, never on its own.
+
+    Parameters
+    ----------
+    records : experiments on one actuator, as for ``identify``
+    settings : how each kind is identified; its ``hysteresis`` and ``dead_zones`` are not used
+    validation : records that are held back and only judged; without any, the fitted ones are judged
+    jobs : identifications side by side, each a process, or an executor of ``concurrent.futures``
+    progress : told what is being done, how many identifications are done, and of how many
+
+    Returns
+    -------
+    what was found: errors, parameters, times, inverses, and the recommendation by ``result.RULE``
+
+    Raises
+    ------
+    InputError : records that do not fit together
+    IdentificationError : records that determine no model of any kind
+
+    Examples
+    --------
+    >>> from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+    >>> u = 4.0 * np.sin(2.0 * np.pi * np.arange(1200) / 300) * np.linspace(1.0, 0.5, 1200)
+    >>> truth = PrandtlIshlinskii([[Pair([0.0, 1.0, 2.0], [3.0, 1.0, 1.0])]])
+    >>> record = Record([u], truth.respond([u])[0], 1e-3)
+    >>> found = compare([record], Settings(thresholds_v=[0.0, 1.0, 2.0], dynamics="none"))
+    >>> found.recommended
+    'prandtl_ishlinskii'
+    >>> found["linear gain"].parameters, found["prandtl_ishlinskii"].parameters
+    (1, 6)
+    """
+    tell = progress or (lambda what, done, total: None)
+    ready, held = prepared(records), prepared(validation) if validation else ()
+    fitted, failed = fit_all(records, settings or Settings(), validation, jobs, tell)
+    tell("playing the compensators", 1, 1)
+    judged = held or ready
+    grid_s = judged[0].sample_time_s
+    inverses = [inverse_of(one.model, grid_s) for one in fitted]
+    starts = [one.held_starts if held else one.starts for one in fitted]
+    trials = [
+        trial_of(one, judged, starts, i, inverse.exact)
+        for i, (one, inverse) in enumerate(zip(fitted, inverses, strict=True))
+    ]
+    ranked = [fitted[i] for i in sorted(range(len(trials)), key=lambda i: float(np.mean(trials[i].squares)))]
+    good = as_good(trials)
+    entries = [
+        _entry(one, inverse, trial, i in good, ranked, (ready, held))
+        for i, (one, inverse, trial) in enumerate(zip(fitted, inverses, trials, strict=True))
+    ]
+    return Comparison(
+        tuple(sorted(entries, key=lambda entry: entry.parameters)),
+        tuple(failed),
+        fitted[least(trials)].name,
+        fitted[chosen(trials)].name,
+        records[0].inputs,
+        records[0].outputs,
+        tuple(PurePath(record.source).name for record in records),
+        tuple(PurePath(record.source).name for record in validation),
+    )
+
+
+def _entry(
+    one: Fitted,
+    inverse: Inverse,
+    trial: Trial,
+    good: bool,
+    ranked: Sequence[Fitted],
+    records: tuple[tuple[Record, ...], tuple[Record, ...]],
+) -> Entry:
+    """Everything that is said of one model."""
+    ready, held = records
+    return Entry(
+        name=one.name,
+        hysteresis=one.hysteresis,
+        dynamics=one.model.dynamics.describe(),
+        parameters=trial.parameters,
+        fitted=score(one.candidate, ready, one.starts),
+        held=score(one.candidate, held, one.held_starts) if held else None,
+        fitted_at=scores_at(one, ready, one.starts),
+        held_at=scores_at(one, held, one.held_starts),
+        as_good=good,
+        seconds=one.seconds,
+        ns_a_sample=ns_a_sample(one.model, ready[0]),
+        has_inverse=inverse.exact,
+        inverse=inverse.words,
+        left=left_by(one, inverse, best_other(one, ranked), held or ready),
+        flags=one.flags,
+        model=one.model,
+    )
+
+
+def ns_a_sample(model: HammersteinModel, record: Record) -> float:
+    """Time of one sample of hysteresis and linear block, all axes together [ns]; the shortest of five."""
+    u = np.tile(record.u_v, -(-TIMED_SAMPLES // record.samples))[:, :TIMED_SAMPLES]
+    hysteresis = model.hysteresis.on_grid(record.sample_time_s)
+    block = discretise(model.dynamics, record.sample_time_s)
+    times = []
+    for _ in range(REPEATS + 1):  # the first one may have to compile
+        begun = time.perf_counter_ns()
+        block.respond(hysteresis.respond(u)[0])
+        times.append(time.perf_counter_ns() - begun)
+    return min(times[1:]) / TIMED_SAMPLES

@@ -1,0 +1,220 @@
+"""Models of every kind from the same records: what ``identify`` finds for each, and how long it takes."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import get_args
+
+import numpy as np
+
+from hammerstein.dynamics import AxesDynamics, StaticDynamics
+from hammerstein.errors import HammersteinError
+from hammerstein.identification.fit import Fit, Kind
+from hammerstein.identification.identify import identify
+from hammerstein.identification.score import Candidate
+from hammerstein.identification.settings import HysteresisKind, Settings
+from hammerstein.identification.static.regressors import Start
+from hammerstein.model import HammersteinModel
+from hammerstein.records.record import Record
+from hammerstein.runtime.fanning import Jobs, in_order
+from hammerstein.runtime.workers import Processes
+
+Progress = Callable[[str, int, int], None]
+"""Told what is being done, how many identifications are done, and of how many."""
+
+PLAYS: HysteresisKind = "prandtl_ishlinskii"
+KINDS: tuple[HysteresisKind, ...] = get_args(HysteresisKind)
+WARM_SAMPLES = 400
+LINEAR = "none"
+WITH_DYNAMICS = " with dynamics"
+OF_PLAYS: Mapping[Kind, tuple[str, str]] = {
+    "linear": ("linear gain", LINEAR),
+    "linear_dynamics": ("linear dynamics", LINEAR),
+    "static_hysteresis": (PLAYS, PLAYS),
+    "hammerstein": (PLAYS + WITH_DYNAMICS, PLAYS),
+}
+"""Models that one identification with plays gives: what they are called, and their kind of hysteresis."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """One model as ``identify`` gave it.
+
+    Parameters
+    ----------
+    name : what it is called in tables
+    hysteresis : its kind, ``none`` for a linear model
+    model, candidate : the model, and what predicts records with it
+    starts, held_starts : how the records began, as that identification found
+    flags : what it cannot represent
+    seconds : of one processor, of the identification that it came from; plays and linear models come from one
+    """
+
+    name: str
+    hysteresis: str
+    model: HammersteinModel
+    candidate: Candidate
+    starts: tuple[Start, ...]
+    held_starts: tuple[Start, ...]
+    flags: tuple[str, ...]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A kind that could not be fitted, and why."""
+
+    name: str
+    hysteresis: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """One identification: what its model is called, its kind of hysteresis, the settings beside that."""
+
+    name: str
+    hysteresis: HysteresisKind
+    settings: Settings
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """What one identification gave: models, or the error that ended it."""
+
+    asked: _Asked
+    models: tuple[Fitted, ...] = ()
+    error: HammersteinError | None = None
+
+
+def fit_all(
+    records: Sequence[Record],
+    settings: Settings,
+    validation: Sequence[Record],
+    jobs: Jobs,
+    progress: Progress,
+) -> tuple[list[Fitted], list[Failed]]:
+    """Every kind of hysteresis without a linear block, and with the one that suits plays.
+
+    Parameters
+    ----------
+    records, settings, validation : as for ``identify``; the kind of hysteresis in the settings is passed by
+    jobs : identifications side by side, or an executor that takes them
+    progress : see ``Progress``
+
+    Raises
+    ------
+    HammersteinError : of the identification with plays, where no kind can be fitted
+    """
+    others = [kind for kind in KINDS if kind != PLAYS]
+    static = replace(settings, dynamics="none", order=None, creep_modes=0)
+    first = [_Asked(PLAYS, PLAYS, settings), *(_Asked(kind, kind, static) for kind in others)]
+    total = len(first) + len(others) * (settings.dynamics != "none")
+
+    def tell(what: str, done: int) -> None:
+        progress(what, done, total)
+
+    answers = _worked_off(records, validation, first, jobs, tell)
+    linear = _with_dynamics(settings, answers[0])
+    if linear is not None:
+        second = [_Asked(kind + WITH_DYNAMICS, kind, linear) for kind in others]
+        answers += _worked_off(records, validation, second, jobs, tell, len(first))
+    fitted = [model for answer in answers for model in answer.models]
+    if not fitted and answers[0].error is not None:
+        raise answers[0].error
+    return fitted, [
+        Failed(one.asked.name, one.asked.hysteresis, str(one.error)) for one in answers if one.error
+    ]
+
+
+def _with_dynamics(settings: Settings, plays: _Answer) -> Settings | None:
+    """Settings with the linear block that was found with plays; None where there is none."""
+    found = {model.name: model for model in plays.models}.get(PLAYS + WITH_DYNAMICS)
+    if settings.dynamics != "auto":
+        return None if settings.dynamics == "none" else settings
+    if found is None or not isinstance(found.candidate.dynamics, AxesDynamics):
+        return None
+    axes = found.candidate.dynamics.axes
+    resonant = any(axis.resonance_hz is not None for axis in axes)
+    modes = max(len(axis.creep) for axis in axes) if settings.creep_modes == "auto" else settings.creep_modes
+    return replace(settings, dynamics="second_order" if resonant else "lag", creep_modes=modes)
+
+
+def _worked_off(
+    records: Sequence[Record],
+    validation: Sequence[Record],
+    asked: Sequence[_Asked],
+    jobs: Jobs,
+    progress: Callable[[str, int], None],
+    before: int = 0,
+) -> list[_Answer]:
+    """Answers in the order of what was asked, some of them worked out side by side."""
+    tasks = [partial(_identified, tuple(records), tuple(validation), one) for one in asked]
+    waiting = [one.name for one in asked]
+
+    def finished(number: int, _: object = None) -> None:
+        waiting.remove(asked[number].name)
+        tell()
+
+    def tell() -> None:
+        if waiting:
+            progress(f"fitting {', '.join(waiting)}", before + len(asked) - len(waiting))
+
+    tell()
+    with _crew(jobs, len(tasks)) as crew:
+        return list(in_order(tasks, crew, finished))
+
+
+def _crew(jobs: Jobs, tasks: int) -> AbstractContextManager[Jobs]:
+    """Processes of this machine, which do not share their time, or the executor that is given."""
+    if isinstance(jobs, int) and jobs > 1 and tasks > 1:
+        return Processes(min(jobs, tasks))
+    return nullcontext(jobs)
+
+
+def _identified(records: tuple[Record, ...], validation: tuple[Record, ...], asked: _Asked) -> _Answer:
+    """One identification; what a person can mend is its answer, a fault of ours is not."""
+    _use_once(asked.hysteresis)
+    begun = time.process_time()
+    try:
+        settings = replace(asked.settings, hysteresis=asked.hysteresis)
+        model, fit = identify(records, settings, validation=validation, name=asked.name)
+    except HammersteinError as error:
+        return _Answer(asked, error=error)
+    seconds = time.process_time() - begun
+    if asked.hysteresis == PLAYS:
+        models = (
+            _fitted(fit, kind, replace(model, name=name), name, hysteresis, seconds)
+            for kind, (name, hysteresis) in OF_PLAYS.items()
+            if kind in fit.candidates
+        )
+        return _Answer(asked, tuple(models))
+    dynamic = not isinstance(model.dynamics, StaticDynamics)
+    if asked.name.endswith(WITH_DYNAMICS) and not dynamic:
+        return _Answer(asked)  # the same as the kind alone
+    return _Answer(asked, (_fitted(fit, fit.kind, model, asked.name, asked.hysteresis, seconds),))
+
+
+@cache
+def _use_once(kind: HysteresisKind) -> None:
+    """Load and compile what a kind needs, which is no part of the time that its identification takes."""
+    turn = np.linspace(0.0, 6.0, WARM_SAMPLES) ** 2
+    u = np.sin(turn) * np.linspace(1.0, 0.6, WARM_SAMPLES)
+    record = Record(u[None], (u + np.sin(turn - 0.2))[None], 1e-3)
+    settings = Settings(operators=3, dynamics="lag", creep_modes=0, error_curve=False, hysteresis=kind)
+    with contextlib.suppress(HammersteinError):
+        identify([record], settings)
+
+
+def _fitted(
+    fit: Fit, kind: Kind, model: HammersteinModel, name: str, hysteresis: str, seconds: float
+) -> Fitted:
+    candidate = fit.candidates[kind]
+    if kind != fit.kind:  # of plays, which count from any working point
+        model = replace(model, hysteresis=candidate.hysteresis, dynamics=candidate.dynamics, verdict=None)
+    return Fitted(name, hysteresis, model, candidate, fit.starts, fit.held_starts, fit.flags, seconds)

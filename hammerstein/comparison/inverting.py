@@ -1,0 +1,118 @@
+"""What compensators make of a model: whether one inverts it, and what is left on another model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.blocks import Law
+from hammerstein.comparison.fitting import LINEAR, Fitted
+from hammerstein.comparison.result import Left
+from hammerstein.compensators import (
+    Compensator,
+    ExactInverse,
+    HammersteinInverse,
+    InverseMultiplicative,
+)
+from hammerstein.driving import DriveRange
+from hammerstein.dynamics import StaticDynamics
+from hammerstein.errors import HammersteinError
+from hammerstein.model import HammersteinModel
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+
+HEADROOM = 0.1
+"""Part of the recorded range by which the voltages may leave it at either end."""
+SETTLING = 0.125
+"""Part of a record that is not counted: the way from rest to the path."""
+MOST_SAMPLES = 100_000
+"""Of a record that is played."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inverse:
+    """The law that suits a model best: an exact one, else one without inversion, else none.
+
+    options : the law; None where none works; exact : whether it inverts the model
+    words : what is said of it
+    """
+
+    options: Compensator | None
+    exact: bool
+    words: str
+
+
+def inverse_of(model: HammersteinModel, sample_time_s: float) -> Inverse:
+    """The law for a model, exact if the model has an inverse."""
+    static = isinstance(model.dynamics, StaticDynamics) and not model.dynamics.input_delay_s
+    exact: Compensator = ExactInverse() if static else HammersteinInverse()
+    try:
+        exact.design(model, _range(model), sample_time_s)
+        return Inverse(exact, True, exact.law)
+    except HammersteinError as error:
+        why = str(error)
+    try:
+        other = InverseMultiplicative()
+        other.design(model, _range(model), sample_time_s)
+        return Inverse(other, False, f"{other.law}; no exact one: {why}")
+    except HammersteinError:
+        return Inverse(None, False, f"none: {why}")
+
+
+def _range(model: HammersteinModel) -> DriveRange:
+    """Range of the records and a little more."""
+    low, high = np.array(model.recorded.lowest_v), np.array(model.recorded.highest_v)
+    more = HEADROOM * (high - low)
+    return DriveRange.of(np.stack([low - more, high + more], axis=1), model)
+
+
+def best_other(one: Fitted, ranked: Sequence[Fitted]) -> Fitted | None:
+    """Best model with hysteresis of another kind; ``ranked``: all models, the best first."""
+    others = (other for other in ranked if other.hysteresis not in (LINEAR, one.hysteresis))
+    return next(others, None)
+
+
+def left_by(one: Fitted, law: Inverse, other: Fitted | None, records: Sequence[Record]) -> Left:
+    """What the compensator of one model leaves where another one stands for the actuator.
+
+    The path is what the other model says to the voltages of the records, from rest; the law of the first one
+    computes the voltages for it, and these are played on the other.
+    """
+    if law.options is None:
+        return Left(reason=law.words)
+    if other is None:
+        return Left(law.options.law, reason="no other kind of hysteresis was fitted")
+    errors, spans, held = [], [], []
+    try:
+        for record in records:
+            error, span, at_range = _played(one.model, law.options, other.model, record)
+            errors.append(error)
+            spans.append(span)
+            held.append(at_range)
+    except HammersteinError as error:
+        return Left(law.options.law, other.name, reason=str(error))
+    rms = np.sqrt(np.mean(np.hstack(errors) ** 2, axis=1))
+    percent = 100.0 * rms / np.max(spans, axis=0)
+    at_range_percent = 100.0 * float(np.mean(np.concatenate(held)))
+    return Left(law.options.law, other.name, float(percent.mean()), at_range_percent)
+
+
+def _played(
+    model: HammersteinModel, options: Compensator, other: HammersteinModel, record: Record
+) -> tuple[Array, Array, Any]:
+    """Error about its mean (output, sample), range of the path (output,) and where the range was reached."""
+    part = record.part(0, min(record.samples, MOST_SAMPLES))
+    sample_time_s = part.sample_time_s
+    first = int(SETTLING * part.samples)
+    sent = part.u_v + part.rest_v[:, None]
+    path = other.simulate(sent, sample_time_s).position_um
+    law: Law[Any] = options.design(model, _range(model), sample_time_s)  # type: ignore[assignment]  # none of them is a controller
+    drive = law.drive_for(path)
+    error = (other.simulate(drive, sample_time_s).position_um - path)[:, first:]
+    at_range = law.range.reached(drive)[:, first:].any(axis=0)
+    return error - error.mean(axis=1, keepdims=True), np.ptp(path[:, first:], axis=1), at_range

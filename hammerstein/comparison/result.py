@@ -1,0 +1,209 @@
+"""What a comparison has found: one entry a model, and which of them is recommended."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from hammerstein.comparison.fitting import Failed
+from hammerstein.identification.fit import finite
+from hammerstein.identification.score import Score
+from hammerstein.model import HammersteinModel
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FORMAT = "hammerstein-comparison/1"
+RULE = (
+    "Recommended is the model with the fewest parameters whose mean squared error is within one standard "
+    "error of the least, and its rms error within 5 % of the least; one without an inverse only where none "
+    "with an inverse is within one standard error. The standard error is that of the mean difference to the "
+    "best model, from the differences on the 16 stretches into which each judged record falls."
+)
+
+
+@dataclass(frozen=True)
+class Left:
+    """What the compensator of a model leaves on another model.
+
+    law : which one; on : name of the model that stands for the actuator
+    percent : rms error about its mean in percent of the range of the path, mean of the outputs; None where
+        the law cannot work
+    at_range_percent : part of the samples in which a voltage stands at the range
+    reason : why there is no number
+    """
+
+    law: str = ""
+    on: str = ""
+    percent: float | None = None
+    at_range_percent: float | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One model of a comparison.
+
+    Parameters
+    ----------
+    name : what it is called
+    hysteresis : its kind of hysteresis, ``none`` for a linear model
+    dynamics : its linear block, in words
+    parameters : free numbers
+    fitted, held : errors on the records that it was fitted to, and on those held back; None if there are none
+    fitted_at, held_at : the same of the records at one frequency [Hz]
+    as_good : whether its error is within one standard error of the least
+    seconds : of its identification; that with plays gives the linear models, too
+    ns_a_sample : time of one sample of the model, all outputs together [ns]
+    has_inverse : whether a compensator inverts it exactly
+    inverse : that law, or why there is none
+    left : what its compensator leaves
+    flags : what it cannot represent
+    model : to be saved, simulated, compensated
+    """
+
+    name: str
+    hysteresis: str
+    dynamics: str
+    parameters: int
+    fitted: Score
+    held: Score | None
+    fitted_at: Mapping[float, Score]
+    held_at: Mapping[float, Score]
+    as_good: bool
+    seconds: float
+    ns_a_sample: float
+    has_inverse: bool
+    inverse: str
+    left: Left
+    flags: tuple[str, ...]
+    model: HammersteinModel
+
+    @property
+    def judged(self) -> Score:
+        """Error that counts: on records held back, if there are any."""
+        return self.held or self.fitted
+
+    @property
+    def judged_at(self) -> Mapping[float, Score]:
+        """The same at each frequency."""
+        return self.held_at or self.fitted_at
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain values for JSON."""
+        own = ("name", "hysteresis", "dynamics", "parameters", "as_good", "has_inverse", "inverse")
+        plain: dict[str, Any] = {name: getattr(self, name) for name in own}
+        for name in ("fitted", "held"):
+            score, at = getattr(self, name), getattr(self, f"{name}_at")
+            plain[name] = None if score is None else _plain(score)
+            plain[f"{name}_at"] = [{"frequency_hz": f, **_plain(one)} for f, one in at.items()]
+        measured = {"seconds": self.seconds, "ns_a_sample": self.ns_a_sample}
+        return plain | measured | {"left": asdict(self.left), "flags": list(self.flags)}
+
+
+def _plain(score: Score) -> dict[str, Any]:
+    return {name: [finite(v) for v in values] for name, values in asdict(score).items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Every kind of hysteresis and the linear models on the same records.
+
+    Parameters
+    ----------
+    entries : the models, simplest first
+    failed : kinds that could not be fitted, and why
+    best : name of the model with the least error
+    recommended : name of the model that ``RULE`` recommends
+    inputs, outputs : names of the axes
+    records, held : names of the records fitted and held back
+    frequencies_hz : of the records, one for those alike [Hz]
+    """
+
+    entries: tuple[Entry, ...]
+    failed: tuple[Failed, ...]
+    best: str
+    recommended: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    records: tuple[str, ...]
+    held: tuple[str, ...]
+
+    def __getitem__(self, name: str) -> Entry:
+        """Entry of a model by its name; KeyError where there is none."""
+        return {entry.name: entry for entry in self.entries}[name]
+
+    @property
+    def frequencies_hz(self) -> tuple[float, ...]:
+        """Frequencies of the records that are judged [Hz]."""
+        return tuple(self.entries[0].judged_at)
+
+    def sentences(self) -> list[str]:
+        """Say what is recommended and why, then what a reader must know."""
+        chosen, best = self[self.recommended], self[self.best]
+        where = "on the records held back" if self.held else "on the fitted records themselves"
+        count = f"{chosen.parameters} parameter{'s' * (chosen.parameters != 1)}"
+        said = [
+            f"Recommended: {chosen.name}, {count}; it leaves {chosen.judged.mean_percent:.3g} % of the range "
+            f"{where}."
+        ]
+        if best is not chosen:
+            said.append(
+                f"{best.name} leaves {best.judged.mean_percent:.3g} % with {best.parameters}: no better by "
+                "more than chance."
+                if chosen.as_good
+                else f"{best.name} leaves {best.judged.mean_percent:.3g} %, but has no inverse."
+            )
+        if not self.held:
+            said.append(
+                "No record was held back, so that more parameters always look better here: hold one back "
+                "with --validate before you rely on this."
+            )
+        if chosen.flags:
+            said.append(f"It does not represent these records: {'; '.join(chosen.flags)}.")
+        return said
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain values for JSON."""
+        return {
+            "format": FORMAT,
+            "recommended": self.recommended,
+            "best": self.best,
+            "rule": RULE,
+            "sentences": self.sentences(),
+            "inputs": list(self.inputs),
+            "outputs": list(self.outputs),
+            "records": list(self.records),
+            "held_records": list(self.held),
+            "models": [entry.as_dict() for entry in self.entries],
+            "failed": [asdict(one) for one in self.failed],
+        }
+
+    def to_json(self) -> str:
+        """Text of ``compare.json``: full precision, sorted keys; times are of this machine."""
+        return json.dumps(self.as_dict(), indent=1, sort_keys=True, allow_nan=False) + "\n"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row a model as a pandas table; errors are means of the outputs in percent of the range."""
+        import pandas as pd
+
+        rows = [
+            {
+                "model": entry.name,
+                "hysteresis": entry.hysteresis,
+                "parameters": entry.parameters,
+                "fitted_percent": entry.fitted.mean_percent,
+                "held_percent": None if entry.held is None else entry.held.mean_percent,
+                "as_good": entry.as_good,
+                "seconds": entry.seconds,
+                "ns_a_sample": entry.ns_a_sample,
+                "has_inverse": entry.has_inverse,
+                "left_percent": entry.left.percent,
+                "left_on": entry.left.on,
+                "recommended": entry.name == self.recommended,
+            }
+            for entry in self.entries
+        ]
+        return pd.DataFrame(rows).set_index("model")

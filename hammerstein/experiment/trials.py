@@ -1,0 +1,91 @@
+"""Trials of a compensator that learns: on each actuator, each from the readings of the one before."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Hashable, Sequence
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.blocks import Learner
+from hammerstein.errors import InputError
+from hammerstein.simulation import Plant, Response
+
+Array = NDArray[np.float64]
+
+WHOLE = 1e-6  # samples that a period may miss a whole number by
+
+
+def whole_period(samples: float, label: str) -> int:
+    """Samples of a period; InputError where they are no whole number, which no table can hold."""
+    found = round(samples)
+    if not np.isfinite(samples) or abs(samples - found) > WHOLE or found < 2:
+        raise InputError(
+            f"compensator {label!r}",
+            f"learns a path whose period is a whole number of samples; it has {samples:.6g}. Choose a signal "
+            "that repeats, and a frequency or sample time that fits",
+        )
+    return found
+
+
+class Course:
+    """The trials of one learner on one actuator.
+
+    In each one period of voltages is played from rest as long as a run of the scenario takes, and what the
+    sensor reads in the measured window teaches the next.
+
+    Parameters
+    ----------
+    law : what learns
+    reference_um : (p, N) path of the whole run
+    first : sample from which on a run is measured
+    period : samples of a period
+    seed : of the sensor's noise; each trial has its own
+    """
+
+    def __init__(
+        self, law: Learner, reference_um: Array, first: int, period: int, seed: Sequence[int]
+    ) -> None:
+        self._law, self._whole, self._first = law, reference_um, first
+        self._seed = list(seed)
+        self._path = reference_um[:, first : first + period]
+        self._drives: list[Array] = []
+        self._lock = threading.Lock()
+
+    def trial(self, plant: Plant, number: int) -> Response:
+        """Response of a trial, counted from 1; those before it are done where they were not."""
+        with self._lock:
+            while len(self._drives) < number:
+                self._drives.append(self._next(plant))
+        return self._played(plant, number)
+
+    def _next(self, plant: Plant) -> Array:
+        done = len(self._drives)
+        if not done:
+            return self._law.first(self._path)
+        read = self._played(plant, done).reading_um[:, self._first :]
+        return self._law.following(self._path, self._drives[-1], read)
+
+    def _played(self, plant: Plant, number: int) -> Response:
+        drive, samples = self._drives[number - 1], self._whole.shape[1]
+        periods = -(-samples // drive.shape[1])
+        requested = np.tile(drive, (1, periods))[:, :samples]
+        return plant.respond(requested, [*self._seed, number], self._whole)
+
+
+class Courses:
+    """Courses by actuator, as long as there is the actuator."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._found: WeakKeyDictionary[Plant, dict[Hashable, Course]] = WeakKeyDictionary()
+
+    def of(self, plant: Plant, key: Hashable, new: Callable[[], Course]) -> Course:
+        """The course of a key on an actuator; begun where there is none."""
+        with self._lock:
+            courses = self._found.setdefault(plant, {})
+            if key not in courses:
+                courses[key] = new()
+            return courses[key]

@@ -1,0 +1,76 @@
+"""A compensator that learns a path that repeats, trial by trial, as a scenario names it."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from hammerstein.blocks import Array, Law, Learner
+from hammerstein.compensators import COMPENSATORS, Compensator
+from hammerstein.compensators.cycle import centred
+from hammerstein.driving import RangeLike
+from hammerstein.learning.lesson import lesson
+from hammerstein.learning.unsure import RESONANCE, WEIGHTS, Unsure
+from hammerstein.model import HammersteinModel
+from hammerstein.quantities import Deviation, Frequency, Trial
+
+
+class LearnedLaw(Learner):
+    """Iterative learning on the model's own inverse, see ``lesson``.
+
+    The first trial plays the settled period of the inverse; each one after it corrects the last by what the
+    sensor read.
+
+    Parameters
+    ----------
+    model, inverse : what is known of the actuator, and its inverse, designed for the drive
+    unsure : how sure the model is
+    trial : the trial that is measured
+    """
+
+    def __init__(self, model: HammersteinModel, inverse: Law[Any], unsure: Unsure, trial: int = 1):
+        self.model, self.inverse, self.unsure, self.trial = model, inverse, unsure, trial
+        self.n_inputs, self.n_outputs, self.range = inverse.n_inputs, inverse.n_outputs, inverse.range
+
+    def first(self, reference_um: Array) -> Array:
+        """Voltages of the inverse, see ``Learner.first``."""
+        return centred(self.inverse, self.model, reference_um)
+
+    def following(self, reference_um: Array, drive_v: Array, reading_um: Array) -> Array:
+        """Voltages after a lesson, see ``Learner.following``."""
+        bandwidth = self.model.instruments.sensor.bandwidth_hz
+        taught = lesson(self.model, self.inverse, reference_um, drive_v, reading_um, self.unsure, bandwidth)
+        return taught.drive_v
+
+    def statement(self) -> str:
+        """Say what its inverse says, and that a sensor must be there."""
+        own = "Each trial after the first needs the sensor's readings of the one before."
+        return f"{own} {self.inverse.statement()}".strip()
+
+
+class Learned(Compensator):
+    """Iterative learning from a sensor, on the inverse of the model."""
+
+    law: Literal["learned"] = "learned"
+    inverse: Literal["exact_inverse", "hammerstein_inverse"] = Field(
+        default="hammerstein_inverse", description="law that gives the drive of a path"
+    )
+    filter_hz: Frequency | None = Field(
+        default=None, description="bandwidth of the reference filter of hammerstein_inverse"
+    )
+    weights: Deviation = Field(default=WEIGHTS, description="how unsure the weights of the model are")
+    resonance: Deviation = Field(default=RESONANCE, description="how unsure its resonances are")
+    trial: Trial = Field(default=5, description="which trial is measured; the first is without learning")
+
+    def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> LearnedLaw:
+        """Build the learner, see ``Compensator.design``."""
+        asked: dict[str, Any] = {"law": self.inverse}
+        if self.filter_hz is not None:
+            asked["filter_hz"] = self.filter_hz
+        inverse = COMPENSATORS.value(asked).design(model, range_v, sample_time_s)
+        assert isinstance(inverse, Law)  # each that may be named is one
+        return LearnedLaw(model, inverse, Unsure(self.weights, self.resonance), self.trial)
+
+
+COMPENSATORS.register(Learned)

@@ -1,0 +1,84 @@
+"""Figure of a comparison: one line a model, its errors, what its compensator leaves, its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from hammerstein.comparison.result import Comparison, Entry
+from hammerstein.identification.score import Score
+from hammerstein.reporting.figures.style import (
+    COLOURS,
+    DARK,
+    PALE,
+    legend_above,
+    letter,
+    new_figure,
+    plain_numbers,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MARKERS = "osD^vPX"
+LEAST = 1e-9
+"""Percent that stand for none on a logarithmic axis."""
+
+
+def compared_figure(found: Comparison) -> Figure:
+    """Draw the figures of all models side by side.
+
+    Parameters
+    ----------
+    found : what ``compare`` gave
+    """
+    names = [entry.name for entry in found.entries]
+    with styled():
+        figure = new_figure(1.5 + 0.3 * max(5, len(names)))
+        panels = figure.subplots(1, 3, width_ratios=(3.0, 2.0, 1.6), sharey=True)
+        entries: dict[str, Artist] = {}
+        told, at = ("held back", "held_at") if found.held else ("fitted", "fitted_at")
+        if found.held:
+            entries |= _draw_errors(panels[0], found, "fitted", "fitted_at", hollow=True)
+        entries |= _draw_errors(panels[0], found, told, at, hollow=False)
+        _draw(panels[1], [entry.left.percent for entry in found.entries])
+        _draw(panels[2], [entry.parameters for entry in found.entries])
+        labels = ("rms error [% of range]", "left by its compensator [%]", "parameters")
+        for number, (axes, label) in enumerate(zip(panels, labels, strict=True)):
+            letter(axes, number)
+            axes.set(xscale="log", xlabel=label)
+            axes.margins(x=0.12, y=0.08)
+            plain_numbers(axes.xaxis)
+            chosen = names.index(found.recommended)
+            band = axes.axhspan(chosen - 0.45, chosen + 0.45, color=PALE, alpha=0.28, zorder=0, linewidth=0)
+        panels[0].set_yticks(range(len(names)), names)
+        panels[0].invert_yaxis()
+        legend_above(figure, {**entries, "recommended": band})
+    return figure
+
+
+def _draw_errors(axes: Axes, found: Comparison, told: str, at: str, hollow: bool) -> dict[str, Artist]:
+    """Errors of every model at each frequency."""
+    drawn: dict[str, Artist] = {}
+    for number, hz in enumerate(_scores(found.entries[0], at)):
+        colour, marker = COLOURS[number % len(COLOURS)], MARKERS[number % len(MARKERS)]
+        values = [max(_scores(entry, at)[hz].mean_percent, LEAST) for entry in found.entries]
+        face = "white" if hollow else colour
+        (drawn[f"{told}, {hz:g} Hz"],) = axes.plot(
+            values, range(len(values)), marker, color=colour, markerfacecolor=face, markersize=6.0, zorder=3
+        )
+    return drawn
+
+
+def _scores(entry: Entry, at: str) -> Mapping[float, Score]:
+    return entry.held_at if at == "held_at" else entry.fitted_at
+
+
+def _draw(axes: Axes, values: list[float | None] | list[int]) -> None:
+    """One point a model; none where there is no number."""
+    known = [(max(value, LEAST), place) for place, value in enumerate(values) if value is not None]
+    if known:
+        axes.plot(*zip(*known, strict=True), "o", color=DARK, markersize=5.0, zorder=3)
