@@ -5,8 +5,9 @@ from functools import cache
 import numpy as np
 import pytest
 import theory
+from record_cases import plain
 from stack_cases import CREEP, DAMPING, LAG_S, RATE_HZ, RESONANCE_HZ, record_um
-from test_measured import micromanipulator, needs_dbo  # noqa: F401
+from test_measured import loops, micromanipulator, needs_dbo, needs_ja  # noqa: F401
 
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, discretise
 from hammerstein.hysteresis import (
@@ -137,6 +138,26 @@ def test_a_whole_stack_is_found_and_followed_at_a_frequency_between():
     assert axis.damping_ratio == pytest.approx(DAMPING, rel=0.1)
     modes = sorted((mode.gain, mode.time_constant_s) for mode in axis.creep)
     np.testing.assert_allclose(modes, CREEP, rtol=0.05)
+
+
+@needs_ja
+@pytest.mark.parametrize(
+    ("name", "number", "times"),
+    [
+        ("11_TwoStepSolver_{}_MnZn_HP_ferrite.mat", 3, 3.0),
+        ("12_Automation2018_{}_MnZn_ferrite.mat", 2, 3.0),
+        ("1_isotropic_{}_MnZn_ferrite.mat", 2, 3.0),
+        ("1_isotropic_{}_MnZn_ferrite.mat", 3, 2.4),
+        ("2_anisotropic_{}_amorf.mat", 0, 3.0),
+    ],
+)
+def test_dead_zones_follow_saturation_where_plays_are_flagged(name, number, times):
+    record = loops(name)[number]
+    _, fit = identify([record], plain(hysteresis="asymmetric", dead_zones=20))
+    ours, plays = (fit.fit[kind].nrmse_percent[0] for kind in ("static_hysteresis", "classical"))
+    assert times * ours <= plays
+    assert fit.flags == ()
+    assert fit.invertible
 
 
 @needs_dbo

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.candidates import Task
+from hammerstein.identification.linear.axis_delay import best_delay
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, duration_s
-from hammerstein.identification.linear.delay import DELAY_GAIN
 from hammerstein.identification.linear.second_order import (
     CREEP_SPANS,
     LAG_SAMPLES,
@@ -55,7 +55,7 @@ class Behind(NamedTuple):
     """The axes found behind a block, and the delay [samples]."""
 
     axes: tuple[AxisFit, ...]
-    delay_samples: int
+    delay_samples: float
 
     @property
     def dynamics(self) -> AxesDynamics:
@@ -68,9 +68,7 @@ class Behind(NamedTuple):
         return all(fit.axis == Axis() for fit in self.axes)
 
 
-def search_behind(
-    task: Task, hysteresis: Hysteresis[Any], begin: Behind, most_delay: int | None = None
-) -> Behind:
+def search_behind(task: Task, hysteresis: Hysteresis[Any], begin: Behind, free_delay: bool = False) -> Behind:
     """Axes behind a block whose weights are free.
 
     A low-pass, a resonance and slow modes are added to an axis one after the other, each time what lowers the
@@ -81,7 +79,7 @@ def search_behind(
     task : records, starts, settings
     hysteresis : the block; only its weights are found anew
     begin : axes, if any, and the delay to begin with
-    most_delay : longest delay that is tried [samples]; None: it is known
+    free_delay : whether the delay is found, too
     """
     first = begin.delay_samples
     late = replace(task, delay_samples=first)
@@ -90,9 +88,15 @@ def search_behind(
     grown = [_grown(task, one, axis) for one, axis in zip(tasks, near, strict=True)]
     shaped = [replace(one, shape=shape) for one, (shape, _) in zip(tasks, grown, strict=True)]
     begins, delay = [x for _, x in grown], first
-    if most_delay is not None:
+    if free_delay and all(len(x) for x in begins):
+
+        def points(delay: float, begins: Sequence[Array]) -> list[Point]:
+            late = [replace(one, delay_samples=delay) for one in shaped]
+            return [refine(one, x) for one, x in zip(late, begins, strict=True)]
+
         task.progress("searching the delay")
-        begins, delay = _late(shaped, begins, first, most_delay)
+        delay, found = best_delay(points, first, begins)
+        begins = [point.x for point in found]
     fits = [fit_axis(replace(one, delay_samples=delay), x) for one, x in zip(shaped, begins, strict=True)]
     return Behind(tuple(fits), delay)
 
@@ -125,34 +129,6 @@ def _sure(one: AxisTask, x: Array, fit: AxisFit) -> AxisFit:
 def _physical(axis: Axis) -> bool:
     """Whether every slow mode goes on the way of the fast displacement, and no farther than that."""
     return all(0.0 < mode.gain <= LARGEST_CREEP for mode in axis.creep)
-
-
-def _late(
-    tasks: Sequence[AxisTask], begins: Sequence[Array], delay: int, most: int
-) -> tuple[list[Array], int]:
-    """Parameters of all axes and the delay, step by step from a first one while the error falls."""
-
-    def near(delay: int, begins: Sequence[Array]) -> list[tuple[Array, float]]:
-        late = [replace(one, delay_samples=delay) for one in tasks]
-        return [_refined(one, x) for one, x in zip(late, begins, strict=True)]
-
-    here = near(delay, begins)
-    for step in (1, -1):
-        while 0 <= delay + step <= most:
-            there = near(delay + step, [x for x, _ in here])
-            gains = [new / max(old, TINY) for (_, new), (_, old) in zip(there, here, strict=True)]
-            if math.prod(gains) >= (1.0 - step * DELAY_GAIN) ** len(gains):  # the shorter one in doubt
-                break
-            here, delay = there, delay + step
-    return [x for x, _ in here], delay
-
-
-def _refined(one: AxisTask, x: Array) -> tuple[Array, float]:
-    """Parameters near the best ones, and the error with them."""
-    if not len(x):
-        return x, rms_behind(one, x)
-    point = refine(one, x)
-    return point.x, point.rms
 
 
 def _axis_task(task: Task, hysteresis: Hysteresis[Any], o: int) -> AxisTask:

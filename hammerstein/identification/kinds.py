@@ -125,7 +125,7 @@ class _Whole(NamedTuple):
     def name(self) -> str:
         """Words for a table."""
         shapes = dict.fromkeys(axis_parameters(fit.axis)[0].name for fit in self.behind.axes)
-        return ", ".join(shapes) or f"{self.behind.delay_samples} samples late"
+        return ", ".join(shapes) or f"{self.behind.delay_samples:g} samples late"
 
     @property
     def settle_s(self) -> float:
@@ -156,11 +156,11 @@ def _with_axes(task: Task, thresholds_v: Thresholds, found: Behind | None = None
 
     The block is fitted with its bounds and all that is not linear in it, the axes with its weights.
     """
-    most_delay, least = (MOST_DELAY, math.inf) if _free_delay(task) else (None, math.inf)
-    begin = found or Behind((), 0 if most_delay else task.delay_samples)
+    free, least = _free_delay(task), math.inf
+    begin = found or Behind((), 0.0 if free else task.delay_samples)
     whole = _before(task, thresholds_v, begin)
     for _ in range(MOST_TURNS):
-        found = search_behind(task, whole.block.hysteresis, begin, most_delay)
+        found = search_behind(task, whole.block.hysteresis, begin, free)
         whole = _before(task, thresholds_v, found)
         error = score(whole.candidate, task.records, task.starts).mean_percent
         if error > (1.0 - WORTHWHILE) * least:
@@ -183,7 +183,7 @@ def _asymmetric(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Repla
     if settings.operators == "auto" and settings.thresholds_v is None and settings.partition == "auto":
         task.progress("trying numbers of plays beside dead-zones")
         thresholds_v = enough_plays(
-            task.records, starts=task.starts, delay_samples=task.delay_samples, through=paths
+            task.records, starts=task.starts, delay_samples=task.whole_delay, through=paths
         )
     begun = [[np.concatenate([[0.0], r[1:]]) if r.size else r for r in row] for row in thresholds_v]
     count = settings.dead_zones

@@ -165,7 +165,7 @@ def enough_dead_zones(
     delay_samples: int = 0,
     through: Sequence[LinearBlock] = (),
 ) -> int:
-    """Fewest dead-zones of every input whose error on held-out stretches is within half a percent of the least.
+    """Fewest dead-zones whose error on held-out stretches is within half a percent of the least.
 
     Every fourth of 16 stretches of each record is held out, as for the number of operators; 0 says that the
     records show none. Breakpoints near the ends of the range rest on few samples: more of them than the
