@@ -129,7 +129,7 @@ class BoucWen(Hysteresis[BoucWenState]):
         dz_lk/dt = du_k/dt - beta_lk |du_k/dt| z_lk - gamma_lk du_k/dt |z_lk|
 
     z depends on the way of the voltage, not on its rate: between two samples it is moved along the straight
-    line of the voltage, in steps of at most 1/32 of the voltage in which it relaxes, each by the midpoint
+    line of the voltage, in steps of at most 1/64 of the voltage in which it relaxes, each by the midpoint
     rule, which is rational. Its error is below 2e-4 of the limit of z, whatever the samples.
 
     Minor loops do not close (no wiping-out) and depend on where they lie (no congruency).
