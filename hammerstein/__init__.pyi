@@ -36,6 +36,7 @@ from .hysteresis import (
     Hysteresis as Hysteresis,
     HysteresisFile as HysteresisFile,
     Pair as Pair,
+    Parallel as Parallel,
     PlayState as PlayState,
     PrandtlIshlinskii as PrandtlIshlinskii,
     RateDependent as RateDependent,

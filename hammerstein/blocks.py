@@ -104,6 +104,15 @@ class Law(ABC, Generic[S]):
         drive, after = self.respond(sample.reshape(-1, 1), state)  # says what is wrong, where something is
         return drive[:, 0], after
 
+    def _frame_of_steps(self) -> Array:
+        """Where a step counts from (4, m): origin [um], working point, lowest and highest voltage [V]."""
+        limits, origin = self.range, np.zeros(max(self.n_inputs, self.n_outputs))
+        origin[: self.n_outputs] = self.origin_um
+        rows = np.zeros((4, len(origin)))
+        rows[0] = origin
+        rows[1:, : self.n_inputs] = limits.working_point_v, limits.low_v, limits.high_v
+        return rows
+
     def _step(self, sample_um: Array, state: S) -> tuple[Array, S] | None:
         """Answer one sample (p,) in one compiled call; None where it cannot, or a number is not finite."""
         return None

@@ -238,7 +238,7 @@ def test_pairs_refuse(numbers, says):
 
 
 def test_a_far_movement_takes_few_steps_however_fast_it_forgets():
-    """Rates that differ a million times, over a range of many volts: as many steps as logarithms, not volts."""
+    """Rates that differ a million times, over many volts: the steps go with logarithms, not with volts."""
     hysteresis = one(beta=1e3, gamma=-1e3 + 1e-3)
     u = np.tile([0.0, 500.0, -500.0], 2000)
     begun = time.perf_counter()

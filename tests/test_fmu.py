@@ -8,9 +8,11 @@ import pytest
 from export_cases import T, case
 
 from hammerstein.commands.cli import main
+from hammerstein.experiment.run import simulate
 from hammerstein.export.compiling import compiler
 from hammerstein.export.folder import check_export, write_export
 from hammerstein.export.golden import adverse
+from hammerstein.model import HammersteinModel
 
 fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
@@ -140,3 +142,39 @@ def test_the_command_writes_a_unit_and_checks_it(tmp_path):
     assert (out / "duo_bimorph_none.fmu").is_file()
     assert "fmu.c" in check_export(out)
     shutil.rmtree(out)
+
+
+def _played(path, names, values):
+    """Outputs of a unit (axis, sample), simulated by FMPy over inputs; row 0 of it stands before them."""
+    samples = values.shape[1]
+    rows = [(k * T, *column) for k, column in enumerate(values.T)]
+    table = np.array(rows, dtype=[("time", "f8"), *((name, "f8") for name in names)])
+    result = fmpy.simulate_fmu(str(path), stop_time=samples * T, step_size=T, output_interval=T, input=table)
+    return np.stack([result[name] for name in result.dtype.names[1:]])[:, 1 : samples + 1]
+
+
+def test_a_scenario_runs_on_two_units(tmp_path):
+    """Law and actuator as units behind each other follow the scenario's reference as the scenario does."""
+    compensators = [{"label": "exact", "law": "exact_inverse", "model": "duo_bimorph"}]
+    response = simulate(
+        {
+            "question": "Does the unit follow?",
+            "actuator": "duo_bimorph",
+            "reference": {"kind": "circle", "radius_um": 20.0, "frequency_hz": 80.0},
+            "measure": {"settle_s": 0.0, "settle_cycles": 1, "measured_cycles": 1},
+            "compensators": compensators,
+        }
+    )
+    limits = HammersteinModel.load("duo_bimorph").instruments.drive.limits(2)
+    places = {}
+    for name in ("exact_inverse", "model"):
+        export = case(name)
+        request = export.request(form="fmu", range_v=(float(limits[0, 0]), float(limits[1, 0])))
+        write_export(request, export.model, tmp_path / name)
+        places[name] = next((tmp_path / name).glob("*.fmu"))
+    drive_v = _played(places["exact_inverse"], ["reference_x_um", "reference_y_um"], response.reference_um)
+    assert (drive_v.view(np.int64) == response.requested_v.view(np.int64)).all()
+    position_um = _played(places["model"], ["drive_x_v", "drive_y_v"], response.drive_v)
+    np.testing.assert_allclose(position_um, response.position_um, rtol=0.0, atol=1e-9)
+    error = np.abs(position_um - response.reference_um)[:, 250:].max()
+    assert error == pytest.approx(np.abs(response.position_um - response.reference_um)[:, 250:].max())

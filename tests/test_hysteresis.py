@@ -413,3 +413,19 @@ def test_a_state_refuses_plays_that_no_voltage_leads_to():
         model.state_of([[0.0]])
     with pytest.raises(InputError, match="2 finite plays for input 1"):
         model.state_of([[0.0, np.nan]])
+
+
+@pytest.mark.parametrize(
+    ("u", "r", "start", "said"),
+    [
+        (np.zeros((2, 3)), [1.0], None, r"u has shape \(2, 3\).*respond"),
+        (1.0, [1.0], None, r"u has shape \(\)"),
+        (np.zeros(3), [[1.0]], None, r"r has shape \(1, 1\)"),
+        (np.zeros(3), [1.0], [1.0, 2.0], "start has 2 outputs, r 1"),
+        (["a"], [1.0], None, "u holds what is no number"),
+        ([0.0, np.nan], [1.0], None, "u is not finite at place 1"),
+    ],
+)
+def test_what_play_cannot_play_is_one_message(u, r, start, said):
+    with pytest.raises(InputError, match=said):
+        play(u, r, start)

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from export_cases import CASES, case
 
 from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
@@ -12,6 +13,7 @@ from hammerstein.compensators.no_compensation import NoCompensationLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode
 from hammerstein.errors import InputError
+from hammerstein.export.golden import adverse
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
 
@@ -68,6 +70,18 @@ def test_step_by_step_and_in_blocks_it_gives_the_same_bits(model, build, limit):
     first, state = law.respond(path[:, :333])
     rest, _ = law.respond(path[:, 333:], state)
     assert (np.hstack([first, rest]) == whole).all()
+
+
+@pytest.mark.parametrize("name", [export.name for export in CASES if export.law != "model"])
+def test_a_step_counts_from_where_the_actuator_starts(name):
+    """Working points, starts, more inputs than outputs, dead-zones: a step has the bits of a block."""
+    code = case(name).code()
+    law, path = code.block, adverse(code.block, code.model, 900)
+    state, one_by_one = law.rest(), []
+    for sample in path.T:
+        drive, state = law.step(np.ascontiguousarray(sample), state)
+        one_by_one.append(drive)
+    assert (np.stack(one_by_one, axis=1) == law.respond(path)[0]).all()
 
 
 @pytest.mark.parametrize("limit", [10.0, 4.0])

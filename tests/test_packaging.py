@@ -55,7 +55,7 @@ def test_every_data_file_is_shipped(settings: dict[str, Any]) -> None:
 
 def test_every_import_is_a_dependency(settings: dict[str, Any]) -> None:
     project = settings["project"]
-    extras = [project["optional-dependencies"][name] for name in ("interactive", "parquet")]
+    extras = [project["optional-dependencies"][name] for name in ("cluster", "interactive", "parquet")]
     lines = [line for group in (project["dependencies"], *extras) for line in group]
     declared = {re.split(r"[^\w-]", line)[0].lower() for line in lines}
     used = {name for path in modules() for name in imported(ast.parse(path.read_text(encoding="utf-8")))}

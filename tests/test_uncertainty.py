@@ -4,10 +4,12 @@ import pytest
 from hammerstein.errors import InputError
 from hammerstein.experiment.draws import Figures, drawn_metrics
 from hammerstein.experiment.run import run
+from hammerstein.experiment.selection import number
 from hammerstein.experiment.uncertainty_bands import _bands
 from hammerstein.instruments import Instruments
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
+from hammerstein.reporting.html.overview import write_overview
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.uncertainty import Uncertainty
 
@@ -92,3 +94,24 @@ def test_what_does_not_exist_cannot_be_uncertain():
     static = _scenario(resonance=0.1).model_copy(update={"actuator": "duo_bimorph_static"})
     with pytest.raises(InputError, match="no axes with a resonance"):
         run(static)
+
+
+def test_a_card_shows_the_band_and_what_was_learnt(tmp_path):
+    """Of drawn actuators the median and the band; of trials those of the last one."""
+    scenario = {
+        "question": "How far is it off?",
+        "actuator": "duo_bimorph",
+        "reference": {"kind": "circle", "radius_um": 20.0, "frequency_hz": 80.0},
+        "measure": {"settle_cycles": 3, "measured_cycles": 4},
+        "sweep": {"trial": [1, 2]},
+        "uncertainty": {"draws": 4, "weights": 0.05},
+        "compensators": [{"label": "learned", "law": "learned", "model": "duo_bimorph"}],
+    }
+    report = run(scenario, "far")
+    write_overview([report], tmp_path)
+    page = (tmp_path / "index.html").read_text()
+    last = [b for b in report.bands if b.trial == 2 and b.metric == "euclidean_max_true_um"]
+    worst = max(last, key=lambda band: band.p95_um)
+    shown = f"{number(worst.median_um)} ({number(worst.p5_um)} to {number(worst.p95_um)}) um"
+    assert "Worst error in trial 2 over 4 drawn actuators, median (5 to 95 %)" in page
+    assert shown in page

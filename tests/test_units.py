@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from record_cases import TIME, N, U, X, message, read, table_text
 
+from hammerstein.errors import InputError
 from hammerstein.records.gains import doubtful_gains, pair_gains
+from hammerstein.records.readers import read_columns
 from hammerstein.records.record import Record, read_records
 
 
@@ -106,3 +108,15 @@ def test_gains_of_all_pairs_and_doubts():
         doubts = doubtful_gains(pair_gains([Record([U], [scale * 5.0 * U], 1e-3)]))
         assert len(doubts) == 1
         assert word in doubts[0]
+
+
+def test_a_column_is_found_without_its_unit(tmp_path):
+    """``Vx`` is the column headed ``Vx [V]``; two that differ by their unit alone are asked about."""
+    path = tmp_path / "stage.csv"
+    path.write_text("Time [s],Vx [V],X [um],X [nm]\n0,0,0,0\n0.1,10,5,5000\n0.2,20,9,9000\n")
+    columns = read_columns(path, ["time", "vx", "X [um]"])
+    assert columns.names == ("Time [s]", "Vx [V]", "X [um]")
+    with pytest.raises(InputError, match="stands 2 times in the header; give its number, 3 and 4"):
+        read_columns(path, ["Vx", "X"])
+    with pytest.raises(InputError, match=r"Vy.*is not in the file"):
+        read_columns(path, ["Vy"])

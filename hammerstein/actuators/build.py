@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
 
-from hammerstein.actuators.stacks import rate_dependent_stack
+from hammerstein.actuators.stacks import asymmetric_stack, rate_dependent_stack
 from hammerstein.dynamics import (
     AxesDynamics,
     Axis,
@@ -160,9 +160,9 @@ def build(folder: Path) -> list[Path]:
         paths.append(folder / f"{name}.json")
         model.save(paths[-1])
     paths += [_read(folder, printed, *told) for told in READ]
-    stack = rate_dependent_stack(printed.instruments)
-    paths.append(folder / f"{stack.name}.json")
-    stack.save(paths[-1])
+    for stack in (rate_dependent_stack(printed.instruments), asymmetric_stack(printed.instruments)):
+        paths.append(folder / f"{stack.name}.json")
+        stack.save(paths[-1])
     return [*paths, _dense(folder, HammersteinModel.load(paths[0]))]
 
 

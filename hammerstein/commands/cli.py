@@ -19,6 +19,7 @@ from hammerstein.commands import (
     study as study_commands,
     terminal,
 )
+from hammerstein.commands.crew import Address, compile_here, workers
 from hammerstein.commands.terminal import complain, hushed, show, tell, tell_json
 from hammerstein.errors import HammersteinError
 from hammerstein.escaping import clean
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from hammerstein.experiment.prepare import Progress
     from hammerstein.experiment.report import Report
     from hammerstein.reporting.folder import TraceFormat, Writer
+    from hammerstein.runtime import fanning
     from hammerstein.scenario import Scenario
 
 app = typer.Typer(
@@ -168,6 +170,7 @@ def run(
     paths: Paths,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the reports go.")] = Path("reports"),
     jobs: Jobs = PROCESSORS,
+    cluster: Address = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
     traces: Annotated[
         str | None, typer.Option(metavar="csv|mat", help="Write every wire of every case.")
@@ -222,7 +225,7 @@ def run(
         prepare(out, OVERVIEW, [OVERVIEW.sign[0]])
     if any(scenario.claims for scenario in scenarios.values()):
         prepare(out, CLAIMS, [CLAIMS.sign[0]])
-    outcomes = _run_what_changed(scenarios, writer, jobs, yes)
+    outcomes = _run_what_changed(scenarios, writer, jobs, cluster, yes)
     for trouble in dict.fromkeys(outcome.unkept for outcome in outcomes if outcome.unkept):
         complain(trouble)
     outcomes.sort(key=lambda outcome: outcome.name)
@@ -293,7 +296,9 @@ def _open(page: Path) -> None:
         complain(f"no browser could be started; open {page} in one")
 
 
-def _run_what_changed(scenarios: dict[str, Scenario], writer: Writer, jobs: int, yes: bool) -> list[Outcome]:
+def _run_what_changed(
+    scenarios: dict[str, Scenario], writer: Writer, jobs: int, cluster: str | None, yes: bool
+) -> list[Outcome]:
     """Write the reports that an earlier run has left in the store, and run the other scenarios."""
     from hammerstein.experiment.batch import Outcome
 
@@ -309,34 +314,38 @@ def _run_what_changed(scenarios: dict[str, Scenario], writer: Writer, jobs: int,
         return outcomes
     from hammerstein.runtime.processes import begin_loading
 
-    if jobs > 1 and len(left) > 1:
+    if jobs > 1 and len(left) > 1 and cluster is None:
         begin_loading()  # before this process loads what it needs itself
-    from hammerstein.commands.warm_up import compile_once
     from hammerstein.experiment.batch import run_all
 
-    jobs = _planned(left, jobs, yes)
-    compile_once(complain)
-    with _Watch(len(left)) as watch:
-        for outcome in run_all(left, writer, jobs, watch.progress, writer.store):
-            watch.finished(outcome.name)
-            outcomes.append(outcome)
+    with workers(jobs, cluster) as crew:
+        crew = _planned(left, crew, yes)
+        compile_here(cluster)
+        there = writer.on(crew)
+        with _Watch(len(left)) as watch:
+            for outcome in run_all(left, there, crew, watch.progress, there.store):
+                watch.finished(outcome.name)
+                outcomes.append(outcome)
     return outcomes
 
 
-def _planned(scenarios: dict[str, Scenario], jobs: int, yes: bool) -> int:
-    """How many jobs fit the memory together; what takes long is told, and wants ``--yes`` of a person.
+def _planned(scenarios: dict[str, Scenario], jobs: fanning.Jobs, yes: bool) -> fanning.Jobs:
+    """Give the jobs that fit the memory together; what takes long is told, and wants ``--yes`` of a person.
 
     Raises InputError where a person watches and has not said yes.
     """
     from hammerstein.errors import InputError
     from hammerstein.experiment.plan import jobs_that_fit, plans_of, together
+    from hammerstein.runtime.fanning import workers_of
 
-    plans = plans_of(scenarios)
-    if text := together(plans).announcement(jobs):
+    plans, workers_there = plans_of(scenarios), workers_of(jobs)
+    if text := together(plans).announcement(workers_there):
         watched = sys.stdin.isatty() and sys.stderr.isatty()
-        if watched and not yes and together(plans).is_long(jobs):
+        if watched and not yes and together(plans).is_long(workers_there):
             raise InputError("plan", f"{text}. Or start it with --yes")
         complain(text)
+    if not isinstance(jobs, int):
+        return jobs
     fitting = jobs_that_fit(plans, jobs)
     if fitting < jobs:
         complain(f"{jobs} jobs do not fit the memory together: {fitting} run side by side")
@@ -369,11 +378,11 @@ def check(
         Path | None, typer.Option(metavar="FILE", help="Write a page with old and new curves.")
     ] = None,
     jobs: Jobs = PROCESSORS,
+    cluster: Address = None,
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
     """Run scenarios again and compare every number with its baseline."""
-    from hammerstein.commands.warm_up import compile_once
     from hammerstein.experiment.batch import load_all
     from hammerstein.files import refuse_overwriting, refuse_unwritable, write_atomic
     from hammerstein.regression.check import check_files
@@ -386,10 +395,11 @@ def check(
             refuse_unwritable(option, file.parent)
             refuse_overwriting(option, file, content)
     scenarios = load_all(paths)
-    jobs = _planned(scenarios, jobs, yes)
-    compile_once(complain)
-    with _Watch(len(scenarios)) as watch:
-        result = check_files(paths, baseline, update_baseline, jobs, watch.progress, watch.finished)
+    with workers(jobs, cluster) as crew:
+        crew = _planned(scenarios, crew, yes)
+        compile_here(cluster)
+        with _Watch(len(scenarios)) as watch:
+            result = check_files(paths, baseline, update_baseline, crew, watch.progress, watch.finished)
     if junit is not None:
         write_atomic(junit, result.junit())
     if markdown is not None:

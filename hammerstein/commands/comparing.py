@@ -63,7 +63,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Fit every kind of hysteresis and the linear models to the same records, and recommend one."""
-    from hammerstein.commands.tables import comparison_table, failed_table, kept_aside
+    from hammerstein.commands.tables import comparison_table, failed_table, kept_aside, rates_table
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.comparison.compare import compare as compared
     from hammerstein.files import refuse_unwritable
@@ -95,7 +95,7 @@ def compare(
     with Spinner() as spinner:
 
         def watch(what: str, done: int, total: int) -> None:
-            spinner.tell(f"{what} ({done} of {total} done)")
+            spinner.tell(f"{what} ({done} of {total} fitted)" if done < total else what)
 
         found = compared(records, settings, validation=validation, jobs=jobs, progress=watch)
     for place in write_comparison(found, out, figures):
@@ -104,6 +104,8 @@ def compare(
         tell_json(json.loads(found.to_json()), indent=1, sort_keys=True)
         return
     show(comparison_table(found))
+    if len(found.frequencies_hz) > 1:
+        show(rates_table(found))
     if found.failed:
         show(failed_table(found))
     for sentence in found.sentences():

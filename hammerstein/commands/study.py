@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
+from hammerstein.commands.crew import Address, workers
 from hammerstein.commands.terminal import complain, tell
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ def sweep(
     path: Annotated[Path, typer.Argument(help="Scenario file with a table [study].")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Rows, as .csv or .parquet.")],
     jobs: Annotated[int, typer.Option(min=1, help="Runs side by side.")] = 1,
+    cluster: Address = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Pass by what earlier runs kept.")] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print how many runs there are, and the time; run nothing.")
@@ -38,22 +40,26 @@ def sweep(
     from hammerstein.experiment.study import sampled
     from hammerstein.files import Content, refuse_overwriting, refuse_unwritable
     from hammerstein.runtime import store as kept_results
+    from hammerstein.runtime.fanning import workers_of
 
     refuse_unwritable("--out", out.parent)
     refuse_overwriting(
         "--out", out, Content("table of a sweep", "PAR1" if out.suffix in PARQUET else "sample,")
     )
     ((name, scenario),) = load_all([path]).items()
-    if text := _announced(scenario, jobs, always=dry_run):
-        complain(text)
     if dry_run:
+        complain(_announced(scenario, jobs, always=True))
         return
     store, useless = kept_results.opened(fresh)
     if useless:
         complain(useless)
     failed = 0
-    with _written(out) as table:
-        for one in sampled(scenario, name, jobs, None, store):
+    with workers(jobs, cluster) as crew, _written(out) as table:
+        if text := _announced(scenario, workers_of(crew), always=False):
+            complain(text)
+        if store is not None:
+            store = store.computed(getattr(crew, "elsewhere", ""))
+        for one in sampled(scenario, name, crew, None, store):
             failed += bool(one.error)
             table.add(one)
     if store is not None and store.problem:

@@ -24,6 +24,19 @@ if TYPE_CHECKING:
     from hammerstein.records.loops import Loop
 
 PLANNED = ("scenario", "part", "", "memory", "time on one processor")
+COMPARED = (
+    "",
+    "model",
+    "free\nnumbers",
+    "fitted",
+    "held",
+    "as\ngood",
+    "in-\nverse",
+    "left",
+    "fit\ns",
+    "step\nns",
+)
+RECOMMENDED = "*"
 _LEFT = 3  # the first columns hold words
 
 
@@ -136,17 +149,33 @@ def fit_table(fit: Fit) -> Table:
 
 def comparison_table(found: Comparison) -> Table:
     """One line a model, simplest first; the recommended one is marked."""
-    from hammerstein.reporting.compare_page import HEADER, cells
+    from hammerstein.reporting.compare_page import cells
 
-    rates = found.frequencies_hz if len(found.frequencies_hz) > 1 else ()
-    where = "held back" if found.held else "fitted"
-    table = _table("Models on the same records", (HEADER[0], "", "", *HEADER[1:]))
-    for hz in rates:
-        table.add_column(f"{where} at {hz:g} Hz [%]", justify="right")
+    table = _table(f"Models compared: errors in % of the range, {RECOMMENDED} recommended", COMPARED)
     for entry in found.entries:
-        marked = "recommended" if entry.name == found.recommended else ""
-        at = [f"{entry.judged_at[hz].mean_percent:.3g}" for hz in rates]
-        table.add_row(entry.name, marked, "", *cells(entry), *at)
+        marked = RECOMMENDED if entry.name == found.recommended else ""
+        table.add_row(marked, entry.name, *cells(entry))
+    return _narrow(table)
+
+
+def rates_table(found: Comparison) -> Table:
+    """One line a model: its error at the frequency of each record."""
+    where = "held back" if found.held else "fitted"
+    rates = [f"{hz:g} Hz" for hz in found.frequencies_hz]
+    table = _table(f"Errors on records {where}, in % of the range there", ("", "model", *rates))
+    for entry in found.entries:
+        marked = RECOMMENDED if entry.name == found.recommended else ""
+        at = [f"{score.mean_percent:.3g}" for score in entry.judged_at.values()]
+        table.add_row(marked, entry.name, *at)
+    return _narrow(table)
+
+
+def _narrow(table: Table) -> Table:
+    """Let names be broken between words on a narrow terminal, and no number."""
+    table.columns[1].min_width = len("prandtl_ishlinskii")
+    for column in table.columns[2:]:
+        column.justify, column.no_wrap = "right", True
+    table.padding = (0, 0, 0, 1)
     return table
 
 

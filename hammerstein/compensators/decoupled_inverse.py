@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -92,6 +93,26 @@ class DecoupledInverseLaw(Law[InverseState]):
             self.jump_v[k] = smallest
         self.inverse = PrandtlIshlinskii(tuple(tuple(row) for row in pairs))
         self._start, self.origin_um = self._at_start(hysteresis)
+        self._frame = self._frame_of_steps()
+        self._limits = np.stack([self.jump_v, *self.range.counted])
+
+    @cached_property
+    def _compiled_step(self) -> Any:
+        """What is compiled, and what of the design it wants: looked up once, for a step is short."""
+        from hammerstein.compensators.kernels import step_decoupled
+
+        b = self.inverse.bank
+        return step_decoupled, (
+            *(self._frame, self._limits, b.r, b.guide, b.scale, b.n, b.lines),
+            (0,) * self.n_outputs,
+        )
+
+    def _step(self, sample_um: Array, state: InverseState) -> tuple[Array, InverseState] | None:
+        step, design = self._compiled_step
+        plays = state.plays
+        memory = (plays.count, plays.end, plays.x, plays.d, plays.below, state.last_v, state.direction)
+        drive, stack, last, direction, sound = step(sample_um, *design, *memory)
+        return (drive, InverseState(PlayState(*stack), last, direction)) if sound else None
 
     def _at_start(self, hysteresis: PrandtlIshlinskii) -> tuple[InverseState, Array]:
         """State of the inverse where the actuator stands, and the direct positions (p,) there [um].

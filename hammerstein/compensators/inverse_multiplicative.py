@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -129,6 +130,27 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
             raise SimulationError(f"{self.convergence.statement()} {self._remedy()}")
 
         self._start, self.origin_um = self._at_start()
+        self._frame, self._limits = self._frame_of_steps(), np.stack(self.range.counted)
+
+    @cached_property
+    def _compiled_step(self) -> Any:
+        from hammerstein.compensators.kernels import step_inverse_multiplicative
+
+        return step_inverse_multiplicative  # looked up once: a step is short
+
+    def _step(self, sample_um: Array, state: FeedbackState) -> tuple[Array, FeedbackState] | None:
+        plays = state.plays
+        if not isinstance(self.hysteresis, PrandtlIshlinskii) or not isinstance(plays, PlayState):
+            return None
+        bank = self.hysteresis.bank
+        drive, stack, memory, sound = self._compiled_step(
+            sample_um,
+            self._frame,
+            *(self.gain_v_per_um, self.pole, self.iterations, self._limits),
+            *(bank.r, bank.slope, bank.moment),
+            *(plays.count, plays.end, plays.x, plays.d, plays.below, state.memory_v),
+        )
+        return (drive, FeedbackState(PlayState(*stack), memory)) if sound else None
 
     def _at_start(self) -> tuple[FeedbackState, Array]:
         """State where the actuator stands, whose next pass gives the start voltage, and the position."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hammerstein.compiled import compiled
-from hammerstein.hysteresis.play_kernels import at, move
+from hammerstein.hysteresis.play_kernels import at, move, respond_turning_points
 
 # A step below this is no movement: two samples at equal distance from a peak differ in their last bits, and
 # these differ from one machine to another; they must not decide when the jump at a reversal comes.
@@ -92,3 +92,98 @@ def respond_inverse_play(v, r, low, high, last, sign, first, stop, u):  # type: 
                 sign[k] = 1.0 if now > last[k] else -1.0
                 last[k] = now
             u[k, at(t)] = min(max(now + sign[k] * r[k], low[k]), high[k])
+
+
+@compiled()
+def to_sent(drive, frame, sent):  # type: ignore[no-untyped-def]
+    """Put voltages (m, 1), from the working point, into those that are sent (m,); False if not finite.
+
+    frame : (4, m) origin of the reference, working point, lowest and highest voltage
+    """
+    moved, sound = False, True
+    for k in range(sent.shape[0]):
+        moved = moved or frame[1, k] != 0.0
+    for k in range(sent.shape[0]):
+        sent[k] = drive[k, 0]
+        if moved:
+            sent[k] = min(max(sent[k] + frame[1, k], frame[2, k]), frame[3, k])
+        sound = sound and np.isfinite(sent[k])
+    return sound
+
+
+@compiled()
+def from_rest(sample, frame, reference):  # type: ignore[no-untyped-def]
+    """Put a sample (p,), counted from the start, into reference (p, 1), from rest; False if not finite."""
+    sound = True
+    for o in range(sample.shape[0]):
+        sound = sound and np.isfinite(sample[o])
+        reference[o, 0] = sample[o] + frame[0, o]
+    return sound
+
+
+@compiled()
+def step_gain(sample, frame, gain, limits):  # type: ignore[no-untyped-def]
+    """Voltages as they are sent (m,) for one sample (p,), and whether all is finite.
+
+    limits : (3, m) base, lowest and highest voltage of ``respond_gain``
+    """
+    m = gain.shape[0]
+    reference, drive, sent = np.empty((sample.shape[0], 1)), np.empty((m, 1)), np.empty(m)
+    sound = from_rest(sample, frame, reference)
+    respond_gain(reference, gain, limits[0], limits[1], limits[2], 0, 1, drive)
+    return sent, to_sent(drive, frame, sent) and sound
+
+
+@compiled()
+def step_inverse_multiplicative(  # type: ignore[no-untyped-def]
+    sample, frame, gain, pole, iterations, limits, r, slope, moment, count, end, x, d, below, memory
+):
+    """Voltages as they are sent (m,), the memory after one sample (p,), and whether all is finite.
+
+    limits : (2, m) lowest and highest voltage of the law; the others as for the loop; none is written to
+    """
+    m = gain.shape[0]
+    reference, drive, sent = np.empty((sample.shape[0], 1)), np.empty((m, 1)), np.empty(m)
+    plays = (count.copy(), end.copy(), x.copy(), d.copy(), below.copy())
+    after = memory.copy()
+    sound = from_rest(sample, frame, reference)
+    if sound:
+        respond_inverse_multiplicative(
+            reference,
+            gain,
+            pole,
+            iterations,
+            limits[0],
+            limits[1],
+            r,
+            slope,
+            moment,
+            *plays,
+            after,
+            0,
+            1,
+            drive,
+        )
+        sound = to_sent(drive, frame, sent)
+    return sent, plays, after, sound
+
+
+@compiled()
+def step_decoupled(  # type: ignore[no-untyped-def]
+    sample, frame, limits, r, guide, scale, n, lines, outputs, count, end, x, d, below, last, sign
+):
+    """Voltages as they are sent (m,), the memory after one sample (m,), and whether all is finite.
+
+    limits : (3, m) jump, lowest and highest voltage of ``respond_inverse_play``
+    r to outputs : plays of the inverse; count to sign : the memory; none is written to
+    """
+    m = sample.shape[0]
+    reference, v, drive = np.empty((m, 1)), np.empty((m, 1)), np.empty((m, 1))
+    plays = (count.copy(), end.copy(), x.copy(), d.copy(), below.copy())
+    turned, way, sent = last.copy(), sign.copy(), np.empty(m)
+    sound = from_rest(sample, frame, reference)
+    if sound:
+        respond_turning_points(reference, r, guide, scale, n, lines, *plays, 0, 1, v, outputs)
+        respond_inverse_play(v, limits[0], limits[1], limits[2], turned, way, 0, 1, drive)
+        sound = to_sent(drive, frame, sent)
+    return sent, plays, turned, way, sound

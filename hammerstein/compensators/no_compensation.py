@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -38,6 +39,18 @@ class NoCompensationLaw(Law[NoMemory]):
         self.range = DriveRange.of(range_v, model)
         self.origin_um = np.zeros(self.n_outputs)
         self.base_v = self.range.start_v - self.range.working_point_v
+        self._frame = self._frame_of_steps()
+        self._limits = np.stack([self.base_v, *self.range.counted])
+
+    @cached_property
+    def _compiled_step(self) -> Any:
+        from hammerstein.compensators.kernels import step_gain  # looked up once: a step is short
+
+        return step_gain
+
+    def _step(self, sample_um: Array, state: NoMemory) -> tuple[Array, NoMemory] | None:
+        drive, sound = self._compiled_step(sample_um, self._frame, self.gain_v_per_um, self._limits)
+        return (drive, state) if sound else None
 
     def rest(self) -> NoMemory:
         """Give the empty state."""

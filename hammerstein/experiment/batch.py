@@ -102,7 +102,7 @@ def run_all(
     by_size = sorted(scenarios.items(), key=lambda item: -_size(item[1]))
     tasks = [partial(_outcome, name, scenario, finish, 1, None, store) for name, scenario in by_size]
     with Processes(min(jobs, len(scenarios))) as processes:
-        for batch in spread(tasks, processes, len(tasks)):
+        for batch in spread(tasks, processes, lambda: len(tasks)):
             for number, future in batch:
                 try:
                     yield future.result()

@@ -22,6 +22,7 @@ from hammerstein.errors import HammersteinError, IdentificationError, InputError
 from hammerstein.experiment.trials import Course, Courses, whole_period
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
+from hammerstein.runtime.fanning import Jobs, on_workers
 from hammerstein.runtime.memory import refuse_too_long
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ModelSource
@@ -214,11 +215,12 @@ def prepare(
     progress: Progress | None = None,
     model: HammersteinModel | None = None,
     fresh: bool = False,
+    jobs: Jobs = 1,
 ) -> SetUp:
     """Load the actuator, identify every model, build every law.
 
     ``model`` takes the place of the scenario's actuator, if given; ``fresh`` passes by identifications that
-    were kept.
+    were kept; ``jobs`` identify side by side, threads or the workers of an executor.
 
     Raises
     ------
@@ -228,7 +230,7 @@ def prepare(
     """
     plant = plant_of(scenario, model)
     _check_signal(scenario, plant, source)
-    models = _models(scenario, plant, progress, fresh)
+    models = _models(scenario, plant, progress, fresh, jobs)
     laws: dict[str, AnyLaw] = {}
     for compensator in scenario.compensators:
         laws[compensator.label] = _law(compensator, models[compensator.label], plant)
@@ -269,23 +271,25 @@ def _labelled(name: str, error: HammersteinError) -> tuple[Any, ...]:
 
 
 def _models(
-    scenario: Scenario, plant: Plant, progress: Progress | None, fresh: bool
+    scenario: Scenario, plant: Plant, progress: Progress | None, fresh: bool, jobs: Jobs
 ) -> dict[str, HammersteinModel]:
     """Models by label; one that several compensators share is identified once."""
-    from hammerstein.experiment.simulated_identification import identify_by_experiment
+    from hammerstein.experiment.simulated_identification import identify_each
 
     found: dict[Any, HammersteinModel] = {}
     models = {}
     sources: tuple[ModelSource, ...] = (*scenario.compensators, *scenario.models)
+    specs = dict.fromkeys(s.identification for s in sources if s.identification is not None)
+    identified = identify_each(plant, list(specs), scenario.seed, fresh, jobs)
     for i, source in enumerate(sources):
         if progress:
-            progress("identifying", i, len(sources))
+            progress(f"identifying{on_workers(jobs)}", i, len(sources))
         key = source.identification or source.model
         if key not in found and source.identification is None:
             found[key] = HammersteinModel.load(str(source.model))
         elif key not in found and source.identification is not None:
             try:
-                found[key] = identify_by_experiment(plant, source.identification, scenario.seed, fresh)
+                found[key] = next(identified)
             except (InputError, SimulationError, IdentificationError) as error:
                 raise type(error)(*_labelled(f"identification of {source.label!r}", error)) from None
         models[source.label] = found[key]

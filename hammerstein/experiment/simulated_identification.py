@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +25,8 @@ from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.metrics.cycle import settled_cycle
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
-from hammerstein.runtime.cache import kept
+from hammerstein.runtime.cache import keep, known
+from hammerstein.runtime.fanning import Jobs, given, in_order
 from hammerstein.scenario.source import ClosedFormSpec, IdentificationSpec, JointFitSpec
 from hammerstein.signals import MOST_LINES, Multisine, Sine, Triangle, smooth_step
 from hammerstein.simulation import Plant
@@ -58,9 +61,30 @@ def identify_by_experiment(
     ------
     IdentificationError : the data do not determine the model, or the drive cuts the voltage
     """
-    actuator = replace(plant.model, instruments=plant.instruments)
-    found = kept(_identified, fresh)(actuator.to_json(), spec.model_dump_json(), seed)
-    return HammersteinModel.from_json(found)
+    return next(identify_each(plant, [spec], seed, fresh))
+
+
+def identify_each(
+    plant: Plant,
+    specs: Sequence[ClosedFormSpec | JointFitSpec],
+    seed: int,
+    fresh: bool = False,
+    jobs: Jobs = 1,
+) -> Iterator[HammersteinModel]:
+    """Models of several experiments, side by side; see ``identify_by_experiment``."""
+    actuator = replace(plant.model, instruments=plant.instruments).to_json()
+    arguments = [(actuator, spec.model_dump_json(), seed) for spec in specs]
+    kept = [None if fresh else known(_identified, *one) for one in arguments]
+
+    def finished(number: int, text: str) -> None:
+        if kept[number] is None:
+            keep(text, _identified, *arguments[number])
+
+    tasks = (
+        partial(_identified, *one) if text is None else given(text)
+        for text, one in zip(kept, arguments, strict=True)
+    )
+    yield from map(HammersteinModel.from_json, in_order(tasks, jobs, finished))
 
 
 def _identified(actuator_json: str, spec_json: str, seed: int) -> str:

@@ -17,6 +17,7 @@ from hammerstein.hysteresis.kind import (
     slopes_of,
 )
 from hammerstein.hysteresis.pair import Pair, WeightCovariance, play
+from hammerstein.hysteresis.parallel import Parallel, ParallelFile, ParallelState
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii, PrandtlIshlinskiiFile
 from hammerstein.hysteresis.rate_dependent import RateDependent, RateDependentFile, RatePlays, RateState
 
@@ -34,6 +35,8 @@ __all__ = [
     "Memory",
     "Normals",
     "Pair",
+    "Parallel",
+    "ParallelState",
     "PlayState",
     "PrandtlIshlinskii",
     "RateDependent",
@@ -50,3 +53,4 @@ HYSTERESIS.register(PrandtlIshlinskiiFile)
 HYSTERESIS.register(AsymmetricFile)
 HYSTERESIS.register(RateDependentFile)
 HYSTERESIS.register(BoucWenFile)
+HYSTERESIS.register(ParallelFile)

@@ -152,7 +152,7 @@ class BoucWen(Hysteresis[BoucWenState]):
     --------
     >>> model = BoucWen([[BoucWenPair(2.0, 1.0, beta_per_v=0.5)]])
     >>> model.respond([[0.0, 4.0, 0.0]])[0].round(2)
-    array([[0.  , 6.27, 0.99]])
+    array([[0.  , 6.27, 1.5 ]])
     """
 
     pairs: tuple[tuple[BoucWenPair, ...], ...]

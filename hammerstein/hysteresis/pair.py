@@ -35,6 +35,10 @@ def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
     -------
     (operator, sample) outputs [V]
 
+    Raises
+    ------
+    InputError : arrays of another shape, or a number that is not finite
+
     Examples
     --------
     >>> play([0.0, 2.0, 1.0, -2.0], [0.5])
@@ -43,10 +47,11 @@ def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
     from hammerstein.compiled import spans
     from hammerstein.hysteresis.play_kernels import play_bank
 
-    thresholds = np.atleast_1d(np.asarray(r, dtype=np.float64))
-    plays = np.zeros(len(thresholds)) if start is None else np.array(start, dtype=np.float64)
-    outputs = np.empty((len(thresholds), np.size(u)))
-    voltages = np.ascontiguousarray(u, dtype=np.float64)
+    voltages, thresholds = _line("u", u), _line("r", np.atleast_1d(r))
+    plays = np.zeros(len(thresholds)) if start is None else _line("start", start).copy()
+    if plays.shape != thresholds.shape:
+        raise InputError("play", f"start has {len(plays)} outputs, r {len(thresholds)} thresholds; one each")
+    outputs = np.empty((len(thresholds), len(voltages)))
     for first, stop in spans(len(voltages), 4 * len(thresholds)):
         play_bank(voltages, thresholds, plays, first, stop, outputs)
     return outputs
@@ -66,6 +71,23 @@ def played(path_v: ArrayLike, r: ArrayLike) -> Array:
     for voltage in path[1:]:
         held = np.maximum(voltage - thresholds, np.minimum(voltage + thresholds, held))
     return held
+
+
+def _line(name: str, values: ArrayLike) -> Array:
+    """Numbers in a line (n,), finite; InputError says what else was given."""
+    try:
+        found = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("play", f"{name} holds what is no number; give numbers in a line") from None
+    if np.ndim(values) != 1:
+        raise InputError(
+            "play",
+            f"{name} has shape {np.shape(values)}; give numbers in a line. Several inputs at once are played "
+            "by PrandtlIshlinskii(...).respond",
+        )
+    if not np.isfinite(found).all():
+        raise InputError("play", f"{name} is not finite at place {int(np.argmin(np.isfinite(found)))}")
+    return found
 
 
 @dataclass(frozen=True, eq=False)

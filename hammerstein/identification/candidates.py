@@ -34,6 +34,7 @@ from hammerstein.identification.linear.second_order import (
     fit_axis,
     parameters_of as axis_parameters,
     rms_behind,
+    search_axes,
     search_creep,
     search_lag,
     thinning,
@@ -306,7 +307,7 @@ def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> Built:
     if not np.all(blocks.chosen.rms_um <= CLEARLY_FELT * static.best.blocks.chosen.rms_um):
         coarse, static = static, _finished(_late(task), static)
         if static.best is not coarse.best:
-            task, axes, blocks = _behind_fitted(task, guess, axes, blocks, static.best.blocks)
+            task, guess, axes, blocks = _behind_fitted(task, guess, axes, blocks, static.best.blocks)
     if settings.fits_thresholds and any(axis_identified(axis) for axis in axes):
         begun = blocks
         axes, blocks = _with_fewer_if_needed(task, guess, axes, begun)
@@ -344,17 +345,44 @@ def _first_axes(
 
 def _behind_fitted(
     task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: Blocks, static: Blocks
-) -> tuple[Task, tuple[AxisFit, ...], Blocks]:
+) -> tuple[Task, FirstGuess, tuple[AxisFit, ...], Blocks]:
     """Axes behind the thresholds that were fitted without any, if those leave less than the ones begun with.
 
-    What coarse thresholds miss of the hysteresis would pass for a delay, dynamics or creep otherwise.
+    What coarse thresholds miss of the hysteresis would pass for a delay, dynamics or creep otherwise, or hide
+    a resonance: axes that were not seen are searched anew.
     """
-    thresholds_v = _thresholds_of(static)
-    there = with_checked_delay(replace(task, thresholds_v=thresholds_v), guess)
-    late = replace(task, delay_samples=there.delay_samples)
-    near = _axes(late, thresholds_v, there, 1).axes
-    trial = _of_fitted(late, thresholds_v, dynamics_of(near))
-    return (late, near, trial) if gained(blocks.chosen, trial.chosen) else (task, axes, blocks)
+    behind = replace(task, thresholds_v=_thresholds_of(static))
+    guesses: Sequence[FirstGuess] = (guess,)
+    if not all(axis_identified(axis) and axis.excited for axis in axes):
+        grids = Layout.of(behind.thresholds_v).grids
+        guesses = guesses_of(task.records, task.starts, task.settings, task.progress, grids)
+    late, near, found, _ = _first_axes(behind, [with_checked_delay(behind, one) for one in guesses])
+    trial = _of_fitted(late, behind.thresholds_v, dynamics_of(found))
+    late = replace(late, thresholds_v=task.thresholds_v)
+    return (late, near, found, trial) if gained(blocks.chosen, trial.chosen) else (task, guess, axes, blocks)
+
+
+def guesses_of(
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    settings: Settings,
+    tell: Progress,
+    grids: Sequence[Array] | None = None,
+) -> tuple[FirstGuess, ...]:
+    """Quick axes of every shape that is tried, behind plays with given thresholds if any."""
+    return tuple(
+        search_axes(
+            records,
+            starts,
+            grids=grids,
+            delay_samples=settings.delay_samples,
+            sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
+            resonance=resonance,
+            lag=lag,
+            progress=tell,
+        )
+        for resonance, lag in settings.shapes
+    )
 
 
 def with_checked_delay(task: Task, guess: FirstGuess) -> FirstGuess:

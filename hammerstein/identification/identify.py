@@ -20,6 +20,7 @@ from hammerstein.identification.candidates import (
     build_axes,
     build_state_space,
     build_static,
+    guesses_of,
     late_static,
     with_checked_delay,
     with_errors,
@@ -30,7 +31,7 @@ from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.leftover import leftover_statements
 from hammerstein.identification.linear.delay import delay_in_samples
-from hammerstein.identification.linear.second_order import FirstGuess, search_axes
+from hammerstein.identification.linear.second_order import FirstGuess
 from hammerstein.identification.operators import (
     CURVE_SAMPLES,
     CurvePoint,
@@ -266,24 +267,6 @@ def _first_starts(
     return found_starts(records, fit, guess.settle_s if guess else 0.0, mode)
 
 
-def _guesses(
-    records: tuple[Record, ...], starts: tuple[Start, ...], settings: Settings, tell: Progress
-) -> tuple[FirstGuess, ...]:
-    """Quick axes of every shape that is tried."""
-    return tuple(
-        search_axes(
-            records,
-            starts,
-            delay_samples=settings.delay_samples,
-            sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
-            resonance=resonance,
-            lag=lag,
-            progress=tell,
-        )
-        for resonance, lag in settings.shapes
-    )
-
-
 def _first_model(
     records: tuple[Record, ...], starts: Sequence[Start], guess: FirstGuess | None, settings: Settings
 ) -> Candidate:
@@ -310,11 +293,11 @@ def _task(
     """Starts, delays and thresholds of the records, and axes near the best ones."""
     tell("looking at how the records begin")
     begun = _first_starts(records, settings)
-    guesses = _guesses(records, begun, settings, tell)
+    guesses = guesses_of(records, begun, settings, tell)
     last = guesses[-1] if guesses else None
     starts = _first_starts(records, settings, last) if last else begun
     if starts != begun:
-        guesses = _guesses(records, starts, settings, tell)
+        guesses = guesses_of(records, starts, settings, tell)
         last = guesses[-1]
     first = _first_model(records, starts, last, settings)
     starts = judged_starts(records, first.predict, _settle_s(guesses), _start_mode(settings))

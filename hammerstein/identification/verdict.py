@@ -41,6 +41,7 @@ FASTER, WIDER, WIDER_PERCENT = 1.5, 1.15, 1.0
 """Rates that are two, and what makes a loop the wider one: parts of the other, and percent of the height."""
 UNSURE_PERCENT = 5.0
 UNSURE_DAMPING_PERCENT = 30.0
+UNSURE_LAG_PERCENT = 30.0
 FELT = 0.02
 """Part by which dynamics must lower the error to be told at all."""
 SURE_CREEP = 3.0
@@ -226,7 +227,8 @@ def axis_identified(fit: AxisFit) -> bool:
     """
     if fit.rms_um > (1.0 - (FELT if fit.excited else EARNED)) * fit.static_rms_um:
         return False
-    return fit.resonance_error_percent is None or fit.resonance_error_percent <= UNSURE_PERCENT
+    known = fit.resonance_error_percent is None or fit.resonance_error_percent <= UNSURE_PERCENT
+    return known and (fit.lag_error_percent is None or fit.lag_error_percent <= UNSURE_LAG_PERCENT)
 
 
 def creep_identified(fit: AxisFit, records: Sequence[Record]) -> bool:

@@ -167,15 +167,15 @@ def _columns(
 
 
 def _choose(path: Path, wanted: Sequence[str], names: Sequence[str], width: int) -> list[int]:
-    """Index of each wanted column: by name as written, then by number, then by name in any case."""
+    """Index of each wanted column: by name as written, by number, by name in any case, without its unit."""
     indices: list[int] = []
     mistakes: list[Mistake] = []
-    own = unique(names)
+    own, bare = unique(names), [without_unit(name) for name in names]
     for column in wanted:
         found = [k for k, name in enumerate(names) if name == column]
         if not found and column.isdecimal() and 1 <= int(column) <= width:
             found = [int(column) - 1]
-        for candidates in (own, names):
+        for candidates in (own, names, bare):
             found = found or [k for k, name in enumerate(candidates) if name.lower() == column.lower()]
         if len(found) == 1:
             indices.append(found[0])

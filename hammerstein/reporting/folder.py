@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -16,6 +16,7 @@ from hammerstein.escaping import cell
 from hammerstein.experiment.report import FORMAT, Report, Trace
 from hammerstein.reporting.figures.write import FIGURES
 from hammerstein.reporting.kept_reports import found, keep, key_of_report
+from hammerstein.runtime.fanning import Jobs
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario
 from hammerstein.storage.manifest import Owner
@@ -98,6 +99,11 @@ class Writer:
     traces: TraceFormat | None = None
     interactive: bool = False
     store: Store | None = None
+
+    def on(self, jobs: Jobs) -> Writer:
+        """Give the writer of what these workers find."""
+        elsewhere = getattr(jobs, "elsewhere", "")
+        return self if self.store is None else replace(self, store=self.store.computed(elsewhere))
 
     def prepare(self, names: Iterable[str]) -> None:
         """Refuse folders that cannot take a report, before the work; InputError says why."""

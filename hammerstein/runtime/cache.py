@@ -39,27 +39,29 @@ def folder_of_runs() -> Path | None:
     return None if place is None else place / "kept"
 
 
-def kept(function: Callable[..., str], fresh: bool = False) -> Callable[..., str]:
-    """Give a function from texts and numbers to a text whose results are kept.
+def known(function: Callable[..., str], *arguments: str | int) -> str | None:
+    """Result of a function from texts and numbers to a text, if it was kept."""
+    path = _path(function, arguments)
+    return None if path is None else _read(path)
 
-    Parameters
-    ----------
-    fresh : whether what was kept before is passed by
-    """
+
+def keep(text: str, function: Callable[..., str], *arguments: str | int) -> None:
+    """Keep the result of a function; a cache that cannot be written is no mistake of the user."""
+    from hammerstein.errors import InputError
+    from hammerstein.files import write_atomic
+
+    path = _path(function, arguments)
+    if path is not None:
+        with contextlib.suppress(InputError):
+            write_atomic(path, f"{_digest(text)}\n{text}")
+
+
+def _path(function: Callable[..., str], arguments: tuple[str | int, ...]) -> Path | None:
     place = folder()
     if place is None:
-        return function
-
-    def remembered(*arguments: str | int) -> str:
-        key = repr((function.__qualname__, _code(), arguments))
-        path = place / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.json"
-        found = None if fresh else _read(path)
-        if found is None:
-            found = function(*arguments)
-            _store(path, found)
-        return found
-
-    return remembered
+        return None
+    key = repr((function.__qualname__, _code(), arguments))
+    return place / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.json"
 
 
 def _read(path: Path) -> str | None:
@@ -77,15 +79,6 @@ def _read(path: Path) -> str | None:
     except InputError as error:
         warnings.warn(f"{error}; the result is worked out again", Notice, stacklevel=2)
     return None
-
-
-def _store(path: Path, text: str) -> None:
-    """Keep a result; a cache that cannot be written is no mistake of the user."""
-    from hammerstein.errors import InputError
-    from hammerstein.files import write_atomic
-
-    with contextlib.suppress(InputError):
-        write_atomic(path, f"{_digest(text)}\n{text}")
 
 
 def _digest(text: str) -> str:

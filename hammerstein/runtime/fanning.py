@@ -70,8 +70,7 @@ def in_order(
     ready: dict[int, Future[T]] = {}
     wanted = 0
     with _executor(jobs) as executor:
-        ahead = 1 if jobs == 1 else AHEAD * workers_of(jobs)
-        for batch in spread(tasks, executor, ahead):
+        for batch in spread(tasks, executor, lambda: 1 if jobs == 1 else AHEAD * workers_of(jobs)):
             for number, future in batch:
                 if finished is not None and future.exception() is None:
                     finished(number, future.result())
@@ -81,20 +80,22 @@ def in_order(
                 wanted += 1
 
 
-def spread(tasks: Iterable[Task[T]], executor: Executor, ahead: int) -> Iterator[list[tuple[int, Future[T]]]]:
+def spread(
+    tasks: Iterable[Task[T]], executor: Executor, ahead: Callable[[], int]
+) -> Iterator[list[tuple[int, Future[T]]]]:
     """Give the numbers of tasks and their futures as they are finished; what is left early is cancelled.
 
     Parameters
     ----------
     tasks : handed over in this order
     executor : takes them
-    ahead : how far the last one handed over may be from the first that is not finished
+    ahead : gives how far the last one handed over may be from the first that is not finished
     """
     coming, under_way = enumerate(tasks), dict[Future[T], int]()
     following = next(coming, None)
     try:
         while under_way or following:
-            while following and following[0] < min(under_way.values(), default=following[0]) + ahead:
+            while following and following[0] < min(under_way.values(), default=following[0]) + ahead():
                 number, task = following
                 under_way[task if isinstance(task, Future) else executor.submit(task)] = number
                 following = next(coming, None)

@@ -20,6 +20,7 @@ LIBRARIES = (
     *("bokeh", "control", "jinja2", "markdown-it-py", "markupsafe", "matplotlib", "numba", "numpy", "pandas"),
     *("pillow", "pydantic", "scipy"),
 )
+NUMERICAL = ("numpy", "scipy", "numba", "control", "pydantic")
 SOURCES = ("*.py", "*.json", "*.jinja", "*.css", "*.js")
 
 
@@ -29,10 +30,22 @@ def computed_by() -> str:
 
     Where another package plugs in, every installed version counts, and the sources of that package.
     """
-    digest = hashlib.sha256()
-    words = [sys.version, sys.platform, platform.machine(), _processor()]
+    words = [sys.version, sys.platform, processor(), sources()]
     words += [f"{name} {_version(name)}" for name in LIBRARIES]
-    digest.update("\n".join([*words, *_plugged_in()]).encode())
+    return hashlib.sha256("\n".join(words).encode()).hexdigest()
+
+
+def computes_with() -> dict[str, str]:
+    """Versions of all that two machines must have alike to give the same numbers, by name."""
+    versions = {name: _version(name) for name in NUMERICAL}
+    own = {"hammerstein": _version("hammerstein-control"), "sources of hammerstein": sources()[:12]}
+    return {"python": platform.python_version(), **versions, **own}
+
+
+@cache
+def sources() -> str:
+    """Hash of the package's sources and of what plugs in."""
+    digest = hashlib.sha256("\n".join(_plugged_in()).encode())
     files = [path for kind in SOURCES for path in PACKAGE.rglob(kind)]
     for path in sorted(files):
         digest.update(f"\n{path.relative_to(PACKAGE)}\n".encode())
@@ -47,16 +60,17 @@ def _version(name: str) -> str:
         return "?"
 
 
-def _processor() -> str:
+@cache
+def processor() -> str:
     """Type of the processor: compiled loops and linear algebra choose their instructions by it."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
-        return platform.processor()
+        return f"{platform.machine()} {platform.processor()}"
     kept = {
         line.partition(":")[0].strip(): line for line in lines if line.startswith(("model name", "flags"))
     }
-    return " ".join(kept.values()) or platform.processor()
+    return " ".join([platform.machine(), *kept.values()])
 
 
 def _plugged_in() -> Iterable[str]:

@@ -56,11 +56,18 @@ class Store:
 
     folder : where they lie
     fresh : whether what is there is passed by; what is found out is kept all the same
+    elsewhere : what else computes, where it is not this machine alone
     problem : why nothing more is kept; empty as long as there is no reason
     """
 
-    def __init__(self, folder: Path, fresh: bool = False, limit_bytes: float = LARGEST_MB * MEGABYTE) -> None:
-        self.folder, self.fresh, self.limit_bytes = folder, fresh, limit_bytes
+    def __init__(
+        self,
+        folder: Path,
+        fresh: bool = False,
+        limit_bytes: float = LARGEST_MB * MEGABYTE,
+        elsewhere: str = "",
+    ) -> None:
+        self.folder, self.fresh, self.limit_bytes, self.elsewhere = folder, fresh, limit_bytes, elsewhere
         self.problem = ""
         self._unseen = limit_bytes  # bytes written since the folder was last measured: it never was
 
@@ -103,7 +110,13 @@ class Store:
             self._unseen = 0
             self._shrink()
 
+    def computed(self, elsewhere: str) -> Store:
+        """Give the same store for what is worked out by other processors; nothing is taken for ours."""
+        return Store(self.folder, self.fresh, self.limit_bytes, elsewhere) if elsewhere else self
+
     def _path(self, key: str) -> Path:
+        if self.elsewhere:
+            key = hashlib.sha256(f"{key} {self.elsewhere}".encode()).hexdigest()
         return self.folder / key[:2] / key[2:]
 
     def _shrink(self) -> None:

@@ -13,10 +13,9 @@ from ratios import Row, Work
 from hammerstein.export.code import CCode
 from hammerstein.export.compiling import compiler
 from hammerstein.export.request import Request
+from hammerstein.model import HammersteinModel
 
 GROUP = "exact_inverse exported as C, 2 x 2, 15 operators, 50 Hz sines"
-PYTHON_NS = 5000.0
-"""Median of a step in Python."""
 
 
 @pytest.fixture(scope="module")
@@ -70,8 +69,20 @@ def _steps_in_c(code, library, reference):
     return times
 
 
-def test_a_step_in_python(bench, code):
-    law, reference = code.block, wanted(code, bench.fewer(20_000)).T.copy()
+@pytest.mark.parametrize(
+    ("name", "required_ns"),
+    [
+        ("none", 3000.0),
+        ("exact_inverse", 5000.0),
+        ("inverse_multiplicative", 10_000.0),
+        ("decoupled_inverse", 10_000.0),
+        ("hammerstein_inverse", 10_000.0),
+    ],
+)
+def test_a_step_in_python(bench, published, name, required_ns):
+    model = published if name != "hammerstein_inverse" else HammersteinModel.load("duo_bimorph")
+    law = Request(source="duo_bimorph", law=name, sample_time_s=5e-5).block(model)
+    reference = published.hysteresis.respond(0.9 * sines(bench.fewer(20_000)))[0].T.copy()
     state, times = law.rest(), []
     law.step(reference[0], state)
     for sample in reference:
@@ -79,7 +90,8 @@ def test_a_step_in_python(bench, code):
         _, state = law.step(sample, state)
         times.append(time.perf_counter_ns() - begun)
     middle = statistics.median(times)
+    group = "One sample of a law in Python (step)"
     row = Row(
-        GROUP, "Python, median step", "required", middle, PYTHON_NS, "ns", middle / PYTHON_NS, "<=", 1.0
+        group, f"{name}, median", "required", middle, required_ns, "ns", middle / required_ns, "<=", 1.0
     )
     assert bench.table.add(row).acceptable

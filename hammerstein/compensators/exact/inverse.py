@@ -138,20 +138,13 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         self.square, self.smallest_v = completed(hysteresis, model.amplitude_v)
         self._table = self._new_table()
         self._start, self.origin_um = self._at_start()
-        self._frame = self._new_frame()
+        self._frame = self._frame_of_steps()
 
     @cached_property
     def _compiled_step(self) -> Any:
         from hammerstein.compensators.exact.kernel import step_exact  # looked up once: a step is short
 
         return step_exact
-
-    def _new_frame(self) -> Array:
-        """Where a step counts from (4, m): origin [um], working point, lowest and highest voltage [V]."""
-        limits = self.range
-        origin = np.zeros(self.n_inputs)
-        origin[: self.n_outputs] = self.origin_um
-        return np.stack([origin, limits.working_point_v, limits.low_v, limits.high_v])
 
     def _new_table(self) -> Array:
         """Table of ``exact_pieces`` with the model in it."""

@@ -65,6 +65,7 @@ from hammerstein.compensators.exact.pieces import (
     previous_piece,
     push,
 )
+from hammerstein.compensators.kernels import from_rest, to_sent
 from hammerstein.compiled import compiled
 from hammerstein.hysteresis.play_kernels import at
 
@@ -109,37 +110,40 @@ def step_exact(sample, frame, table, stack, hand):  # type: ignore[no-untyped-de
     table : of the design; stack, hand : the memory; nothing of these is written to
     """
     m, p = table.shape[1], sample.shape[0]
+    w = loaded(table, stack, hand)
+    reference, drive, sent = np.empty((p, 1)), np.empty((m, 1)), np.empty(m)
+    none, away = np.empty((0, 0)), np.empty(0)
+    sound = from_rest(sample, frame, reference)
+    if sound:
+        respond_exact(reference, m - p, none, np.empty((0, p)), np.empty((p, 0)), away, w, 0, 1, drive)
+        sound = to_sent(drive, frame, sent)
+    after, held = np.empty(stack.shape), np.empty(hand.shape)
+    unloaded(w, after, held)
+    return sent, after, held, sound
+
+
+@compiled(error_model="numpy")
+def loaded(table, stack, hand):  # type: ignore[no-untyped-def]
+    """Copy of the table of a design with the memory in it."""
     w = table.copy()
-    for k in range(m):
+    for k in range(w.shape[1]):
         for s in range(stack.shape[1]):
             for c in range(stack.shape[2]):
                 w[STACK, k, s, c] = stack[k, s, c]
         for c in range(hand.shape[1]):
             w[HERE, k, HAND, c] = hand[k, c]
-    reference, drive, sent = np.empty((p, 1)), np.empty((m, 1)), np.empty(m)
-    sound = True
-    for o in range(p):
-        sound = sound and np.isfinite(sample[o])
-        reference[o, 0] = sample[o] + frame[0, o]
-    none, away = np.empty((0, 0)), np.empty(0)
-    if sound:
-        respond_exact(reference, m - p, none, np.empty((0, p)), np.empty((p, 0)), away, w, 0, 1, drive)
-    moved = False
-    for k in range(m):
-        moved = moved or frame[1, k] != 0.0
-    for k in range(m):
-        sent[k] = drive[k, 0]
-        if moved:
-            sent[k] = min(max(sent[k] + frame[1, k], frame[2, k]), frame[3, k])
-        sound = sound and np.isfinite(sent[k])
-    after, held = np.empty(stack.shape), np.empty(hand.shape)
-    for k in range(m):
+    return w
+
+
+@compiled(error_model="numpy")
+def unloaded(w, stack, hand):  # type: ignore[no-untyped-def]
+    """Put the memory of a table into stack and hand."""
+    for k in range(w.shape[1]):
         for s in range(stack.shape[1]):
             for c in range(stack.shape[2]):
-                after[k, s, c] = w[STACK, k, s, c]
+                stack[k, s, c] = w[STACK, k, s, c]
         for c in range(hand.shape[1]):
-            held[k, c] = w[HERE, k, HAND, c]
-    return sent, after, held, sound
+            hand[k, c] = w[HERE, k, HAND, c]
 
 
 @compiled(error_model="numpy")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +13,12 @@ from pydantic import Field
 
 from hammerstein.blocks import Array, Law, checked_reference
 from hammerstein.compensators.base import Compensator
-from hammerstein.compensators.exact.inverse import ExactState, Recovery, exact_inverse_of
+from hammerstein.compensators.exact.inverse import (
+    ExactInverseLaw,
+    ExactState,
+    Recovery,
+    exact_inverse_of,
+)
 from hammerstein.compensators.preview.linear_inverse import linear_inverse
 from hammerstein.driving import RangeLike
 from hammerstein.dynamics import LinearBlock
@@ -125,6 +131,7 @@ class HammersteinInverseLaw(Law[PathState]):
                 raise InputError("preview_s", f"must be 0 or more, not {preview_s:g}")
             self.preview_samples = min(self.needed_samples, math.floor(preview_s / sample_time_s + 1e-6))
         self.recovery = _recovery(self.linear.block)
+        self._frame = self._frame_of_steps()
 
     @property
     def delay_samples(self) -> int:
@@ -188,6 +195,26 @@ class HammersteinInverseLaw(Law[PathState]):
             known[:, known.shape[1] - start.filtered.shape[1] :],
         )
         return drive, PathState(kept[0].copy(), kept[1].copy(), modes, away, exact)
+
+    @cached_property
+    def _compiled_step(self) -> Any:
+        """What is compiled, and what of the design it wants; None for another static inverse."""
+        if not isinstance(self.exact, ExactInverseLaw):
+            return None
+        from hammerstein.compensators.preview.kernel import step_path
+
+        inverse = self.linear
+        linear = (inverse.A, inverse.B, inverse.C, inverse.taps, inverse.ahead)
+        return step_path, (self._frame, self.taps, linear, tuple(self.recovery), self.exact.design_table())
+
+    def _step(self, sample_um: Array, state: PathState) -> tuple[Array, PathState] | None:
+        if self._compiled_step is None:
+            return None
+        step, design = self._compiled_step
+        exact = state.exact
+        memory = (state.raw, state.filtered, state.modes, state.away, exact.stack, exact.hand)
+        drive, raw, known, modes, away, stack, hand, sound = step(sample_um, *design, *memory)
+        return (drive, PathState(raw, known, modes, away, ExactState(stack, hand))) if sound else None
 
     def primed(self, reference_um: ArrayLike) -> tuple[PathState, Array]:
         """State of the law when the drive for the first sample of a path (p, N) known ahead is due.

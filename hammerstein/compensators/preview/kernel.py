@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hammerstein.compensators.exact.kernel import loaded, respond_exact, unloaded
+from hammerstein.compensators.kernels import to_sent
 from hammerstein.compiled import compiled
 
 at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
@@ -47,3 +49,39 @@ def run_inverse(a, b, c, taps, ahead, x, y, first, stop, v):  # type: ignore[no-
             new[s] = total
         for s in range(n):
             x[s] = new[s]
+
+
+@compiled(error_model="numpy")
+def step_path(  # type: ignore[no-untyped-def]
+    sample, frame, filter_taps, inverse, recovery, table, raw, known, modes, away, stack, hand
+):
+    """Voltages as they are sent (m,), the memory after one sample (p,), and whether all is finite.
+
+    frame : as for ``to_sent``; filter_taps : of the reference filter, one: none
+    inverse : a, b, c, taps, ahead of ``run_inverse``; recovery : a, b, gain of ``respond_exact``
+    table : of the exact inverse; the others are the memory; nothing of these is written to
+    """
+    m, p = table.shape[1], sample.shape[0]
+    references, path = np.empty((p, raw.shape[1] + 1)), np.empty((p, known.shape[1] + 1))
+    v, drive, sent = np.empty((p, 1)), np.empty((m, 1)), np.empty(m)
+    references[:, : raw.shape[1]], path[:, : known.shape[1]] = raw, known
+    sound = True
+    for o in range(p):
+        sound = sound and np.isfinite(sample[o])
+        references[o, raw.shape[1]] = path[o, known.shape[1]] = sample[o]
+    if filter_taps.shape[0] > 1:
+        newest = np.empty((p, 1))
+        filtered(filter_taps, references, 0, 1, newest)
+        path[:, known.shape[1]] = newest[:, 0]
+    moving, left, w = modes.copy(), away.copy(), loaded(table, stack, hand)
+    if sound:
+        a, b, c, taps, ahead = inverse
+        run_inverse(a, b, c, taps, ahead, moving, path, 0, 1, v)
+        for o in range(p):
+            v[o, 0] += frame[0, o]
+        back, into, gain = recovery
+        respond_exact(v, m - p, back, into, gain, left, w, 0, 1, drive)
+        sound = to_sent(drive, frame, sent)
+    after, held = np.empty(stack.shape), np.empty(hand.shape)
+    unloaded(w, after, held)
+    return sent, references[:, 1:].copy(), path[:, 1:].copy(), moving, left, after, held, sound

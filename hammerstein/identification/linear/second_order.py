@@ -53,7 +53,6 @@ SEARCH_TURNS = 2
 COUNTED_SAMPLES = 15_000
 """Samples that are counted in the sums of a search; more than so many are thinned out evenly."""
 CREEP_OPERATORS = 6
-SEARCH_DAMPING = 0.15
 SEARCH_BEGINS = 3
 PEAK_DAMPING = 0.03
 LEAST_WINDOW, WINDOW = 256, 4096
@@ -69,8 +68,8 @@ NEAR = 1.15
 """Ratio of frequencies that belong to a resonance."""
 EXCITED = 2.0
 """Amplitude near a resonance, in parts of what the model leaves there, from which it counts as excited."""
-SEARCH_RATIO = 1.3
-"""Ratio of neighbouring frequencies tried: within reach of the Gauss-Newton steps."""
+SEARCH_GRID, CLOSE_GRID = (1.3, 0.15), (1.06, 0.03)
+"""Ratio of neighbouring frequencies tried, and their damping: within reach of the Gauss-Newton steps."""
 
 
 @dataclass(frozen=True)
@@ -185,19 +184,23 @@ def _point(task: AxisTask, x: Array, slopes: Array) -> Point:
     )
 
 
-def search(task: AxisTask) -> Point:
+def search(task: AxisTask, judged: AxisTask, closely: bool = False) -> Array:
     """Resonance and damping near the best ones.
 
     Begun with the best places of a coarse grid over all that the records can show, and with the frequencies
-    that stand out of what a static block leaves.
+    that stand out of what a static block leaves. ``closely`` adds a grid so fine that no resonance of little
+    damping is missed. ``judged`` has all columns: the few of ``task`` hide what thresholds can make good.
     """
     lower, upper = task.limits
-    frequencies = np.arange(math.log(10.0) + lower[0], upper[0], math.log(SEARCH_RATIO))
-    grid = [np.array([f, math.log(SEARCH_DAMPING)]) for f in frequencies]
-    errors = [_alone(task, partial(task.path, x))[1] for x in grid]
-    begins = [grid[int(i)] for i in np.argsort(errors, kind="stable")[:SEARCH_BEGINS]]
+    begins: list[Array] = []
+    for ratio, damping in (SEARCH_GRID, *((CLOSE_GRID,) if closely else ())):
+        frequencies = np.arange(math.log(10.0) + lower[0], upper[0], math.log(ratio))
+        grid = [np.array([f, math.log(damping)]) for f in frequencies]
+        errors = [rms_behind(task, x) for x in grid]
+        begins += [grid[int(i)] for i in np.argsort(errors, kind="stable")[:SEARCH_BEGINS]]
     begins += [np.log([f, PEAK_DAMPING]) for f in ringing_hz(task) if lower[0] < math.log(f) < upper[0]]
-    return min((refine(task, x) for x in begins), key=lambda point: point.rms)
+    found = [refine(task, x).x for x in begins]
+    return min(found, key=lambda x: rms_behind(judged, x))
 
 
 def ringing_hz(task: AxisTask) -> list[float]:
@@ -253,9 +256,9 @@ def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
     if not shape.parameters:
         return AxisFit(Axis(), None, None, (), static, static)
     if shape.creep_modes and task.columns > len(task.grids):
-        reach = half_swing(task.records)
-        coarse = tuple(thresholds_uniform_in_voltage(r, CREEP_OPERATORS) if r else np.empty(0) for r in reach)
-        x = refine(replace(task, grids=coarse), x).x  # many steps, each of them cheaper
+        x = refine(
+            replace(task, grids=_uniform(task.records, CREEP_OPERATORS)), x
+        ).x  # many steps, each of them cheaper
     point = refine(task, x)
     errors = 100.0 * standard_errors(task, point)
     return AxisFit(
@@ -268,6 +271,12 @@ def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
         lag_error_percent=float(errors[shape.slow - 1]) if shape.lag else None,
         excited=not shape.resonance or _excited(task, point),
     )
+
+
+def _uniform(records: Sequence[Record], operators: int) -> tuple[Array, ...]:
+    """Thresholds of each input, uniform in voltage; none for one that does not move."""
+    reach = half_swing(records)
+    return tuple(thresholds_uniform_in_voltage(r, operators) if r else np.empty(0) for r in reach)
 
 
 def standard_errors(task: AxisTask, point: Point) -> Array:
@@ -359,6 +368,7 @@ def search_axes(
     records: Sequence[Record],
     starts: Sequence[Start],
     *,
+    grids: Sequence[Array] | None = None,
     delay_samples: int | None = 0,
     most_delay: int = MOST_DELAY,
     sensor_bandwidth_hz: float | None = None,
@@ -372,6 +382,7 @@ def search_axes(
     ----------
     records : all with the same axes
     starts : what went before each record
+    grids : thresholds of each input [V]; uniform in voltage if not given
     delay_samples : whole samples by which the outputs come late; None: found, up to ``most_delay``, if all
         records have one sample time
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; none if not given
@@ -381,14 +392,14 @@ def search_axes(
     tell = progress or (lambda _: None)
 
     quick, begun = shortened(records, starts, GUESS_SAMPLES)
-    reach, every = half_swing(quick), thinning(quick)
-    grids = tuple(thresholds_uniform_in_voltage(r, GUESS_OPERATORS) if r else np.empty(0) for r in reach)
+    every = thinning(quick)
+    plays = _uniform(quick, GUESS_OPERATORS) if grids is None else tuple(grids)
     tasks, begins = [], []
     for o, name in enumerate(records[0].outputs):
         tell(f"searching the {'resonance' if resonance else 'lag'} of {name}")
         shape = AxisShape(resonance, lag)
-        full = AxisTask(quick, begun, grids, o, shape, delay_samples or 0, sensor_bandwidth_hz, every)
-        task, x = _searched(full)
+        full = AxisTask(quick, begun, plays, o, shape, delay_samples or 0, sensor_bandwidth_hz, every)
+        task, x = _searched(full, closely=grids is not None)
         tasks.append(task)
         begins.append(x)
     shapes = tuple(one.shape for one in tasks)
@@ -401,7 +412,7 @@ def search_axes(
     return FirstGuess(shapes, tuple(point.x for point in points[found]), found, rms)
 
 
-def _searched(full: AxisTask) -> tuple[AxisTask, Array]:
+def _searched(full: AxisTask, closely: bool) -> tuple[AxisTask, Array]:
     """Axis near the best one, and the task with few columns that it was found with."""
     shape = full.shape
     task = full.mixed(_alone(full, full.sensor)[0])
@@ -409,7 +420,7 @@ def _searched(full: AxisTask) -> tuple[AxisTask, Array]:
     for turn in range(SEARCH_TURNS):
         if shape.resonance:
             alone = replace(task, shape=AxisShape())
-            x = refine(alone, x[:2]).x if turn else search(alone).x
+            x = refine(alone, x[:2]).x if turn else search(alone, replace(full, shape=alone.shape), closely)
         if shape.lag:
             x = search_lag(task, x[: 2 * shape.resonance]).x
         task = full.mixed(_alone(full, partial(full.path, x))[0])

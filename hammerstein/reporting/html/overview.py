@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-from hammerstein.experiment.report import Report
+from hammerstein.experiment.report import Band, Report
 from hammerstein.experiment.selection import is_direct, labels_of, number
+from hammerstein.metrics import KEY, Row
 from hammerstein.reporting.html.markup import rendered
 from hammerstein.reporting.page import place_of
 from hammerstein.storage.manifest import Manifest, Owner
@@ -23,6 +24,7 @@ class Card:
     """One scenario.
 
     page, picture : places of its report and its key figure, as links; the picture may be missing
+    told : what the numbers are
     worst : label and worst error of each compensator or model, best first
     """
 
@@ -30,6 +32,7 @@ class Card:
     question: str
     page: str
     picture: str
+    told: str
     worst: tuple[tuple[str, str], ...]
     more: int
     met: int
@@ -56,6 +59,7 @@ def _card(report: Report, out: Path) -> Card:
         question=report.scenario.question,
         page=quote(f"{report.name}/report.html"),
         picture=quote(f"{report.name}/{picture}") if picture else "",
+        told=_told(report),
         worst=tuple(worst[:MOST_SHOWN]),
         more=max(0, len(worst) - MOST_SHOWN),
         met=sum(verdict.agrees for verdict in report.verdicts),
@@ -63,15 +67,44 @@ def _card(report: Report, out: Path) -> Card:
     )
 
 
+def _told(report: Report) -> str:
+    """What the numbers of a card are."""
+    words, uncertainty = "Worst error", report.scenario.uncertainty
+    if last := _last_trial(report):
+        words += f" in trial {last}"
+    if report.bands and uncertainty is not None:
+        words += f" over {uncertainty.draws} drawn actuators, median (5 to 95 %)"
+    return words
+
+
+def _last_trial(report: Report) -> int | None:
+    """Last trial of what learns; None where nothing does."""
+    return max((row.trial for row in report.rows if row.trial is not None), default=None)
+
+
 def _worst(report: Report) -> list[tuple[str, str]]:
-    """Largest error of the true position of each label, over its direct transfers and paths."""
-    found = {}
+    """Largest error of the true position of each label, over its direct transfers and paths.
+
+    Of drawn actuators it is the band whose upper end is largest; of what learns that of the last trial.
+    """
+    last = _last_trial(report)
+    bands = {(band.metric, *_place(band)): band for band in report.bands}
+    found: dict[str, tuple[float, str]] = {}
     for label in labels_of(report.rows):
-        own = [row for row in report.rows if row.compensator == label]
-        rows = [row for row in own if is_direct(report, row)] or own
-        values = [
-            value for row in rows if (value := row.euclidean_max_true_um or row.max_true_um) is not None
-        ]
+        own = [row for row in report.rows if row.compensator == label and row.trial == last]
+        values = []
+        for row in [row for row in own if is_direct(report, row)] or own:
+            metric = "euclidean_max_true_um" if row.euclidean_max_true_um else "max_true_um"
+            band, value = bands.get((metric, *_place(row))), getattr(row, metric)
+            if band is not None:
+                spread = f"({number(band.p5_um)} to {number(band.p95_um)})"
+                values.append((band.p95_um, f"{number(band.median_um)} {spread}"))
+            elif value is not None:
+                values.append((value, number(value)))
         if values:
             found[label] = max(values)
-    return [(label, number(value)) for label, value in sorted(found.items(), key=lambda item: item[1])]
+    return [(label, text) for label, (_, text) in sorted(found.items(), key=lambda item: item[1][0])]
+
+
+def _place(found: Row | Band) -> tuple[object, ...]:
+    return tuple(getattr(found, name) for name in KEY)

@@ -1,0 +1,45 @@
+"""Who does the work of a command: threads and processes of this machine, or a cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hammerstein.commands.terminal import complain
+
+if TYPE_CHECKING:
+    from hammerstein.runtime.fanning import Jobs
+
+Address = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster", metavar="ADDRESS", help="Send the work to this Dask scheduler, tcp://HOST:PORT."
+    ),
+]
+
+
+@contextmanager
+def workers(jobs: int, cluster: str | None) -> Iterator[Jobs]:
+    """Give the workers of a cluster, if there is one, or the jobs of this machine, whose loops are compiled.
+
+    Raises InputError where the cluster cannot be used.
+    """
+    if cluster is None:
+        yield jobs
+        return
+    from hammerstein.runtime.cluster import joined
+
+    with joined(cluster) as crew:
+        complain(f"{crew.workers} workers of {cluster} take the work")
+        yield crew
+
+
+def compile_here(cluster: str | None) -> None:
+    """Compile the time loops, where this machine runs them."""
+    from hammerstein.commands.warm_up import compile_once
+
+    if cluster is None:
+        compile_once(complain)

@@ -1,0 +1,163 @@
+"""Blocks of several kinds side by side: an actuator that is asymmetric and rate-dependent at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field
+
+from hammerstein.errors import InputError
+from hammerstein.hysteresis.asymmetric import AsymmetricFile
+from hammerstein.hysteresis.bouc_wen import BoucWenFile
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
+from hammerstein.hysteresis.pair import Array, WeightCovariance
+from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiFile
+from hammerstein.hysteresis.rate_dependent import RateDependentFile
+
+SLOW_S = 1e6
+"""Sample time on which a voltage that is swept has no rate [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ParallelState:
+    """Memory of every part, in their order."""
+
+    parts: tuple[Any, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain lists that JSON keeps to the last bit."""
+        return {"parts": [part.as_dict() for part in self.parts]}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Parallel(Hysteresis[ParallelState]):
+    """Hysteresis whose outputs are the sums of those of its parts, all driven by the same m inputs.
+
+        v = v_1 + v_2 + ...
+
+    It stands for actuators that no single kind describes: it is simulated, and neither identified nor
+    inverted.
+
+    Parameters
+    ----------
+    parts : two blocks or more, of one shape
+
+    Raises
+    ------
+    InputError : fewer than two parts, or parts of different shapes
+
+    Examples
+    --------
+    >>> from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+    >>> soft = PrandtlIshlinskii([[Pair([0.0, 1.0], [1.0, 1.0])]])
+    >>> Parallel((soft, soft)).respond([[0.0, 3.0, 2.0]])[0]
+    array([[ 0., 10.,  8.]])
+    """
+
+    parts: tuple[Hysteresis[Any], ...]
+
+    kind: ClassVar[str] = "parallel"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parts", tuple(self.parts))
+        shapes = {(part.n_outputs, part.n_inputs) for part in self.parts}
+        if len(self.parts) < 2 or len(shapes) != 1:
+            raise InputError(
+                "parallel hysteresis", "needs two parts or more with the same inputs and outputs"
+            )
+
+    @property
+    def n_inputs(self) -> int:
+        """Number m of inputs."""
+        return self.parts[0].n_inputs
+
+    @property
+    def n_outputs(self) -> int:
+        """Number p of outputs."""
+        return self.parts[0].n_outputs
+
+    @property
+    def operators(self) -> tuple[tuple[int, ...], ...]:
+        """Number of weights of every pair (output, input), those of all parts."""
+        counts = np.sum([np.array(part.operators) for part in self.parts], axis=0)
+        return tuple(tuple(row) for row in counts.tolist())
+
+    @property
+    def n_beside_weights(self) -> int:
+        """Those of all parts."""
+        return sum(part.n_beside_weights for part in self.parts)
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        return " beside ".join(f"{part.kind} ({part.describe()})" for part in self.parts)
+
+    def on_grid(self, sample_time_s: float) -> Parallel:
+        """Give the block on a sample grid."""
+        return replace(self, parts=tuple(part.on_grid(sample_time_s) for part in self.parts))
+
+    def counted_from(self, working_point_v: ArrayLike) -> Parallel:
+        """Give the same block for voltages counted from a working point (m,) [V]."""
+        return replace(self, parts=tuple(part.counted_from(working_point_v) for part in self.parts))
+
+    def rest(self) -> ParallelState:
+        """Memory of an actuator that was never driven."""
+        return ParallelState(tuple(part.rest() for part in self.parts))
+
+    def restore(self, data: dict[str, Any]) -> ParallelState:
+        """Memory from what ``as_dict`` gave."""
+        both = zip(self.parts, data["parts"], strict=True)
+        return ParallelState(tuple(part.restore(own) for part, own in both))
+
+    def _respond(self, u_v: Array, start: ParallelState) -> tuple[Array, ParallelState]:
+        found = [part.respond(u_v, own) for part, own in zip(self.parts, start.parts, strict=True)]
+        return np.sum([v for v, _ in found], axis=0), ParallelState(tuple(own for _, own in found))
+
+    def _swept(self, k: int, low_v: float, high_v: float) -> Array:
+        """As of every kind, driven so slowly that no part knows of a rate."""
+        return np.asarray(
+            np.sum([part.on_grid(SLOW_S)._swept(k, low_v, high_v) for part in self.parts], axis=0)
+        )
+
+    @property
+    def weights(self) -> tuple[Array, ...]:
+        """Weights of each output, part after part [um/V]."""
+        return tuple(np.concatenate(rows) for rows in zip(*(p.weights for p in self.parts), strict=True))
+
+    def with_weights(self, weights: Sequence[ArrayLike]) -> Parallel:
+        """Give the same operators with other weights."""
+        parts, first = [], [0] * self.n_outputs
+        for part in self.parts:
+            sizes = [len(own) for own in part.weights]
+            rows = [np.asarray(w)[a : a + n] for w, a, n in zip(weights, first, sizes, strict=True)]
+            parts.append(part.with_weights(rows))
+            first = [a + n for a, n in zip(first, sizes, strict=True)]
+        return replace(self, parts=tuple(parts))
+
+    @property
+    def weight_covariance(self) -> tuple[WeightCovariance, ...] | None:
+        """None: it is not identified."""
+        return None
+
+    def file(self) -> ParallelFile:
+        """Give its form in a model file."""
+        return ParallelFile.model_validate({"parts": [part.file() for part in self.parts]})
+
+
+Part = Annotated[
+    PrandtlIshlinskiiFile | AsymmetricFile | RateDependentFile | BoucWenFile, Field(discriminator="kind")
+]
+
+
+class ParallelFile(HysteresisFile):
+    """Blocks side by side whose outputs add: to be simulated."""
+
+    kind: Literal["parallel"] = "parallel"
+    parts: Annotated[tuple[Part, ...], Field(min_length=2)]
+
+    def hysteresis(self) -> Parallel:
+        """Give the hysteresis this describes."""
+        return Parallel(tuple(part.hysteresis() for part in self.parts))
