@@ -22,8 +22,7 @@ from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axi
 from hammerstein.identification.linear.second_order import (
     CREEP_SPANS,
     LAG_SAMPLES,
-    SEARCH_DAMPING,
-    SEARCH_RATIO,
+    SEARCH_GRID,
     TINY,
     AxisFit,
     Point,
@@ -217,8 +216,8 @@ def _with(one: AxisTask, shape: AxisShape, x: Array, step: str) -> tuple[AxisSha
     else:
         larger, at = replace(shape, resonance=True), 0
         lower, upper = replace(one, shape=AxisShape()).limits
-        places = np.arange(math.log(10.0) + lower[0], upper[0], math.log(SEARCH_RATIO))
-        added = [np.array([f, math.log(SEARCH_DAMPING)]) for f in places]
+        places = np.arange(math.log(10.0) + lower[0], upper[0], math.log(SEARCH_GRID[0]))
+        added = [np.array([f, math.log(SEARCH_GRID[1])]) for f in places]
     grown = replace(one, shape=larger)
     lower, upper = grown.limits
     begins = [np.insert(x, at, more) for more in added]
