@@ -102,11 +102,14 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
 
     def load(self, key: Any) -> Any:
         """Give a compiled loop that was kept; None if there is none, or if it was spoilt."""
+        found = None
         try:
-            return super().load(key)
+            found = super().load(key)
         except _SpoiltError as error:
             _tell_once(f"compiled loops in {os.path.dirname(str(error))} were spoilt and are compiled again")
-            return None
+        while found is None and _waiting:
+            _waiting.pop()()
+        return found
 
     def _load_index(self) -> Any:
         try:
@@ -151,6 +154,12 @@ def _checked(path: str) -> bytes:
 
 
 _told: set[str] = set()
+_waiting: list[Callable[[], None]] = []
+
+
+def told_before_compiling(say: Callable[[], None]) -> None:
+    """Let a function be called before the next loop is compiled, once: a person has to wait."""
+    _waiting[:] = [say]
 
 
 def _tell_once(text: str) -> None:

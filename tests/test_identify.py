@@ -84,7 +84,7 @@ def test_simulated_actuator_is_found_through_drive_and_sensor(bimorph, bimorph_f
     assert fit.delay_samples == 0
     assert {start.kind for start in fit.starts} == {"rest", "stepped"}  # multisines begin with a jump
     assert fit.validation["hammerstein"].mean_percent < 0.1 * fit.validation["linear_dynamics"].mean_percent
-    assert "The hysteresis block earns its place" in fit.verdict
+    assert "The hysteresis block improves the model" in fit.verdict
     assert fit.invertible
 
 
@@ -151,7 +151,7 @@ def test_coupled_dynamics_and_weights_are_told_apart():
     settings = plain(thresholds_v=r, dynamics="state_space", order=4)
     _, fit = identify(records, settings)
     assert fit.fit["hammerstein"].mean_percent < 0.1 * fit.fit["linear_dynamics"].mean_percent
-    assert "The hysteresis block earns its place" in fit.verdict
+    assert "The hysteresis block improves the model" in fit.verdict
 
     _, found = identify(records, plain(thresholds_v=r, dynamics="state_space"))  # the order from the records
     assert found.order == 4 == len(a)
@@ -231,9 +231,10 @@ def test_verdict_speaks_of_what_it_compares():
     said = verdict(scores, False, ("y saturates",))
     assert said.startswith("On the fitted records themselves (none was held back): linear gain 8 %")
     assert (
-        "The hysteresis block does not earn its place: the error is 0.7 % without and 0.69 % with it." in said
+        "The hysteresis block does not improve the model: the error is 0.7 % without and 0.69 % with it."
+        in said
     )
-    assert "The linear dynamics earn their place: they lower the error from 7.9 to 0.69 %." in said
+    assert "The linear dynamics improve the model: they lower the error from 7.9 to 0.69 %." in said
     assert said.endswith("does not represent these records: y saturates.")
 
 

@@ -41,7 +41,7 @@ def test_identify_finds_the_stack_and_says_what_the_dead_zones_gain():
     ours, plays = (fit.validation[kind].nrmse_percent[0] for kind in ("static_hysteresis", "classical"))
     assert ours < 0.3 * plays
     assert fit.invertible
-    assert "Hysteresis beyond plays earns its place" in fit.verdict
+    assert "Hysteresis beyond plays improves the model" in fit.verdict
     assert any("dead-zones an input stand beside the plays" in note for note in fit.notes)
 
 

@@ -54,7 +54,7 @@ def test_micromanipulator_is_followed_by_15_operators(
     assert fit.fit["linear"].nrmse_percent[0] > 5.0
     assert fit.delay_samples == settings.get("delay_samples", 1)
     assert fit.starts[0].kind == "repeated"  # the sensor stands 30 um away from the loop at first
-    assert "Hysteresis earns its place" in fit.verdict
+    assert "Hysteresis improves the model" in fit.verdict
     assert fit.invertible
 
 
@@ -128,8 +128,8 @@ def test_mirror_needs_dynamics_and_no_hysteresis(level_mv, percent):
     model, fit = identify(read("train"), settings, validation=read("test"))
     for kind in ("linear_dynamics", "hammerstein"):
         assert np.mean(fit.validation[kind].output_percent) <= percent
-    assert "The hysteresis block does not earn its place" in fit.verdict
-    assert "The linear dynamics earn their place" in fit.verdict
+    assert "The hysteresis block does not improve the model" in fit.verdict
+    assert "The linear dynamics improve the model" in fit.verdict
     assert isinstance(model.dynamics, StateSpaceDynamics)
     assert fit.validation["hammerstein"].mean_percent <= 1.05 * fit.validation["linear_dynamics"].mean_percent
 

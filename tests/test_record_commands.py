@@ -61,7 +61,7 @@ def test_identify_writes_a_model_that_scenarios_can_run(records, tmp_path, capsy
         _call("identify", *records, *COLUMNS, "--rate", 20000, "--sensor-bandwidth", 2000, "--out", out) == 0
     )
     text = capsys.readouterr().out
-    assert "earns its place" in text
+    assert "improves the model" in text
     model = HammersteinModel.load(out)
     truth = HammersteinModel.load("duo_bimorph_static").hysteresis.amplitude(10.0)
     np.testing.assert_allclose(model.hysteresis.amplitude(10.0), truth, atol=0.4)

@@ -181,7 +181,9 @@ def test_a_scenario_sets_its_own_tolerances(loop: Report) -> None:
 
 
 def test_the_bands_of_an_uncertain_actuator_are_guarded(loop: Report) -> None:
-    band = Band(*("exact", "all", "y", 50.0, None, 30.0), "rms_um", p5_um=0.4, median_um=0.5, p95_um=0.6)
+    band = Band(
+        *("exact", "all", "y", 50.0, None, 30.0, None), "rms_um", p5_um=0.4, median_um=0.5, p95_um=0.6
+    )
     before = replace(with_rows(loop, ROW), bands=(band,))
     baseline = Baseline.of(before)
     now = replace(before, bands=(replace(band, p95_um=0.61),))

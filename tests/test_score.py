@@ -44,7 +44,7 @@ def _fit(rms_um, thresholds, samples=1000):
         (_fit(0.9, 4), _fit(1.0, 4), False),
     ],
 )
-def test_fitted_thresholds_must_earn_their_number(start, fitted, gain):
+def test_fitted_thresholds_must_be_worth_their_number(start, fitted, gain):
     assert gained(start, fitted) == gain
 
 

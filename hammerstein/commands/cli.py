@@ -320,7 +320,7 @@ def _run_what_changed(
 
     with workers(jobs, cluster) as crew:
         crew = _planned(left, crew, yes)
-        compile_here(cluster)
+        compile_here(cluster, len(left), jobs)
         there = writer.on(crew)
         with _Watch(len(left)) as watch:
             for outcome in run_all(left, there, crew, watch.progress, there.store):
@@ -397,7 +397,7 @@ def check(
     scenarios = load_all(paths)
     with workers(jobs, cluster) as crew:
         crew = _planned(scenarios, crew, yes)
-        compile_here(cluster)
+        compile_here(cluster, len(scenarios), jobs)
         with _Watch(len(scenarios)) as watch:
             result = check_files(paths, baseline, update_baseline, crew, watch.progress, watch.finished)
     if junit is not None:

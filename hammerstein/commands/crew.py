@@ -37,9 +37,9 @@ def workers(jobs: int, cluster: str | None) -> Iterator[Jobs]:
         yield crew
 
 
-def compile_here(cluster: str | None) -> None:
-    """Compile the time loops, where this machine runs them."""
+def compile_here(cluster: str | None, scenarios: int, jobs: int) -> None:
+    """Compile the time loops, where this machine runs them: all of them where processes would need them."""
     from hammerstein.commands.warm_up import compile_once
 
     if cluster is None:
-        compile_once(complain)
+        compile_once(complain, several=scenarios > 1 and jobs > 1)

@@ -1,4 +1,4 @@
-"""Compile the time loops once after installation: side by side, before a run needs them."""
+"""Compile the time loops once after installation: those that one task needs, or all side by side."""
 
 from __future__ import annotations
 
@@ -9,15 +9,26 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.compiled import CHECKED
+from hammerstein.compiled import CHECKED, told_before_compiling
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.workers import Processes
 
 MODEL, RANGE_V, SAMPLE_TIME_S, SAMPLES = "duo_bimorph", 10.0, 50e-6, 800
 
 
-def compile_once(say: Callable[[str], None]) -> None:
-    """Compile every loop by using it, if numba's cache holds none yet, as after installation."""
+def compile_once(say: Callable[[str], None], several: bool = False) -> None:
+    """Compile every loop by using it, if numba's cache holds none yet and several processes would need them.
+
+    A single task compiles what it needs when it needs it, and says so.
+
+    Parameters
+    ----------
+    say : tells a person
+    several : whether several processes are about to begin
+    """
+    if not several:
+        told_before_compiling(lambda: say("compiling time loops that are needed for the first time"))
+        return
     if not _must_compile():
         return
     say("compiling the time loops, once after installation (15 to 25 s)")

@@ -1,4 +1,4 @@
-"""Identification experiments on a simulated actuator: what a person would do at the bench.
+"""Identification experiments on a simulated actuator: what a person would do at the set-up.
 
 The model that comes out has seen the actuator only through its drive and its sensor.
 """
@@ -52,7 +52,7 @@ def identify_by_experiment(
 
     Parameters
     ----------
-    plant : the actuator on its bench
+    plant : the actuator in its set-up
     spec : the experiment and the method
     seed : of the sensor's noise; the experiment's own settings are mixed in
     fresh : whether what was kept before is passed by
@@ -103,11 +103,11 @@ def _identified(actuator_json: str, spec_json: str, seed: int) -> str:
 
 def _closed_form(plant: Plant, spec: ClosedFormSpec, seeds: list[int]) -> HammersteinModel:
     """Equations 14-17 on the settled loop of each input (steps 1-4 of section 3.3)."""
-    bench = _at_sample_time(plant, spec.sample_time_s)
-    drive = _Excursion.of(bench, spec.amplitude_v)
+    setup = _at_sample_time(plant, spec.sample_time_s)
+    drive = _Excursion.of(setup, spec.amplitude_v)
     columns: list[list[Pair]] = []
     for k in range(plant.model.hysteresis.n_inputs):
-        u, y = _settled_loop(bench, spec, drive, k, seeds)
+        u, y = _settled_loop(setup, spec, drive, k, seeds)
         columns.append(closed_form(u, y, spec.operators))
     rows = tuple(tuple(column[o] for column in columns) for o in range(plant.model.hysteresis.n_outputs))
     return HammersteinModel(
@@ -157,17 +157,17 @@ def _with_creep(
 
     The resonances are far above the slow record's sample rate: the static block stands for them.
     """
-    bench = _at_sample_time(plant, spec.creep_record_s / CREEP_SAMPLES)
+    setup = _at_sample_time(plant, spec.creep_record_s / CREEP_SAMPLES)
     steps = np.repeat(CREEP_LEVELS, CREEP_SAMPLES // len(CREEP_LEVELS))
     m = plant.model.hysteresis.n_inputs
     levels = np.stack([np.roll(steps, k * len(steps) // (3 * m)) for k in range(m)])
-    response = bench.respond(drive.centre_v[:, None] + drive.amplitude_v[:, None] * levels, [*seeds, m])
+    response = setup.respond(drive.centre_v[:, None] + drive.amplitude_v[:, None] * levels, [*seeds, m])
     v, _ = model.static_response(response.drive_v)
     dynamics = model.dynamics
     assert isinstance(dynamics, AxesDynamics)  # what a joint fit gives
     axes = []
     for axis, said, read in zip(dynamics.axes, v, response.reading_um, strict=True):
-        modes = fit_creep(said, read, bench.sample_time_s, spec.creep_modes)
+        modes = fit_creep(said, read, setup.sample_time_s, spec.creep_modes)
         axes.append(axis.model_copy(update={"creep": modes}))
     return replace(model, dynamics=dynamics.model_copy(update={"axes": tuple(axes)}))
 
@@ -210,21 +210,21 @@ def _finite(bandwidth_hz: float) -> float | None:
 
 
 def _settled_loop(
-    bench: Plant, spec: ClosedFormSpec, drive: _Excursion, k: int, seeds: list[int]
+    setup: Plant, spec: ClosedFormSpec, drive: _Excursion, k: int, seeds: list[int]
 ) -> tuple[Array, Array]:
     """Mean settled cycle of the voltage about its middle (phase,) and of the readings (output, phase)."""
     period = 1.0 / spec.frequency_hz
     settle = max(spec.settle_cycles, math.ceil(0.05 / period))
-    samples = round((settle + spec.measured_cycles) * period / bench.sample_time_s)
+    samples = round((settle + spec.measured_cycles) * period / setup.sample_time_s)
     voltage = np.repeat(drive.rest_v[:, None], samples, axis=1)
-    time_s = np.arange(samples, dtype=np.float64) * bench.sample_time_s
+    time_s = np.arange(samples, dtype=np.float64) * setup.sample_time_s
     shape = Triangle if spec.waveform == "triangle" else Sine
     wave = shape(amplitude=float(drive.amplitude_v[k]), frequency_hz=spec.frequency_hz, axis=1)
     voltage[k] = drive.centre_v[k] + wave.sample(time_s, 1)[0]
-    response = bench.respond(voltage, [*seeds, k])
-    phases = 2 * max(1, round(0.5 * period / bench.sample_time_s))
+    response = setup.respond(voltage, [*seeds, k])
+    phases = 2 * max(1, round(0.5 * period / setup.sample_time_s))
     both = np.vstack([response.drive_v[k] - drive.centre_v[k], response.reading_um])
-    cycle = settled_cycle(both, spec.frequency_hz, bench.sample_time_s, phases, skip_cycles=settle)
+    cycle = settled_cycle(both, spec.frequency_hz, setup.sample_time_s, phases, skip_cycles=settle)
     return cycle[0], cycle[1:]
 
 

@@ -1,4 +1,4 @@
-"""The kinds of model that are fitted beside each other, so that each block must earn its place."""
+"""The kinds of model that are fitted beside each other, so that each block is seen to improve the model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sentences about a fit: which block earns its place, and what a model of this kind cannot follow."""
+"""Sentences about a fit: which block improves the model, and what a model of this kind cannot follow."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
 
-EARNED = 0.1
-"""Part by which a block must lower the error to earn its place."""
+IMPROVED = 0.1
+"""Part by which a block must lower the error to improve the model."""
 UNREPRESENTED_PERCENT = 10.0
 SATURATING_PERCENT = 2.0
 SATURATING_RATIO = 3.0
@@ -63,7 +63,7 @@ def verdict(
     kept: Kind | None = None,
     leftover: Sequence[str] = (),
 ) -> str:
-    """Say which block earns its place, from the mean errors of the kinds of model.
+    """Say which block improves the model, from the mean errors of the kinds of model.
 
     What the model leaves beside noise is said first. ``dynamics`` are those that were asked for: where the
     records tell none, that is said, too. ``kept`` is the kind in the model file, the largest if not given.
@@ -75,21 +75,21 @@ def verdict(
     ...     "static_hysteresis": Score((0.8,), (0.3,), (2.0,)),
     ... }
     >>> print(verdict(scores, True, ()))
-    On records held back: linear gain 7.4 %, static hysteresis 0.8 % of the range. Hysteresis earns \
-its place: it lowers the error from 7.4 to 0.8 %.
+    On records held back: linear gain 7.4 %, static hysteresis 0.8 % of the range. Hysteresis improves \
+the model: it lowers the error from 7.4 to 0.8 %.
     """
     errors = {kind: score.mean_percent for kind, score in scores.items()}
     where = "On records held back" if held_back else "On the fitted records themselves (none was held back)"
     listed = ", ".join(f"{KIND_NAMES[kind]} {error:.3g} %" for kind, error in errors.items())
     sentences = [f"{where}: {listed} of the range."]
     if {"linear_dynamics", "hammerstein"} <= errors.keys():
-        sentences.append(_earns("The hysteresis block", errors["linear_dynamics"], errors["hammerstein"]))
-        sentences.append(_earns("The linear dynamics", errors["static_hysteresis"], errors["hammerstein"]))
+        sentences.append(_improves("The hysteresis block", errors["linear_dynamics"], errors["hammerstein"]))
+        sentences.append(_improves("The linear dynamics", errors["static_hysteresis"], errors["hammerstein"]))
     else:
-        sentences.append(_earns("Hysteresis", errors["linear"], errors["static_hysteresis"]))
+        sentences.append(_improves("Hysteresis", errors["linear"], errors["static_hysteresis"]))
     if "classical" in errors:
         best = errors.get("hammerstein", errors["static_hysteresis"])
-        sentences.append(_earns("Hysteresis beyond plays", errors["classical"], best))
+        sentences.append(_improves("Hysteresis beyond plays", errors["classical"], best))
     static = kept in ("linear", "static_hysteresis") or "hammerstein" not in errors
     if dynamics not in ("none", "auto") and static:
         sentences.insert(0, UNTOLD)
@@ -106,16 +106,14 @@ its place: it lowers the error from 7.4 to 0.8 %.
     return " ".join(sentences)
 
 
-def _earns(block: str, without: float, with_it: float) -> str:
+def _improves(block: str, without: float, with_it: float) -> str:
     plural = block.endswith("dynamics")
-    earn, its, it, lower = ("earn", "their", "they", "lower") if plural else ("earns", "its", "it", "lowers")
-    if with_it <= (1.0 - EARNED) * without:
-        return f"{block} {earn} {its} place: {it} {lower} the error from {without:.3g} to {with_it:.3g} %."
-    does = "do" if plural else "does"
-    return (
-        f"{block} {does} not earn {its} place: the error is {without:.3g} % without and {with_it:.3g} % with "
-        f"{'them' if plural else 'it'}."
-    )
+    improve, it, lower = ("improve", "they", "lower") if plural else ("improves", "it", "lowers")
+    if with_it <= (1.0 - IMPROVED) * without:
+        return f"{block} {improve} the model: {it} {lower} the error from {without:.3g} to {with_it:.3g} %."
+    do, it = ("do", "them") if plural else ("does", "it")
+    errors = f"{without:.3g} % without and {with_it:.3g} % with {it}"
+    return f"{block} {do} not improve the model: the error is {errors}."
 
 
 def record_flags(
@@ -225,7 +223,7 @@ def axis_identified(fit: AxisFit) -> bool:
     A resonance outside the band that was excited must lower the error as much as any block that improves the
     model: it only bends what lies below it, and what drifts or creeps bends alike.
     """
-    if fit.rms_um > (1.0 - (FELT if fit.excited else EARNED)) * fit.static_rms_um:
+    if fit.rms_um > (1.0 - (FELT if fit.excited else IMPROVED)) * fit.static_rms_um:
         return False
     known = fit.resonance_error_percent is None or fit.resonance_error_percent <= UNSURE_PERCENT
     return known and (fit.lag_error_percent is None or fit.lag_error_percent <= UNSURE_LAG_PERCENT)

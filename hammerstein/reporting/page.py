@@ -55,9 +55,9 @@ CAPTIONS = {
     "sweep_true": "As above, for the true position, which a sensor without lag and noise would read.",
     "sweep": "One panel for each transfer, one curve for each compensator or model. Both axes are "
     "logarithmic where the values span more than about a decade.",
-    "trials_true": "As above, for the true position, which no learner sees.",
-    "trials": "One panel for each measured axis. Trial 1 is without learning; each one after it corrects the "
-    "voltages by what the sensor read in the one before.",
+    "trials_true": "The error that no learner sees, one panel for each measured axis. Trial 1 is without "
+    "learning; each one after it corrects the voltages by what the sensor read in the one before.",
+    "trials": "The same, as the sensor reads it.",
     "operators": "The rms error of models that differ by their number of play operators alone.",
     "loops": "One row of panels for each measured axis, one column for each driven one. Each curve is the "
     "mean of the measured cycles.",

@@ -88,7 +88,7 @@ def warm_up() -> None:
     import hammerstein.reporting.figures.write  # noqa: F401
     from hammerstein.commands.warm_up import compile_once
 
-    compile_once(print)
+    compile_once(print, several=True)
 
 
 def scenario_case(content: Any, folder: Path) -> int:

@@ -142,5 +142,9 @@ def names_of(line: list[str]) -> list[str]:
         name for command in commands().values() for p in command.params for name in p.opts if "-" in name
     }
     given = [word for word in line[1:] if word and not word.startswith("-")]
-    files = [word if word in FILES else f"{word}: " for word in given]
+    files = [
+        name
+        for word in given
+        for name in ((word, f'"{Path(word).stem}"') if word in FILES else (f"{word}: ",))
+    ]
     return [*options, *files, "Missing argument", "No such", "Got unexpected", "'' ", ".: "]

@@ -31,7 +31,7 @@ LEAST_OWN = 1e-11
 
 
 def price(outputs: int, samples: int) -> float:
-    """Part of the squared error that a threshold with its weights must earn.
+    """Part of the squared error that a threshold with its weights must save.
 
     This is the criterion of Schwarz (Ann. Stat. 6 (1978) 461-464).
 

@@ -116,7 +116,7 @@ class Place:
     cost : sum of the squared errors of all outputs, each in its unit
     curvature, pull : (threshold, threshold) and (threshold,) normal equations of a change of the
         thresholds, with the weights eliminated
-    price : part of the cost that a threshold must earn
+    price : part of the cost that a threshold must save
     """
 
     grids: Grids

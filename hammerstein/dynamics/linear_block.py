@@ -1,0 +1,207 @@
+"""A linear block on one sample grid, and how one in continuous time comes onto it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hammerstein.errors import InputError
+
+if TYPE_CHECKING:
+    import control
+
+    from hammerstein.interop.block_system import BlockSystem
+
+Array = NDArray[np.float64]
+CONTINUOUS = 0.0  # sample time [s] of a block in continuous time, as python-control writes it
+MOST_DELAY_STATES = 2000
+
+
+def low_pass(bandwidth_hz: float, n: int) -> LinearBlock:
+    """First-order low-pass of n channels, -3 dB at ``bandwidth_hz``; infinite bandwidth passes all."""
+    if math.isinf(bandwidth_hz):
+        return unit_gain(n)
+    w = 2.0 * math.pi * bandwidth_hz
+    return LinearBlock(-w * np.eye(n), w * np.eye(n), np.eye(n), np.zeros((n, n)), CONTINUOUS)
+
+
+def unit_gain(n: int) -> LinearBlock:
+    """N channels that pass unchanged."""
+    return LinearBlock(np.empty((0, 0)), np.empty((0, n)), np.empty((n, 0)), np.eye(n), CONTINUOUS)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearBlock:
+    """A discrete linear block on one sample grid: x[k+1] = A x[k] + B v[k], y[k] = C x[k] + D v[k].
+
+    A : (n, n), B : (n, m), C : (p, n), D : (p, m)
+
+    With ``sample_time_s`` = 0 the matrices are those of continuous time, to be put on a grid by ``held``.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    sample_time_s: float
+
+    def __post_init__(self) -> None:
+        for name in "ABCD":
+            matrix = np.array(getattr(self, name), dtype=np.float64)
+            matrix.flags.writeable = False
+            object.__setattr__(self, name, matrix)
+
+    def __repr__(self) -> str:
+        return (
+            f"LinearBlock(order {len(self.A)}, {self.n_inputs} inputs, {self.n_outputs} outputs, "
+            f"{self.sample_time_s:g} s a sample)"
+        )
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return int(self.D.shape[1])
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return int(self.D.shape[0])
+
+    def system(self) -> control.StateSpace:
+        """Give the block as a ``control.StateSpace``.
+
+        python-control up to 0.10.2 sets the shape of the empty matrices of a system without states, which
+        NumPy 2.5 warns of; mended in https://github.com/python-control/python-control/pull/1243. No
+        simulation comes here: ``held`` needs no system.
+        """
+        import control
+
+        timebase = self.sample_time_s if self.A.size else None  # without states it fits any
+        return control.ss(self.A, self.B, self.C, self.D, timebase)
+
+    def held(self, sample_time_s: float, late_s: float = 0.0) -> LinearBlock:
+        """Put a block in continuous time on a grid, exactly for an input held over each sample.
+
+        The input may come ``late_s`` late, less than a sample. Its last value is then carried as a state and
+        works until the new one arrives (Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., 1997,
+        section 2.3).
+        """
+        from scipy.signal import cont2discrete
+
+        if late_s:
+            return self.held(late_s).then(self.held(sample_time_s - late_s), sample_time_s)
+        a, b, c, d, _ = cont2discrete((self.A, self.B, self.C, self.D), sample_time_s, "zoh")
+        return LinearBlock(a, b, c, d, sample_time_s)
+
+    def then(self, rest: LinearBlock, sample_time_s: float) -> LinearBlock:
+        """Give one sample that begins with this block's step by the last input and ends with the other's."""
+        n, m = self.B.shape
+        a = np.block([[np.zeros((m, m + n))], [rest.A @ self.B, rest.A @ self.A]])
+        b = np.vstack([np.eye(m), rest.B])
+        c, d = np.hstack([self.D, self.C]), np.zeros_like(self.D)
+        return LinearBlock(a, b, c, d, sample_time_s)
+
+    def rest(self) -> Array:
+        """State (n,) of a block that was never driven."""
+        return np.zeros(self.A.shape[0])
+
+    def settled(self, v_um: ArrayLike) -> Array:
+        """State (n,) after an input (m,) that was held for ever; nearest to zero where there is no rest."""
+        n = self.A.shape[0]
+        held = self.B @ np.asarray(v_um, dtype=np.float64)
+        if not held.any():
+            return self.rest()
+        return np.asarray(np.linalg.lstsq(np.eye(n) - self.A, held, rcond=None)[0])
+
+    def respond(
+        self, v_um: ArrayLike, start: Array | None = None, *, sample_time_s: float | None = None
+    ) -> tuple[Array, Array]:
+        """Outputs (p, sample) for a held input (m, sample), and the state (n,) after it.
+
+        Raises InputError where ``sample_time_s`` of the signal is not the block's own, or shapes differ.
+        """
+        from hammerstein.compiled import spans
+        from hammerstein.dynamics.linear_kernel import respond_linear
+
+        if sample_time_s is not None and not math.isclose(sample_time_s, self.sample_time_s, rel_tol=1e-9):
+            raise InputError(
+                "signal",
+                f"its sample time is {sample_time_s:g} s, the block was discretised for "
+                f"{self.sample_time_s:g} s; resample one or the other",
+            )
+        v = np.ascontiguousarray(np.atleast_2d(np.asarray(v_um, dtype=np.float64)))
+        if v.shape[0] != self.n_inputs:
+            raise InputError("signal", f"has {v.shape[0]} axes, the block wants {self.n_inputs}")
+        x = self.rest() if start is None else np.array(start, dtype=np.float64)
+        y = np.empty((self.n_outputs, v.shape[1]))
+        for first, end in spans(v.shape[1], len(self.rows[2])):
+            respond_linear(*self.rows, x, v, first, end, y)
+        return y, x
+
+    def step(self, v_um: ArrayLike, state: Array) -> tuple[Array, Array]:
+        """Output (p,) for one sample (m,), and the state after it; equal to ``respond`` to the last bit."""
+        y, after = self.respond(np.reshape(np.asarray(v_um, dtype=np.float64), (-1, 1)), state)
+        return y[:, 0], after
+
+    def to_iosys(self, sample_time_s: float, name: str = "dynamics") -> BlockSystem:
+        """Give the block as a discrete python-control system, ``hysteresis_um[i]`` to ``position_um[o]``.
+
+        It stands on its own sample grid; InputError for another sample time.
+        """
+        from hammerstein.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+
+        require_grid(self.sample_time_s, sample_time_s, "linear block")
+        block = Stepwise(self.rest(), self.step, lambda x: {"x": x}, lambda data: np.asarray(data["x"]))
+        wires = signals("hysteresis_um", self.n_inputs), signals("position_um", self.n_outputs)
+        return BlockSystem(block, *wires, sample_time_s, name)
+
+    @cached_property
+    def rows(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Non-zero entries of [[A, B], [C, D]] row by row: axes that do not couple cost nothing."""
+        full = np.block([[self.A, self.B], [self.C, self.D]])
+        filled = full != 0.0
+        start = np.concatenate([[0], np.cumsum(filled.sum(axis=1))]).astype(np.int64)
+        return start, np.nonzero(filled)[1].astype(np.int64), full[filled]
+
+    def response(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
+        """Frequency response (frequency, p, m) of the block on its grid."""
+        z = np.exp(2j * np.pi * np.atleast_1d(np.asarray(frequency_hz)) * self.sample_time_s)
+        n = self.A.shape[0]
+        resolvent = np.linalg.solve(
+            z[:, None, None] * np.eye(n) - self.A, np.broadcast_to(self.B, (len(z), *self.B.shape))
+        )
+        return np.asarray(self.C @ resolvent + self.D)
+
+    def observed_by(self, sensor: LinearBlock) -> LinearBlock:
+        """Series with a sensor; the outputs are first this block's own, then the sensor's."""
+        n, s = self.A.shape[0], sensor.A.shape[0]
+        a = np.block([[self.A, np.zeros((n, s))], [sensor.B @ self.C, sensor.A]])
+        b = np.vstack([self.B, sensor.B @ self.D])
+        p = self.n_outputs
+        c = np.block([[self.C, np.zeros((p, s))], [sensor.D @ self.C, sensor.C]])
+        return LinearBlock(a, b, c, np.vstack([self.D, sensor.D @ self.D]), self.sample_time_s)
+
+    def delayed(self, samples: int) -> LinearBlock:
+        """Delay the input by whole samples (a shift register in front)."""
+        if samples == 0:
+            return self
+        m, n = self.n_inputs, self.A.shape[0]
+        if m * samples > MOST_DELAY_STATES:
+            raise InputError(
+                "dynamics",
+                f"an input delay of {samples * self.sample_time_s:g} s is {samples} samples of "
+                f"{self.sample_time_s:g} s; at most {MOST_DELAY_STATES // m} are carried: use a shorter "
+                "input_delay_s or a longer sample time",
+            )
+        shift = np.eye(m * samples, k=-m)
+        last = np.zeros((m, m * samples))
+        last[:, -m:] = np.eye(m)
+        a = np.block([[shift, np.zeros((m * samples, n))], [self.B @ last, self.A]])
+        b = np.vstack([np.eye(m * samples, m), np.zeros((n, m))])
+        c = np.hstack([self.D @ last, self.C])
+        return LinearBlock(a, b, c, np.zeros((self.n_outputs, m)), self.sample_time_s)

@@ -1,0 +1,29 @@
+"""After installation one scenario waits for the loops that it needs, and is told so once."""
+
+import os
+import subprocess
+import sys
+
+SCENARIO = """
+question = "How large is a loop?"
+actuator = "duo_bimorph_static"
+[drive]
+kind = "sine"
+amplitude_v = 10
+frequency_hz = 50
+"""
+MOST_LOOPS = 15
+"""Of about fifty."""
+
+
+def test_one_scenario_compiles_what_it_needs_and_the_next_run_nothing(tmp_path):
+    (tmp_path / "one.toml").write_text(SCENARIO)
+    env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "loops"), "HAMMERSTEIN_CACHE": ""}
+    command = [sys.executable, "-m", "hammerstein", "run", "one.toml", "--no-figures", "--jobs", "2"]
+    told = []
+    for _ in range(2):
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0
+        told.append(done.stderr)
+    assert told == ["compiling time loops that are needed for the first time\n", ""]
+    assert 1 <= len(list((tmp_path / "loops").rglob("*.nbi"))) <= MOST_LOOPS
