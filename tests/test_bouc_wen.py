@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import time
 
 import control
 import numpy as np
@@ -234,3 +235,14 @@ def test_a_gain_at_which_it_cannot_converge_is_refused():
 def test_pairs_refuse(numbers, says):
     with pytest.raises(InputError, match=says):
         BoucWenPair(*numbers)
+
+
+def test_a_far_movement_takes_few_steps_however_fast_it_forgets():
+    """Rates that differ a million times, over many volts: the steps go with logarithms, not with volts."""
+    hysteresis = one(beta=1e3, gamma=-1e3 + 1e-3)
+    u = np.tile([0.0, 500.0, -500.0], 2000)
+    begun = time.perf_counter()
+    ours = hysteresis.respond([u])[0]
+    assert time.perf_counter() - begun < 10.0
+    exact = theory.bouc_wen([u], [[14.0]], [[4.0]], [[1e3]], [[-1e3 + 1e-3]])
+    np.testing.assert_allclose(ours, exact, atol=4.0 * STATED / 1e-3)

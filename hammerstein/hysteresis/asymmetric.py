@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.bank import PlayState
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
-from hammerstein.hysteresis.pair import Array, Pair, WeightCovariance, frozen
+from hammerstein.hysteresis.pair import Array, Pair, WeightCovariance, frozen, played
 from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hammerstein.quantities import Offset, Weight, WeightError
@@ -251,6 +251,11 @@ class Asymmetric(Hysteresis[AsymmetricState]):
     def rest(self) -> AsymmetricState:
         """State of a model that was never driven."""
         return AsymmetricState(self.plays.rest(), np.zeros(self.n_inputs))
+
+    def after(self, path_v: Array) -> AsymmetricState:
+        """Memory after a path; see ``Hysteresis.after``."""
+        smallest = [played(path, [r])[0] for path, r in zip(path_v, self.smallest_v, strict=True)]
+        return AsymmetricState(self.plays.after(path_v), np.array(smallest))
 
     def restore(self, data: dict[str, Any]) -> AsymmetricState:
         """State from what ``as_dict`` gave."""

@@ -129,7 +129,7 @@ class BoucWen(Hysteresis[BoucWenState]):
         dz_lk/dt = du_k/dt - beta_lk |du_k/dt| z_lk - gamma_lk du_k/dt |z_lk|
 
     z depends on the way of the voltage, not on its rate: between two samples it is moved along the straight
-    line of the voltage, in steps of at most 1/32 of the voltage in which it relaxes, each by the midpoint
+    line of the voltage, in steps of at most 1/64 of the voltage in which it relaxes, each by the midpoint
     rule, which is rational. Its error is below 2e-4 of the limit of z, whatever the samples.
 
     Minor loops do not close (no wiping-out) and depend on where they lie (no congruency).
@@ -216,6 +216,10 @@ class BoucWen(Hysteresis[BoucWenState]):
     def rest(self) -> BoucWenState:
         """Memory of an actuator that was never driven."""
         return BoucWenState(np.zeros((self.n_outputs, self.n_inputs)), np.zeros(self.n_inputs))
+
+    def after(self, path_v: Array) -> BoucWenState:
+        """Memory after a path; see ``Hysteresis.after``."""
+        return self.respond(path_v, BoucWenState(self.rest().z_v, path_v[:, 0].copy()))[1]
 
     def restore(self, data: dict[str, Any]) -> BoucWenState:
         """Memory from what ``as_dict`` gave."""

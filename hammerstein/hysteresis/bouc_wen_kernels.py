@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from hammerstein.compiled import compiled
 
-LONGEST = 0.03125
+LONGEST = 0.015625
 """Largest step in parts of the voltage in which z relaxes; a longer movement is made of several."""
 FORGOTTEN = 64.0
 """Movement in these parts after which z stands at its limit to the last bit."""
@@ -20,15 +18,13 @@ def moved(z, du, load, unload):  # type: ignore[no-untyped-def]
     which z changes its sign ends at zero.
     """
     sign = 1.0 if du > 0.0 else -1.0
-    left, pace = abs(du), np.inf
-    if max(load, abs(unload)) > 0.0:
-        pace = LONGEST / max(load, abs(unload))
+    left = abs(du)
     while left > 0.0:
         falls = sign * z < 0.0
         if not falls and load * left > FORGOTTEN:
             return sign / load
         c = unload if falls else load
-        d = min(left, pace)
+        d = min(left, LONGEST / abs(c)) if c != 0.0 else left
         if falls:
             zero = -sign * z / (1.0 - 0.5 * sign * c * z)
             if zero <= d:

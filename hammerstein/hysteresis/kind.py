@@ -94,6 +94,14 @@ class Hysteresis(ABC, Generic[S]):
     def rest(self) -> S:
         """Memory of an actuator that was never driven."""
 
+    def after(self, path_v: Array) -> S:
+        """Memory of an actuator that was slowly driven along a path (m, turns) of voltages [V].
+
+        It was never driven before it stood at the first of them. Where a kind does not say otherwise that
+        is 0 V, from where it jumps to the path.
+        """
+        return self.respond(path_v)[1]
+
     @abstractmethod
     def restore(self, data: dict[str, Any]) -> S:
         """Memory from what its ``as_dict`` gave."""

@@ -57,6 +57,22 @@ def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
     return outputs
 
 
+def played(path_v: ArrayLike, r: ArrayLike) -> Array:
+    """Outputs (operator,) of plays that stood at the first voltage of a path and followed it slowly [V].
+
+    Examples
+    --------
+    >>> played([5.0, 20.0, 12.0], [0.0, 2.0, 6.0, 50.0])
+    array([12., 14., 14.,  5.])
+    """
+    thresholds = np.atleast_1d(np.asarray(r, dtype=np.float64))
+    path = np.asarray(path_v, dtype=np.float64)
+    held = np.full(len(thresholds), path[0])
+    for voltage in path[1:]:
+        held = np.maximum(voltage - thresholds, np.minimum(voltage + thresholds, held))
+    return held
+
+
 def _line(name: str, values: ArrayLike) -> Array:
     """Numbers in a line (n,), finite; InputError says what else was given."""
     try:

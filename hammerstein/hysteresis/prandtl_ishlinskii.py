@@ -15,7 +15,7 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.covariance import ThresholdCovariance, refuse_other_sizes
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, Normals, refuse_not_finite
-from hammerstein.hysteresis.pair import Array, Pair, WeightCovariance, frozen
+from hammerstein.hysteresis.pair import Array, Pair, WeightCovariance, frozen, played
 from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, ThresholdCovarianceFile
 
 if TYPE_CHECKING:
@@ -139,6 +139,12 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
             x[k, : len(plays)] = plays[::-1]
             below[k, 1 : len(plays)] = np.cumsum((bank.w[k, : len(plays)] * plays[:, None])[:0:-1], axis=0)
         return PlayState(count, end, x, d, below)
+
+    def after(self, path_v: Array) -> PlayState:
+        """Memory after a path; see ``Hysteresis.after``."""
+        bank = self.bank
+        grids = [r[:n] for r, n in zip(bank.r, bank.n, strict=True)]
+        return self.state_of([played(path, r) for path, r in zip(path_v, grids, strict=True)])
 
     def plays_of(self, state: PlayState) -> list[Array]:
         """Play outputs held by a state, one array an input on that input's threshold grid [V]."""

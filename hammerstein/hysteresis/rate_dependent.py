@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
-from hammerstein.hysteresis.pair import Array, WeightCovariance, frozen
+from hammerstein.hysteresis.pair import Array, WeightCovariance, frozen, played
 from hammerstein.hysteresis.pair_file import CovarianceFile
 from hammerstein.quantities import Bandwidth, Delay, Threshold, Weight
 
@@ -221,6 +221,13 @@ class RateDependent(Hysteresis[RateState]):
     def rest(self) -> RateState:
         """Memory of an actuator that was never driven."""
         return RateState(np.zeros(self.bank.r.shape), np.zeros((self.n_inputs, 2)), np.zeros(self.n_inputs))
+
+    def after(self, path_v: Array) -> RateState:
+        """Memory after a path; see ``Hysteresis.after``."""
+        plays = np.zeros(self.bank.r.shape)
+        for k, n in enumerate(self.bank.n):
+            plays[k, :n] = played(path_v[k], self.bank.r[k, :n])
+        return RateState(plays, np.repeat(path_v[:, -1:], 2, axis=1), np.zeros(self.n_inputs))
 
     def restore(self, data: dict[str, Any]) -> RateState:
         """Memory from what ``as_dict`` gave."""

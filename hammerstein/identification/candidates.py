@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from hammerstein.dynamics import (
     discretise,
 )
 from hammerstein.errors import IdentificationError
-from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_delay import checked_delay
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
@@ -132,7 +133,7 @@ class Task:
 
     def candidate(
         self,
-        hysteresis: PrandtlIshlinskii,
+        hysteresis: Hysteresis[Any],
         dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
     ) -> Candidate:
         """Static block and linear block as a model with the delay of the task."""

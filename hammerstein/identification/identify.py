@@ -155,9 +155,9 @@ def identify(
     >>> model.hysteresis.pairs[0][0].weights_um_per_v.round(6), fit.invertible
     (array([3., 1., 1.]), True)
     """
-    settings = settings or Settings()
-    if settings.hysteresis != "prandtl_ishlinskii":
-        settings = settings.without_auto()
+    asked = settings or Settings()
+    plain = asked.hysteresis == "prandtl_ishlinskii"
+    settings = asked if plain else asked.without_auto()
     if settings.hysteresis == "rate_dependent" and settings.delay_samples is None:
         settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
     tell = progress or (lambda _: None)
@@ -174,7 +174,11 @@ def identify(
     held_starts = judged_starts(held, largest.predict, _settle_s(guesses), _start_mode(settings))
     tell("judging the models")
     built, trials = _kept(task, built, held, held_starts)
-    built = with_hysteresis(task, built)
+    if not plain:
+        task, built = with_hysteresis(replace(task, settings=asked), built, held)
+        held_starts = judged_starts(
+            held, built.best.candidate.predict, _settle_s(guesses), _start_mode(settings)
+        )
     fitted = {kind: score(c, ready, task.starts) for kind, c in built.candidates.items()}
     judged = {kind: score(c, held, held_starts) for kind, c in built.candidates.items()} if held else {}
     errors = Judgement(fitted, judged, held, held_starts, answer, trials)

@@ -2,24 +2,44 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.hysteresis import Hysteresis
-from hammerstein.identification.candidates import Built, Task
+from hammerstein.identification.behind import Behind, search_behind, sure_behind
+from hammerstein.identification.candidates import WORTHWHILE, Built, Found, Task
+from hammerstein.identification.choice import Trial, chosen, judged_squares, parameters_of
+from hammerstein.identification.fit import Kind
+from hammerstein.identification.linear.delay import MOST_DELAY
+from hammerstein.identification.linear.second_order import parameters_of as axis_parameters
+from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.settings import HysteresisKind
-from hammerstein.identification.static.asymmetric import breakpoints_in, enough_dead_zones, fit_asymmetric
+from hammerstein.identification.static.asymmetric import (
+    breakpoints_in,
+    enough_dead_zones,
+    enough_plays,
+    fit_asymmetric,
+)
 from hammerstein.identification.static.bouc_wen import fit_bouc_wen
-from hammerstein.identification.static.rate_dependent import fit_rate_dependent
-from hammerstein.identification.static.static_block import Thresholds, Weighting
+from hammerstein.identification.static.history import START_ROUNDS, judged_starts
+from hammerstein.identification.static.rate_dependent import TWO_RATES, fit_rate_dependent
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import Thresholds, Weighting, half_swing
+from hammerstein.identification.verdict import drive_hz, invertibility_of
+from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
 Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
+
+
+MOST_TURNS = 4
+"""Most times that block and axes are fitted in turn; each must lower the error by half a percent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,27 +50,141 @@ class Replacement:
     notes: tuple[str, ...] = ()
 
 
-def with_hysteresis(task: Task, built: Built) -> Built:
-    """The models with the kind of hysteresis that was asked for in the best one; ``classical`` keeps plays.
+def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tuple[Task, Built]:
+    """The models with one of the kind of hysteresis that was asked for; ``classical`` keeps plays.
 
-    Thresholds, delay and linear block are those that were found with plays.
+    Lag, resonance and creep are found anew behind the block itself, for what plays miss of it would pass for
+    them; with dynamics ``auto`` only where the records are driven at several rates, for at a single one a lag
+    looks like hysteresis. So does a delay: without dynamics every one is judged on the records held back, and
+    where there are none it is the delay that was found with plays.
+
+    Parameters
+    ----------
+    task : records and settings; its thresholds, delay and starts were found with plays
+    built : the models with plays
+    held : records on which it is judged what to keep; those of the fit if there are none
+
+    Returns
+    -------
+    task : with the starts and the delay of the model that is kept
+    built : the models with that one
     """
-    kind = task.settings.hysteresis
-    if kind == "prandtl_ishlinskii":
-        return built
+    settings, kind = task.settings, task.settings.hysteresis
     task.progress(f"fitting the {kind.replace('_', ' ')} hysteresis")
     before = built.best
     task = task.delayed_as(before.candidate.dynamics)
     thresholds_v = [[pair.thresholds_v for pair in row] for row in before.blocks.chosen.hysteresis.pairs]
-    found = REPLACEMENTS[kind](task, thresholds_v, before.candidate.dynamics)
-    candidate = replace(before.candidate, hysteresis=found.hysteresis)
-    models = {**built.found, "classical": before, built.kind: replace(before, candidate=candidate)}
-    return replace(built, found=models, notes=(*built.notes, *found.notes))
+    delays = range(MOST_DELAY + 1) if held and _free_delay(task) else [task.delay_samples]
+    tried = [_before(task, thresholds_v, Behind((), delay)) for delay in delays]
+    if settings.dynamics != "auto" or _several_rates(task.records):
+        tried += [_with_axes_and_starts(task, thresholds_v)] if settings.dynamics != "none" else []
+    trials = [_trial(task, one, held) for one in tried]
+    nearest = min(range(len(delays)), key=lambda i: trials[i].percent)
+    kept = [nearest, *range(len(delays), len(tried))]
+    found = tried[kept[chosen([trials[i] for i in kept])]]
+    task = replace(task, starts=found.starts, delay_samples=found.behind.delay_samples)
+    name: Kind = "static_hysteresis" if found.behind.is_static else "hammerstein"
+    axes = () if found.behind.is_static else found.behind.axes
+    models = {**built.found, "classical": before, name: Found(found.candidate, before.blocks, axes)}
+    notes = (*built.notes, *found.block.notes)
+    return task, replace(built, found=models, kind=name, axes=axes, notes=notes)
+
+
+def _free_delay(task: Task) -> bool:
+    """Whether the delay is to be found: thresholds that grow with the rate look like one."""
+    one_time = len({record.sample_time_s for record in task.records}) == 1
+    return task.settings.delay_samples is None and one_time and task.settings.hysteresis != "rate_dependent"
+
+
+def _several_rates(records: Sequence[Record]) -> bool:
+    rates = [drive_hz(record) for record in records]
+    return max(rates) > TWO_RATES * min(rates)
+
+
+def _trial(task: Task, one: _Whole, held: Sequence[Record]) -> Trial:
+    """What speaks for a model: its errors on the records held back, or else on those of the fit."""
+    record, swing = task.records[0], float(half_swing(task.records).max())
+    mode = task.settings.start
+    judged = held or task.records
+    starts = judged_starts(held, one.candidate.predict, one.settle_s, mode) if held else one.starts
+    squares = judged_squares(one.candidate, judged, starts)
+    block, dynamics = one.candidate.hysteresis.counted_from(record.rest_v), one.candidate.dynamics
+    told = invertibility_of(block, dynamics, swing, record.sample_time_s, record.inputs)[0]
+    return Trial(one.name, parameters_of(one.candidate), squares, told)
+
+
+class _Whole(NamedTuple):
+    """A block with what stands behind it."""
+
+    candidate: Candidate
+    behind: Behind
+    block: Replacement
+    starts: tuple[Start, ...]
+
+    @property
+    def name(self) -> str:
+        """Words for a table."""
+        shapes = dict.fromkeys(axis_parameters(fit.axis)[0].name for fit in self.behind.axes)
+        return ", ".join(shapes) or f"{self.behind.delay_samples:g} samples late"
+
+    @property
+    def settle_s(self) -> float:
+        """Time in which the slowest axis, without its creep, rings down to a thousandth [s]."""
+        axes = self.behind.axes
+        times = [fit.axis.lag_s for fit in axes if fit.axis.lag_s is not None]
+        for fit in axes:
+            if fit.axis.resonance_hz is not None and fit.axis.damping_ratio is not None:
+                times.append(0.5 / np.pi / fit.axis.resonance_hz / fit.axis.damping_ratio)
+        return float(np.log(1e3)) * max(times, default=0.0)
+
+
+def _with_axes_and_starts(task: Task, thresholds_v: Thresholds) -> _Whole:
+    """Block and axes, with starts that suit them."""
+    found, begun = _with_axes(task, thresholds_v), task.starts
+    for _ in range(START_ROUNDS):
+        predict, settle_s = found.candidate.predict, found.settle_s
+        starts = judged_starts(task.records, predict, settle_s, task.settings.start)
+        if starts == task.starts:
+            break
+        task = replace(task, starts=starts)
+        found = _before(task, thresholds_v, found.behind)
+    return found if task.starts == begun else _with_axes(task, thresholds_v, found.behind)
+
+
+def _with_axes(task: Task, thresholds_v: Thresholds, found: Behind | None = None) -> _Whole:
+    """Block and axes fitted in turn until nothing is gained, from axes found before if there are any.
+
+    The block is fitted with its bounds and all that is not linear in it, the axes with its weights.
+    """
+    free, least = _free_delay(task), math.inf
+    begin = found or Behind((), 0.0 if free else task.delay_samples)
+    whole = _before(task, thresholds_v, begin)
+    for _ in range(MOST_TURNS):
+        found = search_behind(task, whole.block.hysteresis, begin, free)
+        whole = _before(task, thresholds_v, found)
+        error = score(whole.candidate, task.records, task.starts).mean_percent
+        if error > (1.0 - WORTHWHILE) * least:
+            break
+        begin, least = found, error
+    return _before(task, thresholds_v, sure_behind(task, whole.block.hysteresis, found or begin))
+
+
+def _before(task: Task, thresholds_v: Thresholds, found: Behind) -> _Whole:
+    """Block before the axes found."""
+    late = replace(task, delay_samples=found.delay_samples)
+    dynamics = StaticDynamics(n_outputs=task.outputs) if found.is_static else found.dynamics
+    block = REPLACEMENTS[task.settings.hysteresis](late, thresholds_v, dynamics)
+    return _Whole(late.candidate(block.hysteresis, dynamics), found, block, task.starts)
 
 
 def _asymmetric(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replacement:
     """Dead-zones beside the plays, as many as the records call for unless their number is given."""
     settings, paths = task.settings, task.paths(dynamics)
+    if settings.operators == "auto" and settings.thresholds_v is None and settings.partition == "auto":
+        task.progress("trying numbers of plays beside dead-zones")
+        thresholds_v = enough_plays(
+            task.records, starts=task.starts, delay_samples=task.whole_delay, through=paths
+        )
     begun = [[np.concatenate([[0.0], r[1:]]) if r.size else r for r in row] for row in thresholds_v]
     count = settings.dead_zones
     if count is None:

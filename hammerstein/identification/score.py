@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
-from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
+from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 
@@ -39,11 +39,9 @@ class Candidate:
         if start.kind == "repeated":
             v, _ = hysteresis.respond(record.u_v, memory)
             y, state = block.respond(v)
-        elif isinstance(hysteresis, PrandtlIshlinskii):
-            held = hysteresis.weighted(hysteresis.plays_of(before))
-            y, state = block.respond(v, block.settled(held))
         else:
-            y, state = block.respond(v)
+            held, _ = hysteresis.respond(path_before(record, start)[:, -1:], before)
+            y, state = block.respond(v, block.settled(held[:, 0]))
         if start.kind == "repeated":
             y, _ = block.respond(v, state)
         return np.asarray(y[-len(record.y_um) :])
@@ -55,15 +53,18 @@ class Candidate:
 
 
 def begun(hysteresis: Hysteresis[Any], record: Record, start: Start) -> Any:
-    """Memory of a static block before a record; kinds other than plays begin at rest."""
-    if start.kind in ("rest", "repeated") or not isinstance(hysteresis, PrandtlIshlinskii):
+    """Memory of a static block before a record."""
+    if start.kind in ("rest", "repeated"):
         return hysteresis.rest()
-    bank = hysteresis.bank
-    plays = [
-        start.plays_v(float(u[0]), r[:n], k)
-        for k, (u, r, n) in enumerate(zip(record.u_v, bank.r, bank.n, strict=True))
-    ]
-    return hysteresis.state_of(plays)
+    return hysteresis.after(path_before(record, start))
+
+
+def path_before(record: Record, start: Start) -> Array:
+    """Voltages (input, turn) that went before a record, from where it counts [V]: the last was held."""
+    if start.kind in ("rest", "repeated"):
+        return np.zeros((len(record.u_v), 1))
+    turns = np.array(start.turn_v)
+    return turns[:, :1] if start.kind == "stepped" else np.column_stack([turns, record.u_v[:, 0]])
 
 
 @dataclass(frozen=True)

@@ -65,8 +65,21 @@ def checked_delay(
         ]
         return [refine(task, x) for task, x in zip(tasks, begins, strict=True)]
 
-    tried = {guess.delay_samples: points(guess.delay_samples, guess.parameters)}
-    best = guess.delay_samples
+    best, found = best_delay(points, guess.delay_samples, guess.parameters)
+    if best == guess.delay_samples:
+        return guess
+    return replace(guess, parameters=tuple(point.x for point in found), delay_samples=best)
+
+
+def best_delay(
+    points: Callable[[float, Sequence[Array]], list[Point]], first: float, begins: Sequence[Array]
+) -> tuple[float, list[Point]]:
+    """Delay [samples] that leaves the least, and all axes with it.
+
+    points : all axes near given parameters with a delay; first, begins : where to begin
+    """
+    tried = {first: points(first, begins)}
+    best = first
     for step in (-1, 1):
         while 0 <= best + step <= MOST_DELAY:
             there = tried[best + step] = points(best + step, [point.x for point in tried[best]])
@@ -76,9 +89,7 @@ def checked_delay(
     part = _part_of_a_sample(points, tried, best)
     if _clearly_better(tried[part], tried[best]):
         best = part
-    if best == guess.delay_samples:
-        return guess
-    return replace(guess, parameters=tuple(point.x for point in tried[best]), delay_samples=best)
+    return best, tried[best]
 
 
 def _clearly_better(new: Sequence[Point], old: Sequence[Point]) -> bool:

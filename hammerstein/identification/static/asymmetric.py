@@ -13,8 +13,8 @@ from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii, WeightCovariance
 from hammerstein.hysteresis.covariance import triangle
-from hammerstein.identification.operators import CURVE_SAMPLES, ENOUGH, HELD_OUT, SEGMENTS
-from hammerstein.identification.score import ranges
+from hammerstein.identification.operators import CURVE_SAMPLES, HELD_OUT, SEGMENTS, input_grids
+from hammerstein.identification.score import path_before, ranges
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.normal_equations import (
     Bounds,
@@ -42,6 +42,10 @@ Array = NDArray[np.float64]
 
 COUNTS = (0, 1, 2, 3, 5, 7, 10, 15)
 """Numbers of dead-zones of an input that are tried."""
+PLAYS, BESIDE = (15, 20, 30, 40), 7
+"""Numbers of plays that are tried beside so many dead-zones."""
+NEAR = 5e-3
+"""Part by which fewer plays or dead-zones may leave more on held-out stretches."""
 HELD = 1e-9
 """Part of the least slope by which a slope at its bound may be off."""
 
@@ -161,7 +165,7 @@ def enough_dead_zones(
     delay_samples: int = 0,
     through: Sequence[LinearBlock] = (),
 ) -> int:
-    """Fewest dead-zones of every input whose error on held-out stretches is within two percent of the least.
+    """Fewest dead-zones whose error on held-out stretches is within half a percent of the least.
 
     Every fourth of 16 stretches of each record is held out, as for the number of operators; 0 says that the
     records show none. Breakpoints near the ends of the range rest on few samples: more of them than the
@@ -171,22 +175,51 @@ def enough_dead_zones(
     ----------
     records, thresholds_v, starts, delay_samples, through : as for ``fit_asymmetric``
     """
-    layout = Layout.of(thresholds_v)
     begun = tuple(starts) or (Start("rest"),) * len(records)
     few, first = shortened(records, begun, CURVE_SAMPLES)
-    spans, errors = ranges(few, first), []
-    for count in COUNTS:
-        zones = tuple(breakpoints_in(few, count))
-        task = _Task(few, first, layout, zones, delay_samples, tuple(through))
-        halves = zip(task.moments(held_out=False), task.moments(held_out=True), strict=True)
-        left = []
-        for o, (train, test) in enumerate(halves):
-            found = _solved(_Columns.of(layout, o, zones), train).coefficients
-            merge = _Columns.of(layout, o, zones).merge
-            squares = squares_left(test.gram, test.cross[:, 0], float(test.power[0]), merge @ found)
-            left.append(np.sqrt(squares / max(test.samples, 1)) / spans[o])
-        errors.append(float(np.mean(left)))
-    return next(n for n, error in zip(COUNTS, errors, strict=True) if error <= (1.0 + ENOUGH) * min(errors))
+    behind = (few, first, delay_samples, tuple(through))
+    errors = [_held_out(thresholds_v, count, *behind) for count in COUNTS]
+    return next(n for n, error in zip(COUNTS, errors, strict=True) if error <= (1.0 + NEAR) * min(errors))
+
+
+def enough_plays(
+    records: Sequence[Record],
+    *,
+    starts: Sequence[Start] = (),
+    delay_samples: int = 0,
+    through: Sequence[LinearBlock] = (),
+) -> list[list[Array]]:
+    """Thresholds (output, input), uniform in voltage, as many as call for beside seven dead-zones.
+
+    As ``enough_dead_zones``, which finds their number for given plays.
+    """
+    begun = tuple(starts) or (Start("rest"),) * len(records)
+    few, first = shortened(records, begun, CURVE_SAMPLES)
+    trials = [[input_grids(few, n, "voltage")] * len(few[0].y_um) for n in PLAYS]
+    errors = [_held_out(row, BESIDE, few, first, delay_samples, tuple(through)) for row in trials]
+    return next(t for t, error in zip(trials, errors, strict=True) if error <= (1.0 + NEAR) * min(errors))
+
+
+def _held_out(
+    thresholds_v: Thresholds,
+    dead_zones: int,
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    delay_samples: int,
+    through: tuple[LinearBlock, ...],
+) -> float:
+    """Rms error on the stretches that are held out, in parts of the ranges of the outputs."""
+    layout, zones = Layout.of(thresholds_v), tuple(breakpoints_in(records, dead_zones))
+    task = _Task(records, starts, layout, zones, delay_samples, through)
+    spans, left = ranges(records, starts), []
+    for o, (train, test) in enumerate(
+        zip(task.moments(held_out=False), task.moments(held_out=True), strict=True)
+    ):
+        columns = _Columns.of(layout, o, zones)
+        found = columns.merge @ _solved(columns, train).coefficients
+        squares = squares_left(test.gram, test.cross[:, 0], float(test.power[0]), found)
+        left.append(np.sqrt(squares / max(test.samples, 1)) / spans[o])
+    return float(np.mean(left))
 
 
 class _Task(NamedTuple):
@@ -213,10 +246,12 @@ class _Task(NamedTuple):
         u, y = delayed(record, start, self.delay_samples), record.y_um[list(outputs)]
         plays, zones = sum(map(len, self.layout.grids)), sum(map(len, self.breakpoints_v))
         filters = [] if path is None else path_filters(self.through, i, path, plays, len(record.y_um))
-        ramps = _ramps(u, [q - r for q, r in zip(self.breakpoints_v, record.rest_v, strict=True)])
+        counted = [q - r for q, r in zip(self.breakpoints_v, record.rest_v, strict=True)]
+        ramps = _ramps(u, counted)
         if filters and zones:
             [behind] = path_filters(self.through, i, outputs[0], zones, len(record.y_um))
-            ramps = _passed(ramps, start, behind)
+            held = _ramps(path_before(record, start)[:, -1:], counted)[:, 0]
+            ramps = _passed(ramps, start, behind, held)
 
         def blocks() -> Iterator[tuple[Array, Array]]:
             for k, x in regressor_blocks(u, start, self.layout.grids, filters):
@@ -242,9 +277,9 @@ def _ramps(u_v: Array, counted_v: Sequence[Array]) -> Array:
     return np.vstack(rows)
 
 
-def _passed(ramps: Array, start: Start, path: Filter) -> Array:
-    """Ramps behind their path."""
-    passed, state = path.respond(ramps, path.rest())
+def _passed(ramps: Array, start: Start, path: Filter, held: Array) -> Array:
+    """Ramps behind their path, which was held at given ramps (zone,) before."""
+    passed, state = path.respond(ramps, path.settled(held))
     return path.respond(ramps, state)[0] if start.kind == "repeated" else passed
 
 

@@ -14,6 +14,7 @@ from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import BoucWen, BoucWenPair, WeightCovariance
 from hammerstein.hysteresis.covariance import triangle
+from hammerstein.identification.score import path_before
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.normal_equations import Bounds, Solution, coefficients, solve
 from hammerstein.identification.static.regressors import Filter, Start, delayed
@@ -136,6 +137,7 @@ def _searched(quick: _Task, whole: _Task) -> Array:
 class _Task(NamedTuple):
     """What stays fixed while the shapes of one output are searched.
 
+    before_v : voltages (input, turn) that went before each record
     straight : the voltages behind the path (input, counted sample), about their mean in each record
     y : readings likewise (counted sample,); reach : half swing of each input (input,) [V]
     """
@@ -143,6 +145,7 @@ class _Task(NamedTuple):
     records: Sequence[Record]
     starts: Sequence[Start]
     late_v: tuple[Array, ...]
+    before_v: tuple[Array, ...]
     filters: tuple[tuple[Filter, ...], ...]
     straight: Array
     y: Array
@@ -164,15 +167,19 @@ class _Task(NamedTuple):
         p, m = len(records[0].y_um), len(reach)
         filters = tuple(tuple(path_filters(through, i, o, m, p)) for i in range(len(records)))
         y = [_centred(record.y_um[[o], start.first :]) for record, start in each]
-        empty = cls(records, starts, late, filters, np.empty((0, 0)), np.hstack(y)[0], reach)
-        return empty._replace(straight=empty._behind(late))
+        before = tuple(path_before(*one) for one in each)
+        empty = cls(records, starts, late, before, filters, np.empty((0, 0)), np.hstack(y)[0], reach)
+        return empty._replace(straight=empty._behind(late, [turns[:, -1] for turns in before]))
 
-    def _behind(self, rows: Sequence[Array]) -> Array:
-        """Rows of every record behind its path, about their means, over the samples that count."""
+    def _behind(self, rows: Sequence[Array], held: Sequence[Array]) -> Array:
+        """Rows of every record behind its path, about their means, over the samples that count.
+
+        Before, each row was held at its own value.
+        """
         found = []
-        for x, start, filters in zip(rows, self.starts, self.filters, strict=True):
+        for x, own, start, filters in zip(rows, held, self.starts, self.filters, strict=True):
             for path in filters:
-                passed, state = path.respond(x, path.rest())
+                passed, state = path.respond(x, path.settled(own))
                 x = path.respond(x, state)[0] if start.kind == "repeated" else passed
             found.append(_centred(x[:, start.first :]))
         return np.hstack(found)
@@ -186,15 +193,17 @@ class _Task(NamedTuple):
         """Regressors of d and a (weight, sample), input after input."""
         from hammerstein.hysteresis.bouc_wen_kernels import lagging
 
-        rows = []
-        for u, start in zip(self.late_v, self.starts, strict=True):
-            z = np.empty_like(u)
+        rows, held = [], []
+        for u, turns, start in zip(self.late_v, self.before_v, self.starts, strict=True):
+            z, begun = np.empty_like(u), np.empty_like(turns)
             for k, rates in enumerate(zip(*self.rates(shape), strict=True)):
-                end = lagging(u[k], *rates, 0.0, 0.0, z[k])
+                first = lagging(turns[k], *rates, 0.0, turns[k, 0], begun[k])
+                end = lagging(u[k], *rates, first, turns[k, -1], z[k])
                 if start.kind == "repeated":
                     lagging(u[k], *rates, end, u[k, -1], z[k])
             rows.append(-z)
-        both = np.stack([self.straight, self._behind(rows)], axis=1)
+            held.append(-begun[:, -1])
+        both = np.stack([self.straight, self._behind(rows, held)], axis=1)
         return both.reshape(2 * len(self.reach), -1)
 
     def residual(self, shape: Array) -> Array:

@@ -1,0 +1,229 @@
+"""Lag, resonance, creep and delay behind hysteresis of any kind, found together with its weights.
+
+Every kind is linear in its weights. Its response to each weight alone is a column; once they have passed the
+axis, the weights are linear unknowns as slopes of plays are, and the search is that of ``second_order``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
+from hammerstein.hysteresis import Hysteresis
+from hammerstein.identification.candidates import Task
+from hammerstein.identification.linear.axis_delay import best_delay
+from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, duration_s
+from hammerstein.identification.linear.second_order import (
+    CREEP_SPANS,
+    LAG_SAMPLES,
+    SEARCH_GRID,
+    TINY,
+    AxisFit,
+    Point,
+    fit_axis,
+    parameters_of,
+    refine,
+    rms_behind,
+    thinning,
+)
+from hammerstein.identification.score import begun, path_before
+from hammerstein.identification.static.regressors import Columns, Start
+from hammerstein.identification.verdict import FELT, axis_identified, creep_identified
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+Linear = AxesDynamics | StaticDynamics
+
+MOST_CREEP = 3
+"""Slow modes of an axis that ``auto`` may come to."""
+LARGEST_CREEP = 1.0
+"""Largest gain of a slow mode, in parts of the fast displacement."""
+TOLD = 1e-9
+"""Power of a combination of columns, in parts of the largest, from which the records tell it."""
+REFINED = 2
+"""Of the places of a coarse grid, those from which a resonance is refined."""
+
+
+class Behind(NamedTuple):
+    """The axes found behind a block, and the delay [samples]."""
+
+    axes: tuple[AxisFit, ...]
+    delay_samples: float
+
+    @property
+    def dynamics(self) -> AxesDynamics:
+        """Linear block of the axes."""
+        return AxesDynamics(axes=tuple(fit.axis for fit in self.axes))
+
+    @property
+    def is_static(self) -> bool:
+        """Whether nothing stands behind the block."""
+        return all(fit.axis == Axis() for fit in self.axes)
+
+
+def search_behind(task: Task, hysteresis: Hysteresis[Any], begin: Behind, free_delay: bool = False) -> Behind:
+    """Axes behind a block whose weights are free.
+
+    A low-pass, a resonance and slow modes are added to an axis one after the other, each time what lowers the
+    error most, while it does so by two percent.
+
+    Parameters
+    ----------
+    task : records, starts, settings
+    hysteresis : the block; only its weights are found anew
+    begin : axes, if any, and the delay to begin with
+    free_delay : whether the delay is found, too
+    """
+    first = begin.delay_samples
+    late = replace(task, delay_samples=first)
+    tasks = [_axis_task(late, hysteresis, o) for o in range(task.outputs)]
+    near = [fit.axis for fit in begin.axes] or [Axis()] * task.outputs
+    grown = [_grown(task, one, axis) for one, axis in zip(tasks, near, strict=True)]
+    shaped = [replace(one, shape=shape) for one, (shape, _) in zip(tasks, grown, strict=True)]
+    begins, delay = [x for _, x in grown], first
+    if free_delay and all(len(x) for x in begins):
+
+        def points(delay: float, begins: Sequence[Array]) -> list[Point]:
+            late = [replace(one, delay_samples=delay) for one in shaped]
+            return [refine(one, x) for one, x in zip(late, begins, strict=True)]
+
+        task.progress("searching the delay")
+        delay, found = best_delay(points, first, begins)
+        begins = [point.x for point in found]
+    fits = [fit_axis(replace(one, delay_samples=delay), x) for one, x in zip(shaped, begins, strict=True)]
+    return Behind(tuple(fits), delay)
+
+
+def sure_behind(task: Task, hysteresis: Hysteresis[Any], found: Behind) -> Behind:
+    """The axes without what the records do not tell of them, behind the same block."""
+    late = replace(task, delay_samples=found.delay_samples)
+    fits = []
+    for o, fit in enumerate(found.axes):
+        shape, x = parameters_of(fit.axis)
+        fits.append(_sure(replace(_axis_task(late, hysteresis, o), shape=shape), x, fit))
+    return Behind(tuple(fits), found.delay_samples)
+
+
+def _sure(one: AxisTask, x: Array, fit: AxisFit) -> AxisFit:
+    """The axis without slow modes and a resonance that the records do not tell, one after the other."""
+    while fit.axis.creep and not (creep_identified(fit, one.records) and _physical(fit.axis)):
+        shape, x = parameters_of(fit.axis)
+        sizes = zip(fit.axis.creep, fit.creep_gain_errors, strict=True)
+        least = int(np.argmin([abs(mode.gain) / max(error, TINY) for mode, error in sizes]))
+        at = shape.slow + 2 * least
+        one = replace(one, shape=replace(shape, creep_modes=shape.creep_modes - 1))
+        fit = fit_axis(one, np.delete(x, [at, at + 1]))
+    if fit.axis.resonance_hz is not None and not axis_identified(fit):
+        shape, x = parameters_of(fit.axis)
+        fit = fit_axis(replace(one, shape=replace(shape, resonance=False)), x[2:])
+    return fit
+
+
+def _physical(axis: Axis) -> bool:
+    """Whether every slow mode goes on the way of the fast displacement, and no farther than that."""
+    return all(0.0 < mode.gain <= LARGEST_CREEP for mode in axis.creep)
+
+
+def _axis_task(task: Task, hysteresis: Hysteresis[Any], o: int) -> AxisTask:
+    """What stays fixed while the axis of output o is fitted."""
+    every = thinning(task.records)
+    each = zip(task.records, task.starts, strict=True)
+    raw = [_columns(hysteresis, record, start, o) for record, start in each]
+    mix = _told(raw, every)
+    kept = tuple(Columns(mix @ one.values, mix @ one.held) for one in raw)
+    sensor = task.settings.sensor_bandwidth_hz
+    return AxisTask(
+        task.records, task.starts, (), o, AxisShape(False), task.delay_samples, sensor, every, kept
+    )
+
+
+def _columns(hysteresis: Hysteresis[Any], record: Record, start: Start, o: int) -> Columns:
+    """Response of output o to each of its weights alone, over a record, and before it."""
+    here = hysteresis.counted_from(record.rest_v).on_grid(record.sample_time_s)
+    sizes, values, held = [len(w) for w in here.weights], [], []
+    for unit in np.eye(sizes[o]):
+        one = here.with_weights([unit if k == o else np.zeros(n) for k, n in enumerate(sizes)])
+        memory = begun(one, record, start)
+        before, _ = one.respond(path_before(record, start)[:, -1:], memory)
+        v, after = one.respond(record.u_v, memory)
+        values.append(one.respond(record.u_v, after)[0][o] if start.kind == "repeated" else v[o])
+        held.append(before[o, 0])
+    return Columns(np.array(values), np.array(held))
+
+
+def _told(columns: Sequence[Columns], every: int) -> Array:
+    """Combinations (row, column) that the records tell, of equal power and without correlation."""
+    gram = np.zeros((len(columns[0].values),) * 2)
+    for one in columns:
+        x = one.values[:, ::every]
+        x = x - x.mean(axis=1, keepdims=True)
+        gram += x @ x.T
+    size = np.sqrt(np.diag(gram))
+    size = np.where(size > 0.0, size, 1.0)
+    power, directions = np.linalg.eigh(gram / np.outer(size, size))
+    kept = power > TOLD * power[-1]
+    return np.asarray((directions[:, kept] / np.sqrt(power[kept])).T / size)
+
+
+def _grown(task: Task, one: AxisTask, begin: Axis) -> tuple[AxisShape, Array]:
+    """Shape and parameters of one axis, found by adding what lowers the error most."""
+    settings, name = task.settings, task.records[0].outputs[one.output]
+    may = {"lag": ("lag",), "second_order": ("resonance",), "auto": ("lag", "resonance")}
+    fast = may.get(settings.dynamics, ())
+    most = MOST_CREEP if settings.creep_modes == "auto" else int(settings.creep_modes)
+    shape, x = parameters_of(begin)
+    if shape.parameters:
+        x = refine(replace(one, shape=shape), x).x
+    error = rms_behind(replace(one, shape=shape), x)
+    while True:
+        task.progress(f"trying what stands between the hysteresis and {name}: {shape.name} so far")
+        steps = [step for step in fast if not getattr(shape, step)]
+        steps += ["creep"] if shape.creep_modes < most else []
+        tried = [_with(one, shape, x, step) for step in steps]
+        if "lag" in steps and shape.resonance:  # a damped resonance may have taken the place of a low-pass
+            tried.append(_with_both(one, shape, x))
+        trials = [trial for trial in tried if trial is not None and _physical(axis_of(trial[0], trial[1].x))]
+        if not trials:
+            return shape, x
+        larger, point = min(trials, key=lambda trial: trial[1].rms)
+        if point.rms > (1.0 - FELT) * error:
+            return shape, x
+        shape, x, error = larger, point.x, point.rms
+
+
+def _with_both(one: AxisTask, shape: AxisShape, x: Array) -> tuple[AxisShape, Point] | None:
+    """An axis with a low-pass, and a resonance that is found behind it."""
+    lagging = _with(one, replace(shape, resonance=False), x[2:], "lag")
+    return None if lagging is None else _with(one, lagging[0], lagging[1].x, "resonance")
+
+
+def _with(one: AxisTask, shape: AxisShape, x: Array, step: str) -> tuple[AxisShape, Point] | None:
+    """An axis with one thing more, near the best place; None where the records are too short for any."""
+    if step == "creep":
+        larger, at = replace(shape, creep_modes=shape.creep_modes + 1), shape.parameters
+        spans = np.log(duration_s(one.records) * np.array((*CREEP_SPANS, 0.003)))
+        added = [np.array([0.02, t]) for t in spans]
+    elif step == "lag":
+        larger, at = replace(shape, lag=True), shape.slow
+        times = np.log(min(r.sample_time_s for r in one.records) * np.array(LAG_SAMPLES))
+        added = [np.array([t]) for t in times]
+    else:
+        larger, at = replace(shape, resonance=True), 0
+        lower, upper = replace(one, shape=AxisShape()).limits
+        places = np.arange(math.log(10.0) + lower[0], upper[0], math.log(SEARCH_GRID[0]))
+        added = [np.array([f, math.log(SEARCH_GRID[1])]) for f in places]
+    grown = replace(one, shape=larger)
+    lower, upper = grown.limits
+    begins = [np.insert(x, at, more) for more in added]
+    begins = [x for x in begins if (lower <= x).all() and (x <= upper).all()]
+    if not begins:
+        return None
+    order = np.argsort([rms_behind(grown, x) for x in begins], kind="stable")
+    points = [refine(grown, begins[int(i)]) for i in order[:REFINED]]
+    return larger, min(points, key=lambda point: point.rms)

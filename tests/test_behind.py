@@ -1,0 +1,171 @@
+"""Lag, resonance, creep and delay found together with hysteresis of any kind."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import theory
+from record_cases import plain
+from stack_cases import CREEP, DAMPING, LAG_S, RATE_HZ, RESONANCE_HZ, record_um
+from test_measured import loops, micromanipulator, needs_dbo, needs_ja  # noqa: F401
+
+from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, discretise
+from hammerstein.hysteresis import (
+    Asymmetric,
+    BoucWen,
+    BoucWenPair,
+    DeadZones,
+    Pair,
+    PrandtlIshlinskii,
+    RateDependent,
+    RatePlays,
+)
+from hammerstein.identification.identify import identify
+from hammerstein.identification.score import Candidate
+from hammerstein.identification.settings import Settings
+from hammerstein.identification.static.regressors import Start
+from hammerstein.records.record import Record
+
+T = 1e-4
+BOTH = ((5.0, 0.6), (60.0, 0.3))
+R, W = np.array([0.0, 1.0, 3.0, 6.0]), np.array([3.0, 0.4, 0.5, 0.6])
+
+
+def sines(hz, seconds, swing=10.0):
+    t = T * np.arange(round(seconds / T))
+    size = swing * np.interp(t, [0.0, 0.6 * seconds, seconds], [1.0, 0.3, 0.8])
+    return (size * np.sin(2.0 * np.pi * hz * t))[None]
+
+
+def static_um(kind, u):
+    if kind == "bouc_wen":
+        return theory.bouc_wen(u, [[14.0]], [[4.0]], [[0.25]], [[0.1]])
+    if kind == "asymmetric":
+        return theory.asymmetric(u, [[R]], [[W]], [[[-3.0, 3.0]]], [[[0.4, -0.6]]], [0.0])
+    return theory.rate_dependent(u, T, [R], [np.array([0.0, 4e-4, 4e-4, 4e-4])], [200.0], [0.0], [[W]])
+
+
+def record_of(kind, path, hz, seconds, seed):
+    u = sines(hz, seconds)
+    y = path.respond(static_um(kind, u))[0]
+    return Record(u, y + 0.005 * np.random.default_rng(seed).standard_normal(y.shape), T)
+
+
+@pytest.mark.parametrize("kind", ["asymmetric", "bouc_wen"])
+def test_lag_and_creep_behind_each_kind_are_found_again(kind):
+    axis = Axis(lag_s=1e-3, creep=(CreepMode(gain=0.06, time_constant_s=0.15),))
+    path = discretise(AxesDynamics(axes=(axis,)), T)
+    records = [record_of(kind, path, 10.0, 1.0, 1), record_of(kind, path, 60.0, 0.5, 2)]
+    kept = {"thresholds_v": R, "dynamics": "lag", "error_curve": False, "start": "rest"}
+    kept |= {"dead_zones": 5} if kind == "asymmetric" else {}
+    model, fit = identify(records, Settings(hysteresis=kind, **kept))
+    [found] = model.dynamics.axes
+    assert found.lag_s == pytest.approx(1e-3, rel=0.02)
+    assert [mode.gain for mode in found.creep] == pytest.approx([0.06], rel=0.05)
+    assert [mode.time_constant_s for mode in found.creep] == pytest.approx([0.15], rel=0.1)
+    assert model.dynamics.input_delay_s == 0.0
+    assert fit.kind == "hammerstein"
+    assert fit.fit["hammerstein"].nrmse_percent[0] < 0.5 * fit.fit["classical"].nrmse_percent[0]
+
+
+def test_the_rate_keeps_what_is_its_own_and_the_lag_what_is_not():
+    path = discretise(AxesDynamics(axes=(Axis(lag_s=1e-3),)), T)
+    records = [record_of("rate_dependent", path, *both, seed) for seed, both in enumerate(BOTH)]
+    kept = {"thresholds_v": R, "dynamics": "lag", "creep_modes": 0, "error_curve": False, "start": "rest"}
+    model, fit = identify(records, Settings(hysteresis="rate_dependent", **kept))
+    assert model.dynamics.axes[0].lag_s == pytest.approx(1e-3, rel=0.1)
+    assert model.hysteresis.inputs[0].growth_s[-1] > 2e-4  # found in turns with the lag, which is slow
+    assert fit.fit["hammerstein"].nrmse_percent[0] < 0.4 * fit.fit["classical"].nrmse_percent[0]
+
+
+def test_a_single_rate_tells_no_lag_unless_it_is_asked_for():
+    path = discretise(AxesDynamics(axes=(Axis(lag_s=1e-3),)), T)
+    record = record_of("asymmetric", path, 20.0, 0.5, 1)
+    kept = {"thresholds_v": R, "delay_samples": 0, "error_curve": False, "start": "rest", "dead_zones": 3}
+    assert identify([record], Settings(hysteresis="asymmetric", **kept))[0].dynamics.kind == "static"
+    asked = Settings(hysteresis="asymmetric", dynamics="lag", creep_modes=0, **kept)
+    assert identify([record], asked)[0].dynamics.axes[0].lag_s == pytest.approx(1e-3, rel=0.1)
+
+
+# ---- what went before a record, for every kind ----
+
+
+def blocks():
+    plays = PrandtlIshlinskii([[Pair(R, W)]])
+    return [
+        plays,
+        Asymmetric(plays, [[DeadZones([-3.0, 3.0], [0.4, -0.6])]]),
+        RateDependent((RatePlays(R, [0.0, 4e-5, 4e-5, 4e-5], 200.0),), ((W,),)),
+        BoucWen([[BoucWenPair(14.0, 4.0, 0.25, 0.1)]]),
+    ]
+
+
+@pytest.mark.parametrize("block", blocks(), ids=lambda block: block.kind)
+def test_a_record_that_begins_after_a_turn_is_predicted_as_the_end_of_a_longer_one(block):
+    """Driven from 0 to 9 V and back to 2 V so slowly that no rate is left, then on."""
+    before = np.concatenate([np.linspace(0.0, 9.0, 9000), np.linspace(9.0, 2.0, 9000), np.full(4000, 2.0)])
+    after = 2.0 + 3.0 * np.sin(np.arange(600) / 40.0)
+    axis = AxesDynamics(axes=(Axis(lag_s=2e-3),))
+    longer = Record([np.append(before, after)], [np.append(before, after)], T)
+    whole = Candidate(block, axis).predict(longer, Start("rest"))
+    part = Record([after], [after], T)
+    said = Candidate(block, axis).predict(part, Start("turned", 0, ((0.0, 9.0),)))
+    np.testing.assert_allclose(said, whole[:, len(before) :], atol=1e-3)
+
+
+# ---- the whole actuator ----
+
+
+@cache
+def stack_records():
+    def record(hz, seconds, seed):
+        u, y = record_um(hz, seconds, seed)
+        return Record(u, y, 1.0 / RATE_HZ, ("u",), ("x",), f"{hz:g}.csv")
+
+    return [record(20.0, 3.0, 1), record(100.0, 1.0, 2)], record(40.0, 1.5, 3)
+
+
+@pytest.mark.long
+def test_a_whole_stack_is_found_and_followed_at_a_frequency_between():
+    """Plays, dead-zones, lag, resonance, two slow modes, saturated start; classical beside: 0.9 %."""
+    records, held = stack_records()
+    model, fit = identify(records, Settings(hysteresis="asymmetric"), validation=[held])
+    [axis] = model.dynamics.axes
+    assert fit.validation["hammerstein"].nrmse_percent[0] <= 0.15
+    assert fit.validation["classical"].nrmse_percent[0] > 4.0 * 0.15
+    assert axis.lag_s == pytest.approx(LAG_S, rel=0.02)
+    assert axis.resonance_hz == pytest.approx(RESONANCE_HZ, rel=0.01)
+    assert axis.damping_ratio == pytest.approx(DAMPING, rel=0.1)
+    modes = sorted((mode.gain, mode.time_constant_s) for mode in axis.creep)
+    np.testing.assert_allclose(modes, CREEP, rtol=0.05)
+
+
+@needs_ja
+@pytest.mark.parametrize(
+    ("name", "number", "times"),
+    [
+        ("11_TwoStepSolver_{}_MnZn_HP_ferrite.mat", 3, 3.0),
+        ("12_Automation2018_{}_MnZn_ferrite.mat", 2, 3.0),
+        ("1_isotropic_{}_MnZn_ferrite.mat", 2, 3.0),
+        ("1_isotropic_{}_MnZn_ferrite.mat", 3, 2.4),
+        ("2_anisotropic_{}_amorf.mat", 0, 3.0),
+    ],
+)
+def test_dead_zones_follow_saturation_where_plays_are_flagged(name, number, times):
+    record = loops(name)[number]
+    _, fit = identify([record], plain(hysteresis="asymmetric", dead_zones=20))
+    ours, plays = (fit.fit[kind].nrmse_percent[0] for kind in ("static_hysteresis", "classical"))
+    assert times * ours <= plays
+    assert fit.flags == ()
+    assert fit.invertible
+
+
+@needs_dbo
+def test_the_delay_of_the_micromanipulator_is_chosen_from_its_records(micromanipulator):  # noqa: F811
+    (record,), (other,) = micromanipulator
+    records, held = [record.part(400, record.samples)], [other.part(400, other.samples)]
+    _, fit = identify(records, Settings(hysteresis="asymmetric"), validation=held)
+    assert fit.fit["static_hysteresis"].nrmse_percent[0] <= 0.50
+    assert fit.validation["static_hysteresis"].nrmse_percent[0] <= 0.65
+    assert fit.delay_samples in (2, 3)
+    assert fit.invertible
