@@ -9,7 +9,7 @@ from scipy.signal import cont2discrete, lfilter
 from theory_linear import second_order_step
 
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
-from hammerstein.identification.candidates import dynamics_of
+from hammerstein.identification.axes_candidates import dynamics_of
 from hammerstein.identification.linear.axis_delay import checked_delay
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
 from hammerstein.identification.linear.second_order import AxisFit, fit_axes, refine, search_axes

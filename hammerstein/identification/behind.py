@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.hysteresis import Hysteresis
-from hammerstein.identification.candidates import Task
 from hammerstein.identification.linear.axis_delay import best_delay
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, duration_s
 from hammerstein.identification.linear.second_order import (
@@ -34,6 +33,7 @@ from hammerstein.identification.linear.second_order import (
 )
 from hammerstein.identification.score import begun, path_before
 from hammerstein.identification.static.regressors import Columns, Start
+from hammerstein.identification.task import Task
 from hammerstein.identification.verdict import FELT, axis_identified, creep_identified
 from hammerstein.records.record import Record
 

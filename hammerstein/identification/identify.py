@@ -13,18 +13,7 @@ from numpy.typing import NDArray
 
 from hammerstein.dynamics import StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import IdentificationError, InputError
-from hammerstein.identification.candidates import (
-    Built,
-    Found,
-    Task,
-    build_axes,
-    build_state_space,
-    build_static,
-    guesses_of,
-    late_static,
-    with_checked_delay,
-    with_errors,
-)
+from hammerstein.identification.axes_candidates import build_axes, guesses_of, with_checked_delay
 from hammerstein.identification.choice import Trial, chosen, crossed_squares, judged_squares, parameters_of
 from hammerstein.identification.excitation import answers, excitation_statements, refuse_noise, refuse_one_way
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
@@ -42,6 +31,7 @@ from hammerstein.identification.operators import (
 from hammerstein.identification.recorded import counted, voltages_of
 from hammerstein.identification.score import Candidate, Score, ranges, score
 from hammerstein.identification.settings import Settings
+from hammerstein.identification.state_space_candidates import build_state_space
 from hammerstein.identification.static.history import (
     StartMode,
     found_starts,
@@ -50,6 +40,8 @@ from hammerstein.identification.static.history import (
 )
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import direct_pairs, fit_static, half_swing
+from hammerstein.identification.static_candidates import build_static, late_static, with_errors
+from hammerstein.identification.task import Built, Found, Task
 from hammerstein.identification.verdict import (
     axis_identified,
     axis_statements,

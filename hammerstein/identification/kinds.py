@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.hysteresis import Hysteresis
+from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.behind import Behind, search_behind, sure_behind
-from hammerstein.identification.candidates import WORTHWHILE, Built, Found, Task
 from hammerstein.identification.choice import Trial, chosen, judged_squares, parameters_of
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.delay import MOST_DELAY
@@ -31,6 +31,7 @@ from hammerstein.identification.static.history import START_ROUNDS, judged_start
 from hammerstein.identification.static.rate_dependent import TWO_RATES, fit_rate_dependent
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import Thresholds, Weighting, half_swing
+from hammerstein.identification.task import Built, Found, Task
 from hammerstein.identification.verdict import drive_hz, invertibility_of
 from hammerstein.records.record import Record
 

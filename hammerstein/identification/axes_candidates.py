@@ -1,0 +1,350 @@
+"""Models with a resonance, a low-pass or creep on each axis, beside those without."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import (
+    AxesDynamics,
+    Axis,
+)
+from hammerstein.identification.fit import Kind
+from hammerstein.identification.linear.axis_delay import checked_delay
+from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
+from hammerstein.identification.linear.second_order import (
+    TINY,
+    AxesFit,
+    AxisFit,
+    FirstGuess,
+    fit_axes,
+    fit_axis,
+    parameters_of as axis_parameters,
+    rms_behind,
+    search_axes,
+    search_creep,
+    search_lag,
+    thinning,
+)
+from hammerstein.identification.settings import Settings
+from hammerstein.identification.static.fitted_thresholds import criterion, gained
+from hammerstein.identification.static.history import shortened
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import (
+    Layout,
+    StaticFit,
+    Thresholds,
+)
+from hammerstein.identification.static_candidates import (
+    KEPT,
+    begun_static,
+    finished_static,
+    fitted_thresholds,
+    lost_inverse,
+    of_fitted,
+    static_blocks,
+    without_dynamics,
+)
+from hammerstein.identification.task import Blocks, Built, Found, Task, thresholds_of
+from hammerstein.identification.verdict import FELT, axis_identified, creep_identified
+from hammerstein.records.record import Record
+
+GROWN_SAMPLES = 200_000
+"""Samples with which a low-pass or a creep mode more is searched."""
+MOST_TURNS = 8
+"""Most times that thresholds and axes are fitted in turn; each must lower the criterion by one."""
+WORTHWHILE = 5e-3
+"""Part of the error that a turn must gain where the records are so long that samples are left out."""
+CLEARLY_FELT = 0.5
+"""Part of the error that dynamics leave, below which thresholds are not fitted without them, too."""
+PATIENCE = 2
+"""Turns in a row without that, after which they end."""
+FEWER = (0.75, 0.5)
+"""Parts of the number of thresholds with which their fit is tried again."""
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+
+def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> Built:
+    """All four kinds, with axes of the shapes guessed: of each output the simplest that does as well.
+
+    The best is fitted with all records; the thresholds are fitted with it where that is asked for. Then a
+    low-pass beside a resonance and a creep mode are tried.
+    """
+    settings, may_creep = task.settings, task.settings.creep_modes == "auto"
+    static = begun_static(without_dynamics(task))
+    task, guess, axes, others = _first_axes(task, guesses)
+    blocks = static_blocks(task, task.thresholds_v, dynamics_of(axes), settings.method)
+    if not may_creep and not _felt(static.best.blocks.chosen, blocks.chosen):
+        unfelt = [
+            replace(axis, rms_um=axis.static_rms_um) if axis_identified(axis) else axis for axis in axes
+        ]
+        return replace(finished_static(without_dynamics(task), static), axes=tuple(unfelt), others=others)
+    notes: tuple[str, ...] = ()
+    if not np.all(blocks.chosen.rms_um <= CLEARLY_FELT * static.best.blocks.chosen.rms_um):
+        coarse, static = static, finished_static(without_dynamics(task), static)
+        if static.best is not coarse.best:
+            task, guess, axes, blocks = _behind_fitted(task, guess, axes, blocks, static.best.blocks)
+    if settings.fits_thresholds and any(axis_identified(axis) for axis in axes):
+        begun = blocks
+        axes, blocks = _with_fewer_if_needed(task, guess, axes, begun)
+        notes = (KEPT,) if blocks is begun and settings.partition == "fitted" else ()
+    before = axes
+    axes, blocks, tried = _grown(task, axes, blocks)
+    if axes is not before and settings.fits_thresholds:
+        axes, blocks = _thresholds_and_axes(task, _guess_of(guess, axes), axes, blocks)
+    if not any(axis_identified(axis) for axis in axes):
+        return replace(static, axes=axes, others=(*others, *tried))
+    dynamics = dynamics_of(axes)
+    linear = _axes(task, task.linear_thresholds(), _guess_of(guess, axes), thinning(task.records))
+    alone = _as_found(linear.axes)
+    gains = static_blocks(task, task.linear_thresholds(), alone, "least_squares")
+    found: dict[Kind, Found] = {
+        **static.found,
+        "linear_dynamics": Found(task.candidate(gains.chosen.hysteresis, alone), gains),
+        "hammerstein": Found(task.candidate(blocks.chosen.hysteresis, dynamics), blocks, axes),
+    }
+    return Built(found, "hammerstein", axes, notes, (*others, *tried))
+
+
+def _first_axes(
+    task: Task, guesses: Sequence[FirstGuess]
+) -> tuple[Task, FirstGuess, tuple[AxisFit, ...], tuple[tuple[str, Found], ...]]:
+    """Of the shapes guessed the best, fitted with all records, the task with its delay, and all as models."""
+    guess = guesses[0]
+    others: tuple[tuple[str, Found], ...] = ()
+    if len(guesses) > 1:
+        fits = [_axes(task, task.thresholds_v, guess, thinning(task.records)) for guess in guesses]
+        guess, others = _best_shapes(guesses, fits), _others(task, guesses, fits)
+    task = replace(task, delay_samples=guess.delay_samples)
+    return task, guess, _axes(task, task.thresholds_v, guess, 1).axes, others
+
+
+def _behind_fitted(
+    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: Blocks, static: Blocks
+) -> tuple[Task, FirstGuess, tuple[AxisFit, ...], Blocks]:
+    """Axes behind the thresholds that were fitted without any, if those leave less than the ones begun with.
+
+    What coarse thresholds miss of the hysteresis would pass for a delay, dynamics or creep otherwise, or hide
+    a resonance: axes that were not seen are searched anew.
+    """
+    behind = replace(task, thresholds_v=thresholds_of(static))
+    guesses: Sequence[FirstGuess] = (guess,)
+    if not all(axis_identified(axis) and axis.excited for axis in axes):
+        grids = Layout.of(behind.thresholds_v).grids
+        guesses = guesses_of(task.records, task.starts, task.settings, task.progress, grids)
+    late, near, found, _ = _first_axes(behind, [with_checked_delay(behind, one) for one in guesses])
+    trial = of_fitted(late, behind.thresholds_v, dynamics_of(found))
+    late = replace(late, thresholds_v=task.thresholds_v)
+    return (late, near, found, trial) if gained(blocks.chosen, trial.chosen) else (task, guess, axes, blocks)
+
+
+def guesses_of(
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    settings: Settings,
+    tell: Progress,
+    grids: Sequence[Array] | None = None,
+) -> tuple[FirstGuess, ...]:
+    """Quick axes of every shape that is tried, behind plays with given thresholds if any."""
+    return tuple(
+        search_axes(
+            records,
+            starts,
+            grids=grids,
+            delay_samples=settings.delay_samples,
+            sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
+            resonance=resonance,
+            lag=lag,
+            progress=tell,
+        )
+        for resonance, lag in settings.shapes
+    )
+
+
+def with_checked_delay(task: Task, guess: FirstGuess) -> FirstGuess:
+    """Axes with the delay that is best with the thresholds of the task."""
+    task.progress("checking the delay")
+    return checked_delay(
+        task.records,
+        task.starts,
+        Layout.of(task.thresholds_v).grids,
+        guess,
+        sensor_bandwidth_hz=task.settings.sensor_bandwidth_hz,
+    )
+
+
+def _guess_of(guess: FirstGuess, axes: Sequence[AxisFit]) -> FirstGuess:
+    """The axes found as what is begun with."""
+    each = [
+        axis_parameters(fit.axis) if axis_identified(fit) else (shape, x)
+        for fit, shape, x in zip(axes, guess.shapes, guess.parameters, strict=True)
+    ]
+    return replace(guess, shapes=tuple(s for s, _ in each), parameters=tuple(x for _, x in each))
+
+
+def _axes(task: Task, thresholds_v: Thresholds, guess: FirstGuess, every: int) -> AxesFit:
+    settings = task.settings
+    return fit_axes(
+        task.records,
+        Layout.of(thresholds_v).grids,
+        task.starts,
+        guess,
+        creep_modes=settings.creep_modes if isinstance(settings.creep_modes, int) else None,
+        sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
+        every=every,
+        progress=task.progress,
+    )
+
+
+def _best_shapes(guesses: Sequence[FirstGuess], fits: Sequence[AxesFit]) -> FirstGuess:
+    """Of each output the simplest shape whose error is within two percent of the least, and one delay."""
+    shapes, parameters = [], []
+    for o in range(len(guesses[0].shapes)):
+        rms = [fit.axes[o].rms_um if axis_identified(fit.axes[o]) else math.inf for fit in fits]
+        least = min(rms)
+        order = sorted(range(len(fits)), key=lambda i: guesses[i].shapes[o].parameters)
+        i = next((i for i in order if rms[i] <= least / (1.0 - FELT)), order[0])
+        shapes.append(guesses[i].shapes[o])
+        parameters.append(axis_parameters(fits[i].axes[o].axis)[1][: shapes[-1].slow])
+    totals = [sum(math.log(max(axis.rms_um, TINY)) for axis in fit.axes) for fit in fits]
+    delay = guesses[int(np.argmin(totals))].delay_samples
+    return FirstGuess(tuple(shapes), tuple(parameters), delay, guesses[0].delay_rms_um)
+
+
+def _others(
+    task: Task, guesses: Sequence[FirstGuess], fits: Sequence[AxesFit]
+) -> tuple[tuple[str, Found], ...]:
+    """The shapes that were tried with the thresholds begun with, as models."""
+    found = []
+    for guess, fit in zip(guesses, fits, strict=True):
+        late = replace(task, delay_samples=guess.delay_samples)
+        blocks = static_blocks(late, task.thresholds_v, _as_found(fit.axes), task.settings.method)
+        name = f"plays as begun with, {guess.shapes[0].name}"
+        model = late.candidate(blocks.chosen.hysteresis, _as_found(fit.axes))
+        found.append((name, Found(model, blocks, fit.axes)))
+    return tuple(found)
+
+
+def _grown(
+    task: Task, axes: tuple[AxisFit, ...], blocks: Blocks
+) -> tuple[tuple[AxisFit, ...], Blocks, list[tuple[str, Found]]]:
+    """Axes with what else lowers the error: a low-pass beside the resonance, a creep mode."""
+    settings = task.settings
+    tried: list[tuple[str, Found]] = []
+    grids = Layout.of(thresholds_of(blocks)).grids
+    steps: list[str] = (["lag"] if settings.dynamics == "auto" else []) + (
+        ["creep"] if settings.creep_modes == "auto" else []
+    )
+    for step in steps:
+        task.progress(f"trying a {'low-pass' if step == 'lag' else 'creep mode'} beside it")
+        found = tuple(_with(task, grids, blocks, o, fit, step) for o, fit in enumerate(axes))
+        if all(new is old for new, old in zip(found, axes, strict=True)):
+            continue
+        trial = static_blocks(task, thresholds_of(blocks), dynamics_of(found), settings.method)
+        trial = replace(trial, fitted=blocks.fitted)
+        with_it = Found(task.candidate(trial.chosen.hysteresis, dynamics_of(found)), trial, found)
+        name = {"lag": "a low-pass", "creep": "a creep mode"}[step]
+        if np.any(trial.chosen.rms_um <= (1.0 - FELT) * blocks.chosen.rms_um):
+            without = task.candidate(blocks.chosen.hysteresis, dynamics_of(axes))
+            tried.append((f"without {name}", Found(without, blocks, axes)))
+            axes, blocks = found, trial
+        else:
+            tried.append((f"with {name}", with_it))
+    return axes, blocks, tried
+
+
+def _with(task: Task, grids: tuple[Array, ...], blocks: Blocks, o: int, old: AxisFit, step: str) -> AxisFit:
+    """One axis with a low-pass or a creep mode more; as it was if a quick search gains nothing."""
+    shape, x = axis_parameters(old.axis)
+    if not axis_identified(old):
+        shape, x = AxisShape(False), np.empty(0)
+    if step == "lag" and (shape.lag or not shape.resonance):
+        return old
+    full = AxisTask(
+        task.records, task.starts, grids, o, shape, task.delay_samples, task.settings.sensor_bandwidth_hz
+    )
+    row = blocks.chosen.hysteresis.pairs[o]
+    slopes = Layout.of(thresholds_of(blocks)).merge[o] @ np.concatenate([pair.slopes for pair in row])
+    few, begun = shortened(task.records, task.starts, GROWN_SAMPLES)
+    quick = replace(full, records=few, starts=begun, every=thinning(few)).mixed(slopes)
+    larger = replace(shape, lag=True) if step == "lag" else replace(shape, creep_modes=shape.creep_modes + 1)
+    point = (search_lag if step == "lag" else search_creep)(replace(quick, shape=larger), x)
+    if point.rms > (1.0 - FELT) * rms_behind(quick, x):
+        return old
+    fit = fit_axis(replace(full, shape=larger), point.x)
+    told = axis_identified(fit) and (step == "lag" or creep_identified(fit, task.records))
+    return fit if told else old
+
+
+def _with_fewer_if_needed(
+    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], begun: Blocks
+) -> tuple[tuple[AxisFit, ...], Blocks]:
+    """Thresholds and axes fitted, with fewer thresholds than begun with where so many lead to no inverse."""
+    found = _thresholds_and_axes(task, guess, axes, begun)
+    settings, number = task.settings, max(map(len, task.thresholds_v[0]))
+    free = settings.operators == "auto" and settings.thresholds_v is None
+    for part in FEWER:
+        if found[1] is not begun or not free:
+            break
+        fewer = replace(task, thresholds_v=settings.thresholds(task.records, math.ceil(part * number)))
+        blocks = static_blocks(fewer, fewer.thresholds_v, dynamics_of(axes), settings.method)
+        trial = _thresholds_and_axes(fewer, guess, axes, blocks)
+        if trial[1] is not blocks and gained(begun.chosen, trial[1].chosen):
+            found = trial
+    return found
+
+
+def _thresholds_and_axes(
+    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: Blocks
+) -> tuple[tuple[AxisFit, ...], Blocks]:
+    """Axes and static block with thresholds and axes fitted in turn; as they were if nothing is gained."""
+    free, every = 1 + task.outputs, thinning(task.records)
+    best: tuple[tuple[AxisFit, ...], Blocks] | None = None
+    near, thresholds_v, idle = axes, thresholds_of(blocks), 0
+    need = 1.0 if every == 1 else WORTHWHILE * 2.0 * task.outputs * blocks.chosen.samples
+    for _ in range(MOST_TURNS):
+        task.progress("fitting the thresholds")
+        thresholds_v = fitted_thresholds(task, thresholds_v, dynamics_of(near), rounds=1)
+        begin = tuple(
+            axis_parameters(fit.axis)[1] if axis_identified(fit) else x
+            for fit, x in zip(near, guess.parameters, strict=True)
+        )
+        near = _axes(task, thresholds_v, replace(guess, parameters=begin), every).axes
+        if not any(axis_identified(axis) for axis in near):
+            break
+        trial = of_fitted(task, thresholds_v, dynamics_of(near))
+        least = criterion(best[1].chosen, free) if best else math.inf
+        worse = criterion(trial.chosen, free) >= least - need or lost_inverse(task, blocks, trial)
+        idle = idle + 1 if worse else 0
+        if idle >= (PATIENCE if every == 1 else 1):
+            break
+        best = best if idle else (near, trial)
+    if best is None or not gained(blocks.chosen, best[1].chosen):
+        return axes, blocks
+    if every == 1:
+        return best
+    found = thresholds_of(best[1])
+    begin = tuple(axis_parameters(fit.axis)[1] for fit in best[0])
+    whole = _axes(task, found, replace(guess, parameters=begin), 1).axes
+    return whole, of_fitted(task, found, dynamics_of(whole))
+
+
+def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:
+    """Whether dynamics lower the error of a static block that is bound to have an inverse."""
+    return bool(np.any(with_dynamics.rms_um <= (1.0 - FELT) * without.rms_um))
+
+
+def dynamics_of(axes: Sequence[AxisFit]) -> AxesDynamics:
+    """Linear block of the axes; those that the records do not tell pass their input unchanged."""
+    return AxesDynamics(axes=tuple(fit.axis if axis_identified(fit) else Axis() for fit in axes))
+
+
+def _as_found(axes: Sequence[AxisFit]) -> AxesDynamics:
+    """Linear block of the axes whether the records tell them or not, to compare with."""
+    return AxesDynamics(axes=tuple(fit.axis for fit in axes))

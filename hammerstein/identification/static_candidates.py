@@ -1,0 +1,198 @@
+"""Models without dynamics: a linear gain, and static hysteresis with thresholds begun with or fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import (
+    AxesDynamics,
+    StateSpaceDynamics,
+    StaticDynamics,
+)
+from hammerstein.errors import IdentificationError
+from hammerstein.identification.fit import Kind
+from hammerstein.identification.linear.delay import static_delay
+from hammerstein.identification.linear.second_order import (
+    thinning,
+)
+from hammerstein.identification.operators import CURVE_SAMPLES
+from hammerstein.identification.static.fitted_thresholds import fit_thresholds, gained
+from hammerstein.identification.static.history import closed, shortened
+from hammerstein.identification.static.settled_loops import closed_form_model
+from hammerstein.identification.static.static_block import (
+    Layout,
+    StaticFit,
+    Thresholds,
+    Weighting,
+    half_swing,
+    refuse_unreached,
+    solve_static,
+    static_moments,
+)
+from hammerstein.identification.static.threshold_errors import with_threshold_errors
+from hammerstein.identification.static.threshold_search import ThresholdTask
+from hammerstein.identification.task import Blocks, Built, Found, Task
+from hammerstein.identification.verdict import invertibility_of
+from hammerstein.records.record import Record
+
+MOST_ROUNDS = 8
+"""Most rounds of a fit of thresholds."""
+KEPT = "fitting the thresholds gains nothing: they are uniform in time"
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+
+def build_static(task: Task) -> Built:
+    """Linear gain and static hysteresis, the latter with fitted thresholds if they are asked for and gain."""
+    return finished_static(task, begun_static(task))
+
+
+def begun_static(task: Task) -> Built:
+    """Linear gain and static hysteresis with the thresholds of the task."""
+    dynamics = StaticDynamics(n_outputs=task.outputs)
+    task.progress("fitting the static block")
+    linear = static_blocks(task, task.linear_thresholds(), dynamics, "least_squares")
+    blocks = static_blocks(task, task.thresholds_v, dynamics, task.settings.method)
+    found: dict[Kind, Found] = {
+        "linear": Found(task.candidate(linear.chosen.hysteresis, dynamics), linear),
+        "static_hysteresis": Found(task.candidate(blocks.chosen.hysteresis, dynamics), blocks),
+    }
+    return Built(found, "static_hysteresis")
+
+
+def finished_static(task: Task, built: Built) -> Built:
+    """Static hysteresis with fitted thresholds if they are asked for; as it was if nothing is gained."""
+    if not task.settings.fits_thresholds:
+        return built
+    dynamics = StaticDynamics(n_outputs=task.outputs)
+    task.progress("fitting the thresholds")
+    thresholds_v = fitted_thresholds(task, task.thresholds_v, dynamics)
+    late = late_static(replace(task, thresholds_v=thresholds_v))
+    if late.delay_samples != task.delay_samples:
+        task, thresholds_v = late, fitted_thresholds(late, thresholds_v, dynamics)
+    blocks = of_fitted(task, thresholds_v, dynamics)
+    begun = built.best.blocks
+    if not gained(begun.chosen, blocks.chosen) or lost_inverse(task, begun, blocks):
+        return replace(built, notes=(KEPT,) if task.settings.partition == "fitted" else ())
+    found = Found(task.candidate(blocks.chosen.hysteresis, dynamics), blocks)
+    return replace(built, found={**built.found, built.kind: found})
+
+
+def late_static(task: Task) -> Task:
+    """The task with the delay that suits its thresholds without dynamics, if none was given.
+
+    Single loops cannot tell it from hysteresis, and coarse thresholds look like a delay.
+    """
+    if task.settings.delay_samples is not None or all(closed(record) for record in task.records):
+        return task
+    few, begun = shortened(task.records, task.starts, CURVE_SAMPLES)
+    sensor = replace(task, records=few).paths(StaticDynamics(n_outputs=task.outputs))
+    return replace(task, delay_samples=static_delay(few, task.thresholds_v, begun, through=sensor or None)[0])
+
+
+def static_blocks(
+    task: Task,
+    thresholds_v: Thresholds,
+    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
+    method: str,
+) -> Blocks:
+    """Weights by the method asked for, and by the two that it is compared with."""
+    layout = Layout.of(thresholds_v)
+    refuse_unreached(task.records, layout.grids)
+    moments = static_moments(
+        task.records, layout.grids, task.starts, task.whole_delay, task.paths(dynamics) or None
+    )
+
+    def solved(how: Weighting) -> StaticFit:
+        return solve_static(task.records, thresholds_v, layout, moments, how, task.settings.ridge)
+
+    free = solved("least_squares")
+    if method == "closed_form":
+        return Blocks(_closed_form(task, free), free, solved("nonnegative"))
+    chosen = {
+        "least_squares": free,
+        "nonnegative": solved("nonnegative"),
+        "invertible": solved("invertible"),
+    }
+    return Blocks(chosen[method], free, chosen["nonnegative"])
+
+
+def _closed_form(task: Task, free: StaticFit) -> StaticFit:
+    """Closed form on the settled loops, brought forward by the delay."""
+    settings = task.settings
+    d = task.whole_delay
+    prompt = [
+        Record(
+            record.u_v[:, : record.samples - d],
+            record.y_um[:, d:],
+            record.sample_time_s,
+            record.inputs,
+            record.outputs,
+            record.source,
+            verified=True,
+        )
+        for record in task.records
+    ]
+    placed = settings.thresholds_v is not None or settings.partition == "voltage"
+    given = task.thresholds_v if placed else None
+    counts = {len(r) for row in task.thresholds_v for r in row}
+    if given is None and len(counts) > 1:
+        raise IdentificationError("the closed form places one number of thresholds; give one, or thresholds")
+    hysteresis = closed_form_model(prompt, max(counts), given)
+    return replace(free, hysteresis=hysteresis, bounded=(), open=())
+
+
+def without_dynamics(task: Task) -> Task:
+    """The task with the delay that suits a model without dynamics."""
+    own = task.static_delay_samples
+    return task if own is None else replace(task, delay_samples=own)
+
+
+def of_fitted(task: Task, thresholds_v: Thresholds, dynamics: AxesDynamics | StaticDynamics) -> Blocks:
+    """Weights of thresholds that were fitted."""
+    return replace(static_blocks(task, thresholds_v, dynamics, task.settings.method), fitted=True)
+
+
+def lost_inverse(task: Task, start: Blocks, found: Blocks) -> bool:
+    """Whether the static block had an inverse with the thresholds begun with, and has none any more."""
+    amplitude, record = float(half_swing(task.records).max()), task.records[0]
+    told = StaticDynamics(n_outputs=task.outputs)
+    before, now = (
+        invertibility_of(b.chosen.hysteresis, told, amplitude, record.sample_time_s, record.inputs)[0]
+        for b in (start, found)
+    )
+    return before and not now
+
+
+def fitted_thresholds(
+    task: Task,
+    thresholds_v: Thresholds,
+    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
+    rounds: int = MOST_ROUNDS,
+) -> list[list[Array]]:
+    """Thresholds fitted in front of given dynamics, the same for all outputs."""
+    fitting = _fitting(task, dynamics, thinning(task.records))
+    row = list(fit_thresholds(fitting, thresholds_v[0], rounds))
+    return [row] * task.outputs
+
+
+def with_errors(task: Task, found: Found) -> Found:
+    """Give a model the errors of its thresholds, if they were fitted."""
+    if not found.blocks.fitted:
+        return found
+    dynamics = found.candidate.dynamics
+    chosen = with_threshold_errors(_fitting(task.delayed_as(dynamics), dynamics), found.blocks.chosen)
+    candidate = replace(found.candidate, hysteresis=chosen.hysteresis)
+    return replace(found, candidate=candidate, blocks=replace(found.blocks, chosen=chosen))
+
+
+def _fitting(
+    task: Task, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics, every: int = 1
+) -> ThresholdTask:
+    """What stays fixed while thresholds are fitted in front of given dynamics."""
+    return ThresholdTask(task.records, task.starts, task.whole_delay, task.paths(dynamics), every)

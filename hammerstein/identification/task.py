@@ -1,0 +1,146 @@
+"""Records during their identification, and the models that were fitted to them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import (
+    AxesDynamics,
+    LinearBlock,
+    StateSpaceDynamics,
+    StaticDynamics,
+    discretise,
+)
+from hammerstein.hysteresis import Hysteresis
+from hammerstein.identification.fit import Kind
+from hammerstein.identification.linear.delay import delay_in_samples
+from hammerstein.identification.linear.second_order import (
+    AxisFit,
+)
+from hammerstein.identification.score import Candidate
+from hammerstein.identification.settings import Settings
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import (
+    StaticFit,
+    Thresholds,
+)
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Records with all that is known before the candidates are fitted.
+
+    ``static_delay_samples`` is the delay that suits a model without dynamics, where it is another.
+    """
+
+    records: tuple[Record, ...]
+    starts: tuple[Start, ...]
+    thresholds_v: Thresholds
+    delay_samples: float
+    settings: Settings
+    progress: Progress
+    static_delay_samples: int | None = None
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs."""
+        return len(self.records[0].y_um)
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of the inputs [s]."""
+        return self.delay_samples * self.records[0].sample_time_s
+
+    def linear_thresholds(self) -> list[list[Array]]:
+        """Give a single threshold of 0 to every pair: a linear gain."""
+        return [[np.zeros(min(len(r), 1)) for r in row] for row in self.thresholds_v]
+
+    @property
+    def whole_delay(self) -> int:
+        """Whole samples of the delay, by which the plays are shifted; what is left belongs to the path."""
+        return math.floor(self.delay_samples)
+
+    def delayed_as(self, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics) -> Task:
+        """Give the task with the delay of a linear block."""
+        delay = delay_in_samples(dynamics.input_delay_s, self.records[0].sample_time_s)
+        return replace(self, delay_samples=delay)
+
+    def paths(self, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics) -> list[LinearBlock]:
+        """Discrete path of each record from the static block to the reading, with the part of a sample."""
+        part_s = (self.delay_samples - self.whole_delay) * self.records[0].sample_time_s
+        prompt = dynamics.model_copy(update={"input_delay_s": part_s})
+        sensor = self.settings.sensor_bandwidth_hz
+        if isinstance(prompt, StaticDynamics) and sensor is None:
+            return []
+        return [discretise(prompt, record.sample_time_s, sensor) for record in self.records]
+
+    def candidate(
+        self,
+        hysteresis: Hysteresis[Any],
+        dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
+    ) -> Candidate:
+        """Static block and linear block as a model with the delay of the task."""
+        late = dynamics.model_copy(update={"input_delay_s": self.delay_s})
+        return Candidate(hysteresis, late, self.settings.sensor_bandwidth_hz)
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """A static block under several methods, behind one and the same linear block.
+
+    ``chosen`` is by the method that was asked for; ``free`` and ``one_sign`` serve for comparison; ``fitted``
+    says whether the thresholds were.
+    """
+
+    chosen: StaticFit
+    free: StaticFit
+    one_sign: StaticFit | None
+    fitted: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """One model that was fitted, with what tells how."""
+
+    candidate: Candidate
+    blocks: Blocks
+    axes: tuple[AxisFit, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Built:
+    """All models that were fitted: the best of each kind, and others by name.
+
+    ``axes`` is what the records say about the axes, also where the model has none.
+    """
+
+    found: dict[Kind, Found]
+    kind: Kind
+    axes: tuple[AxisFit, ...] = ()
+    notes: tuple[str, ...] = ()
+    others: tuple[tuple[str, Found], ...] = ()
+
+    @property
+    def best(self) -> Found:
+        """The largest model that was kept so far."""
+        return self.found[self.kind]
+
+    @property
+    def candidates(self) -> dict[Kind, Candidate]:
+        """The models by kind."""
+        return {kind: found.candidate for kind, found in self.found.items()}
+
+
+def thresholds_of(blocks: Blocks) -> list[list[Array]]:
+    """Thresholds (output, input) of the block by the method that was asked for [V]."""
+    return [[pair.thresholds_v for pair in row] for row in blocks.chosen.hysteresis.pairs]
