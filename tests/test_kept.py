@@ -18,7 +18,7 @@ from hammerstein.experiment import kept
 from hammerstein.experiment.run import run
 from hammerstein.files import UNFINISHED
 from hammerstein.model import HammersteinModel
-from hammerstein.runtime import store as kept_results
+from hammerstein.runtime import provenance, store as kept_results
 from hammerstein.runtime.store import DTYPES, Kept, Store, key_of
 from hammerstein.scenario.uncertainty import Uncertainty
 
@@ -462,3 +462,14 @@ def test_the_report_that_is_kept_is_the_report(place, tmp_path, capsys):
     assert said[0] == said[1]
     assert content(tmp_path / "1") == content(tmp_path / "2")
     assert content(tmp_path / "page1") == content(tmp_path / "page2")
+
+
+def test_what_a_package_only_ships_is_no_source(tmp_path, monkeypatch):
+    (tmp_path / "law.py").write_text("x = 1\n")
+    monkeypatch.setattr(provenance, "PACKAGE", tmp_path)
+    before = provenance.sources.__wrapped__()
+    (tmp_path / "paper_baseline").mkdir()
+    (tmp_path / "paper_baseline" / "circles.json").write_text("{}")
+    assert provenance.sources.__wrapped__() == before
+    (tmp_path / "law.json").write_text("{}")
+    assert provenance.sources.__wrapped__() != before

@@ -22,6 +22,8 @@ LIBRARIES = (
 )
 NUMERICAL = ("numpy", "scipy", "numba", "control", "pydantic")
 SOURCES = ("*.py", "*.json", "*.jinja", "*.css", "*.js")
+SHIPPED = ("paper", "paper_baseline")
+"""Folders of an installed package that a checkout has elsewhere; nothing computes with them."""
 
 
 @cache
@@ -47,7 +49,7 @@ def sources() -> str:
     """Hash of the package's sources and of what plugs in."""
     digest = hashlib.sha256("\n".join(_plugged_in()).encode())
     files = [path for kind in SOURCES for path in PACKAGE.rglob(kind)]
-    for path in sorted(files):
+    for path in sorted(path for path in files if path.relative_to(PACKAGE).parts[0] not in SHIPPED):
         digest.update(f"\n{path.relative_to(PACKAGE)}\n".encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()
