@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import warnings
+from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
@@ -210,6 +211,17 @@ def test_a_lost_scheduler_is_told_and_what_was_finished_is_kept(folder, own_dask
     times = {path: path.stat().st_ino for path in kept}
     assert call("run", "slow.toml", "--no-figures", "--jobs", 1) == 0
     assert {path: path.stat().st_ino for path in kept} == times  # not written again
+
+
+def test_a_task_that_dask_forgets_when_the_scheduler_is_lost_is_told(own_dask, monkeypatch):
+    with cluster.joined(own_dask.address) as crew:
+        monkeypatch.setattr(crew._inner, "submit", lambda *_: Future())  # as while the connection breaks
+        waiting = crew.submit(os.getpid)
+        own_dask.scheduler.kill()
+        error = waiting.exception(60)
+        assert isinstance(error, LostProcessError)
+        with pytest.raises(LostProcessError, match="is lost"):
+            crew.submit(os.getpid)
 
 
 def test_a_task_that_kills_its_workers_is_told(own_dask):

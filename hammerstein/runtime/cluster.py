@@ -52,7 +52,9 @@ class Cluster(Executor):
         self.workers = 0
         self._client, self._inner = client, client.get_executor()
         self._expected = computes_with()
-        self._closed = threading.Event()
+        self._closed, self._gone = threading.Event(), threading.Event()
+        self._open: set[Future[Any]] = set()
+        self._guard = threading.Lock()
         self._await_workers()
         self.elsewhere = self._checked()
         threading.Thread(target=self._look, daemon=True).start()
@@ -60,10 +62,15 @@ class Cluster(Executor):
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Hand over a function that a worker can import, with its arguments."""
         task = pickle.dumps(partial(fn, *args, **kwargs), protocol=pickle.HIGHEST_PROTOCOL)
-        if self._client.status != "running":
-            raise self._lost()
         future: Future[T] = Future()
-        inner = self._inner.submit(_answer, self._expected, task)
+        with self._guard:
+            if self._gone.is_set() or self._client.status != "running":
+                raise self._lost()
+            self._open.add(future)
+        try:
+            inner = self._inner.submit(_answer, self._expected, task)
+        except Exception as error:  # closed since we looked
+            raise self._lost() from error
         inner.add_done_callback(partial(self._hand_over, future))
         future.add_done_callback(lambda outer: inner.cancel() if outer.cancelled() else None)
         return future
@@ -78,7 +85,7 @@ class Cluster(Executor):
         """What has become of a task, in our own words."""
         from distributed import KilledWorker
 
-        if not future.set_running_or_notify_cancel():
+        if not self._taken(future):
             return
         try:
             future.set_result(inner.result())
@@ -93,6 +100,25 @@ class Cluster(Executor):
             )
         except BaseException as error:
             future.set_exception(error)
+
+    def _taken(self, future: Future[Any]) -> bool:
+        """Whether it is for the caller to say what has become of a task: only once, and not if cancelled."""
+        with self._guard:
+            known = future in self._open
+            self._open.discard(future)
+        return known and future.set_running_or_notify_cancel()
+
+    def _give_up(self) -> None:
+        """Tell every task that the scheduler is lost.
+
+        One that is handed over while the connection breaks is not told by Dask, and would be waited for.
+        """
+        self._gone.set()
+        with self._guard:
+            left = list(self._open)
+        for future in left:
+            if self._taken(future):
+                future.set_exception(self._lost())
 
     def _lost(self) -> LostProcessError:
         return LostProcessError(
@@ -143,8 +169,8 @@ class Cluster(Executor):
             before = self.workers
             try:
                 self.workers = self._threads()
-            except Exception:  # lost; the tasks tell
-                return
+            except Exception:
+                return self._give_up()
             if before and not self.workers:
                 warnings.warn(f"{self.address}: no worker is left; waiting for others", Notice, stacklevel=1)
 
