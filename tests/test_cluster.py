@@ -213,6 +213,7 @@ def test_a_lost_scheduler_is_told_and_what_was_finished_is_kept(folder, own_dask
     assert {path: path.stat().st_ino for path in kept} == times  # not written again
 
 
+@pytest.mark.long
 def test_a_task_that_dask_forgets_when_the_scheduler_is_lost_is_told(own_dask, monkeypatch):
     with cluster.joined(own_dask.address) as crew:
         monkeypatch.setattr(crew._inner, "submit", lambda *_: Future())  # as while the connection breaks
@@ -224,6 +225,7 @@ def test_a_task_that_dask_forgets_when_the_scheduler_is_lost_is_told(own_dask, m
             crew.submit(os.getpid)
 
 
+@pytest.mark.long
 def test_a_task_that_kills_its_workers_is_told(own_dask):
     with cluster.joined(own_dask.address) as crew:
         died = crew.submit(os._exit, 9).exception(60)
@@ -302,6 +304,7 @@ def test_linear_algebra_runs_on_one_thread(own_dask):
     assert [one["num_threads"] for one in libraries] == [1] * len(libraries) != []
 
 
+@pytest.mark.long
 def test_it_waits_for_a_worker(own_dask):
     for worker in own_dask.workers:
         worker.kill()

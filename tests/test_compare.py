@@ -107,6 +107,7 @@ def test_a_compensator_is_played_on_another_kind_and_leaves_what_theory_says(
     assert linear.left.percent == pytest.approx(percent, rel=1e-9)
 
 
+@pytest.mark.long
 def test_processes_side_by_side_change_no_number(found: hammerstein.Comparison) -> None:
     records = [record_of(2.0, 1), record_of(10.0, 2)]
     held = [record_of(2.0, 3), record_of(10.0, 4)]
@@ -130,6 +131,7 @@ def test_without_held_records_it_says_that_nothing_was_tested() -> None:
     assert "one rate" in one.reason
 
 
+@pytest.mark.long
 def test_the_linear_block_of_plays_is_tried_with_every_kind() -> None:
     """The stack behind a low-pass of 5 ms, by theory a first-order recursion."""
 

@@ -107,7 +107,10 @@ def path_within(reach_um, samples=4000):
     return grow * (middle - size * np.cos(2.0 * np.pi * 3.0 * t) * (1.0 - 0.4 * t))
 
 
-@pytest.fixture(scope="module", params=range(8))
+LENGTHY = [pytest.param(seed, marks=pytest.mark.long) for seed in range(4, 8)]
+
+
+@pytest.fixture(scope="module", params=[*range(4), *LENGTHY])
 def identified(request, tmp_path_factory):
     """Model file of an actuator drawn at random, found by the defaults, and its error held back."""
     seed, folder = request.param, tmp_path_factory.mktemp(f"seed_{request.param}")

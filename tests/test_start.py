@@ -155,7 +155,10 @@ def help_of(*command: str) -> Result:
     return CliRunner().invoke(app, [*command, "--help"], env={"COLUMNS": "80"})
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+LENGTHY = [pytest.param("compare", marks=pytest.mark.long)]  # the guide's own line is run, too
+
+
+@pytest.mark.parametrize("name", [*(name for name in COMMANDS if name != "compare"), *LENGTHY])
 def test_every_help_has_one_example_that_works_as_typed(
     name: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
