@@ -196,6 +196,13 @@ class ActuatorOutcome:
         return None if self.played_um is None else self.played_um <= self.allowed_um
 
 
+def ringing_s(dynamics):
+    """Time in which the resonance of a model, if any, rings down to a thousandth."""
+    axes = [axis for axis in getattr(dynamics, "axes", ()) if axis.resonance_hz is not None]
+    rates = [2.0 * np.pi * axis.resonance_hz * axis.damping_ratio for axis in axes]
+    return np.log(1e3) / min(rates) if rates else 0.0
+
+
 def try_actuator(seed):
     made, before = random_actuator(seed)
     g = np.random.default_rng([12, seed])
@@ -212,7 +219,7 @@ def try_actuator(seed):
     played = played_um(made, model, 5.0)
     allowed = 3.0 * fit.validation[fit.kind].rms_um[0] + made.noise_um
     kept, unseen = fit.candidates[fit.kind], counted(unseen)
-    starts = judged_starts([unseen], kept.predict, 0.0)
+    starts = judged_starts([unseen], kept.predict, ringing_s(kept.dynamics))
     errors = {kind: score(c, [unseen], starts).mean_percent for kind, c in fit.candidates.items()}
     order = ("linear", "static_hysteresis", "linear_dynamics", "hammerstein")
     simpler = [errors[k] for k in order[: order.index(fit.kind)] if k in errors] or [errors[fit.kind]]
