@@ -117,16 +117,17 @@ def rows(scenario: str, metric: str, frequencies: tuple[float, ...]) -> list[str
 
 
 @pytest.mark.parametrize(
-    ("scenario", "metric", "frequencies"),
+    ("page", "scenario", "metric", "frequencies"),
     [
-        ("beyond_circles", "euclidean_max_true_um", (50.0, 100.0, 200.0)),
-        ("beyond_error", "rms_true_um", (10.0, 100.0, 300.0)),
+        ("compensators", "beyond_circles", "euclidean_max_true_um", (50.0, 100.0, 200.0)),
+        ("compensators", "beyond_error", "rms_true_um", (10.0, 100.0, 300.0)),
+        ("kinds", "kinds_circle", "euclidean_max_true_um", (20.0, 50.0, 100.0)),
     ],
 )
 def test_the_decision_tables_are_the_accepted_numbers(
-    scenario: str, metric: str, frequencies: tuple[float, ...]
+    page: str, scenario: str, metric: str, frequencies: tuple[float, ...]
 ) -> None:
-    lines = PAGES["compensators"].read_text().splitlines()
+    lines = PAGES[page].read_text().splitlines()
     wanted = rows(scenario, metric, frequencies)
     assert len(wanted) >= 5
     assert [row for row in wanted if row not in lines] == []

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics
 from hammerstein.hysteresis import (
     Asymmetric,
     DeadZones,
+    Hysteresis,
     Pair,
     Parallel,
     PrandtlIshlinskii,
@@ -34,19 +37,8 @@ def rate_dependent_stack(instruments: Instruments) -> HammersteinModel:
     y = np.where(i == 0, 3.7, 0.28 + 0.10 * np.cos(1.3 * i + 0.5))
     growth = np.where(i == 0, 0.0, GROWTH_S)
     plays = RatePlays(10.0 * (i / RATE_PLAYS) ** 1.4, growth, BANDWIDTH_HZ)
-    return HammersteinModel(
-        name="rate_dependent_stack",
-        hysteresis=RateDependent((plays, plays), ((x, 0.03 * x), (-0.04 * y, y))),
-        dynamics=StaticDynamics(n_outputs=2),
-        amplitude_v=10.0,
-        inputs=("u_x", "u_y"),
-        outputs=("x", "y"),
-        instruments=instruments,
-        provenance={
-            "source": "made up by the recipe of hammerstein.actuators.stacks",
-            "command": "python -m hammerstein.actuators.build",
-        },
-    )
+    block = RateDependent((plays, plays), ((x, 0.03 * x), (-0.04 * y, y)))
+    return _made_up("rate_dependent_stack", block, StaticDynamics(n_outputs=2), instruments)
 
 
 BENT_PLAYS, SLOW_PLAYS = 9, 7
@@ -95,15 +87,24 @@ def asymmetric_stack(instruments: Instruments) -> HammersteinModel:
         (growing, growing),
         tuple(tuple(share * w for share in row) for row, w in zip(shares, slow, strict=True)),
     )
+    axes = tuple(
+        Axis(resonance_hz=hz, damping_ratio=ratio, creep=STACK_CREEP)
+        for hz, ratio in ((610.0, 0.11), (690.0, 0.09))
+    )
+    return _made_up("asymmetric_stack", Parallel((block, beside)), AxesDynamics(axes=axes), instruments)
+
+
+def _made_up(
+    name: str,
+    hysteresis: Hysteresis[Any],
+    dynamics: AxesDynamics | StaticDynamics,
+    instruments: Instruments,
+) -> HammersteinModel:
+    """Two axes that are driven to 10 V about 0 V."""
     return HammersteinModel(
-        name="asymmetric_stack",
-        hysteresis=Parallel((block, beside)),
-        dynamics=AxesDynamics(
-            axes=tuple(
-                Axis(resonance_hz=hz, damping_ratio=ratio, creep=STACK_CREEP)
-                for hz, ratio in ((610.0, 0.11), (690.0, 0.09))
-            )
-        ),
+        name=name,
+        hysteresis=hysteresis,
+        dynamics=dynamics,
         amplitude_v=10.0,
         inputs=("u_x", "u_y"),
         outputs=("x", "y"),

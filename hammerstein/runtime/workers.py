@@ -10,6 +10,7 @@ import contextlib
 import signal
 import threading
 import traceback
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from functools import partial
@@ -29,7 +30,7 @@ TRIES = 2
 WHY_LOST = "The system does so when the memory is full: run fewer side by side (--jobs 1), or less at once."
 
 
-class _Crew(Executor):
+class _Crew(Executor, ABC):
     """Threads that take one task after the other; the end of the program does not wait for them.
 
     Parameters
@@ -62,9 +63,9 @@ class _Crew(Executor):
         for thread in self._threads if wait else ():
             thread.join()
 
+    @abstractmethod
     def _serve(self) -> None:
         """Do what comes."""
-        raise NotImplementedError
 
     def _coming(self) -> Iterator[tuple[Future[Any], Callable[[], Any]]]:
         """Tasks that nobody has cancelled."""

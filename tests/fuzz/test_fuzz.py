@@ -53,12 +53,15 @@ def test_scenarios(folder):
 
 
 def test_models(folder):
+    seen = []
+
     @settings(max_examples=25, **SHORT)
     @given(strategies.models())
     def campaign(content):
-        model_case(content, folder)
+        seen.append(model_case(content, folder))
 
     campaign()
+    assert {2} <= set(seen)
 
 
 def test_command_lines(folder):

@@ -244,7 +244,7 @@ def search_lag(task: AxisTask, before: Array) -> Point:
     times = np.log(min(r.sample_time_s for r in task.records) * np.array(LAG_SAMPLES))
     lower, upper = task.limits
     begins = [np.append(before, time) for time in times if lower[-1] <= time <= upper[-1]]
-    errors = [_alone(task, partial(task.path, x))[1] for x in begins]
+    errors = [rms_behind(task, x) for x in begins]
     return refine(task, begins[int(np.argmin(errors))])
 
 
