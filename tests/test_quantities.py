@@ -1,8 +1,10 @@
 """Every number that a file may hold has limits, in the message and in the schema."""
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from hammerstein.instruments import Drive, Sensor
 from hammerstein.model import ModelFile
 from hammerstein.quantities import BANDWIDTH_HZ, FREQUENCY_HZ
 from hammerstein.scenario import Scenario, load_scenario
@@ -36,6 +38,18 @@ def test_only_what_can_be_switched_off_may_be_infinite():
     assert not BANDWIDTH_HZ.holds(float("-inf"))
     assert not FREQUENCY_HZ.holds(float("inf"))
     assert not FREQUENCY_HZ.holds(float("nan"))
+
+
+@pytest.mark.parametrize("resolution", [0.0, 1e-12, 0.04])
+def test_a_resolution_is_none_or_one_that_numbers_have(resolution):
+    assert Sensor(resolution_um=resolution, noise_um=0.0).read(np.full((1, 1), 20.0), None) == pytest.approx(
+        20
+    )
+    for finer in (5e-324, 1e-300, 1e-13):
+        with pytest.raises(ValidationError, match="must be 0, or 1e-12 to 1e6"):
+            Sensor(resolution_um=finer)
+        with pytest.raises(ValidationError, match="must be 0, or 1e-12 to 1e6"):
+            Drive(resolution_v=finer)
 
 
 BASE = """
