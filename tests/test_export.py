@@ -306,7 +306,7 @@ def _call(*arguments):
 
 def test_the_command(tmp_path, capsys):
     out = str(tmp_path / "out")
-    law = ("--law", "hammerstein_inverse", "--preview", "0", "--range=-9,9", "--sample-time", "1e-4")
+    law = ("--law", "hammerstein_inverse", "--preview-s", "0", "--range=-9,9", "--sample-time", "1e-4")
     assert _call("export", "duo_bimorph", *law, "--out", out) == 0
     assert "1e-04 s" in capsys.readouterr().out.replace("0.0001 s", "1e-04 s")
     assert _call("export", "--check", out) == 0
@@ -316,6 +316,20 @@ def test_the_command(tmp_path, capsys):
     for wrong in (["export"], ["export", "duo_bimorph"], ["export", "--check", str(tmp_path / "nowhere")]):
         assert _call(*wrong) == 2
     assert _call("export", "duo_bimorph", "--format", "rust", "--out", out) == 2
+
+
+def test_the_preview_has_one_name_and_hears_to_its_old_one(tmp_path, capsys):
+    given = ("export", "duo_bimorph", "--law", "hammerstein_inverse", "--out", str(tmp_path / "out"))
+    assert _call(*given) == 0
+    assert "the reference of sample k" in capsys.readouterr().out
+    for name in ("--preview-s", "--preview"):
+        assert _call(*given, name, "0.0") == 0
+        assert "the reference of sample k" not in capsys.readouterr().out
+    for command in ("export", "compensate"):
+        assert _call(command, "--help") == 0
+        said = capsys.readouterr().out
+        assert "--preview-s" in said
+        assert "--preview " not in said
 
 
 def test_flags_say_no_fused_multiply_adds():
