@@ -90,7 +90,9 @@ def test_help_comes_at_once(bench):
     pairs = [(python(*helped)[0], python(*numpy_alone)[0]) for _ in range(6)][1:]
     ours, other = (min(times) for times in zip(*pairs, strict=True))
     waited(bench, "hammerstein --help", ours, 0.3)
-    row = Row(RUN, "hammerstein --help", "python -c 'import numpy'", ours, other, "s", ours / other, "<=", 2.0)
+    row = Row(
+        RUN, "hammerstein --help", "python -c 'import numpy'", ours, other, "s", ours / other, "<=", 2.0
+    )
     assert bench.table.add(row).acceptable
 
 
