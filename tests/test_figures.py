@@ -25,6 +25,7 @@ from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure, save_figures, write_figures
 from hammerstein.reporting.figures.loop_data import legend_labels, legible_parts
+from hammerstein.reporting.figures.path import PathRun, path_figure
 from hammerstein.reporting.figures.style import MOST_POINTS, line_style, thin_path, thin_trace
 from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
 from hammerstein.reporting.figures.write import images
@@ -215,6 +216,31 @@ def test_path_shows_every_radius_and_its_legend_the_worst_distance_of_the_larges
         legend_texts(figure)[0]
         == f"paper (worst {row.euclidean_max_um:.2f} µm, true {row.euclidean_max_true_um:.2f} µm)"
     )
+
+
+@pytest.mark.parametrize("every", [1, 7, 20, 57, 130])  # 400 to 3 samples a turn
+def test_a_circle_is_drawn_as_a_circle_however_few_samples_are_kept(every: int) -> None:
+    time_s = 50e-6 * np.arange(0, 801, every)
+    turn = 2.0 * np.pi * 50.0 * time_s
+    circle = 30.0 * np.array([np.cos(turn), np.sin(turn)])
+    run = PathRun("", "", time_s, circle, circle + 2.0, None, 0.02, 0.02, closes=True, lap_s=0.02)
+    plane = path_figure([run], ["x", "y"], "reference").axes[0]
+    drawn, target = (np.array(plane.lines[k].get_data()) for k in (0, -1))
+    for points, centre in ((drawn, 2.0), (target, 0.0)):
+        steps = 0.5 * (points[:, 1:] + points[:, :-1])  # in the middle of every straight line
+        np.testing.assert_allclose(np.hypot(*(steps - centre)), 30.0, rtol=2e-3)
+        assert np.hypot(*(points[:, -1] - points[:, 0])) < 2.0 * np.pi * 30.0 / 57.0  # it closes
+    assert plane.get_aspect() == 1.0
+
+
+def test_a_path_with_corners_is_not_rounded() -> None:
+    report = report_of(
+        reference={"kind": "triangle", "amplitude_um": 20.0, "frequency_hz": 50.0, "axis": "all"},
+        compensators=[{"label": "none", "law": "none", "model": "duo_bimorph"}],
+        measure={"record_every": 40},
+    )
+    plane = figures_of(report)["path"].axes[0]
+    assert len(plane.lines[-1].get_xdata()) == 11  # the samples of one period, both ends included
 
 
 def test_errors_of_a_path_keep_their_worst_sample() -> None:
