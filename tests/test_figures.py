@@ -424,3 +424,25 @@ def test_the_largest_loop_of_falling_amplitudes_is_drawn():
     _, fit = identify([Record([u], y, 1e-3)], Settings(operators=6, delay_samples=0, error_curve=False))
     measured = measured_loops(fit).axes[0].lines[0]
     assert np.ptp(measured.get_xdata()) == pytest.approx(100.0, rel=0.01)
+
+
+def test_inputs_that_move_at_once_have_the_loop_of_each_pair_by_the_model() -> None:
+    from hammerstein.reporting.figures.identified import SEPARATED, measured_loops
+
+    time_s = 1e-3 * np.arange(3000)
+    u = np.array([10.0 * np.sin(2 * np.pi * 1.0 * time_s), 10.0 * np.sin(2 * np.pi * 1.7 * time_s)])
+    thresholds, weights = [[[0.0, 2.0, 4.0]] * 2] * 2, [[[3.0, 1.0, 0.5], [0.1, 0.1, 0.0]]] * 2
+    weights[1] = weights[1][::-1]
+    y = theory.prandtl_ishlinskii(u, thresholds, weights)
+    given = Settings(
+        thresholds_v=(0.0, 2.0, 4.0), dynamics="none", delay_samples=0, creep_modes=0, error_curve=False
+    )
+    _, fit = identify([Record(u, y, 1e-3, ("ux", "uy"), ("x", "y"))], given)
+    figure = measured_loops(fit)
+    assert legend_texts(figure) == [SEPARATED, "static hysteresis"]
+    for panel, (o, k) in zip(figure.axes, [(0, 0), (0, 1), (1, 0), (1, 1)], strict=True):
+        drawn = np.array(panel.lines[0].get_data())
+        height = 2.0 * theory.loop_amplitude(thresholds[o][k], weights[o][k], 10.0)
+        assert np.ptp(drawn[1]) == pytest.approx(height, rel=0.01)
+        area = theory.loop_area(thresholds[o][k], weights[o][k], 10.0)
+        assert abs(theory.polygon_area(*drawn)) == pytest.approx(area, rel=0.01)
