@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.actuators import DEFAULT
 from hammerstein.errors import InputError
 from hammerstein.files import begun, ended, reason_of
 
@@ -20,7 +21,7 @@ Say = Callable[[str], None]
 
 PACKAGE = Path(__file__).parents[1]
 STARTER = PACKAGE / "starter"
-ACTUATOR, SAMPLE_TIME_S, AMPLITUDE_V = "duo_bimorph", 50e-6, 10.0
+SAMPLE_TIME_S, AMPLITUDE_V = 50e-6, 10.0
 SINE_SAMPLES, MULTISINE_SAMPLES = 1200, 3000
 COLUMNS = ("u_x", "u_y"), ("x", "y")
 CI = ".github/workflows/hammerstein.yml"
@@ -59,8 +60,8 @@ def paper_folder(target: Path) -> None:
     Raises InputError as ``own_folder`` does.
     """
     scenarios, baselines = (
-        _shipped("paper", "*.toml", "scenarios"),
-        _shipped("paper_baseline", "*.json", "reports/baseline"),
+        _shipped("paper/scenarios", "*.toml", "scenarios"),
+        _shipped("paper/baseline", "*.json", "reports/baseline"),
     )
     with _made(target) as room:
         for file in scenarios:
@@ -139,7 +140,7 @@ def _write_record(room: Path, axis: int) -> Path:
     ]
     u = np.zeros((2, SINE_SAMPLES + MULTISINE_SAMPLES))
     u[axis] = np.concatenate(parts)
-    actuator = HammersteinModel.load(ACTUATOR)
+    actuator = HammersteinModel.load(DEFAULT)
     response = actuator.simulate(u, SAMPLE_TIME_S, instruments=actuator.instruments, seed=axis)
     inputs, outputs = COLUMNS
     table = {"time_s": SAMPLE_TIME_S * np.arange(u.shape[1])}
