@@ -184,11 +184,11 @@ REPORT = {
     "actuator": "b",
     "scenario": {"question": "?"},
     "rows": [],
-    "claims": [{"verdict": "met"}, {"verdict": "not met"}, {"verdict": "met"}],
+    "verdicts": [{"verdict": "met"}, {"verdict": "not met"}, {"verdict": "met"}],
 }
 
 
-def test_show_counts_the_claims_that_are_met(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_show_counts_what_is_met(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("claims.json").write_text(json.dumps(REPORT))
     assert call("show", "claims.json") == 0
     assert "2 of 3 met" in capsys.readouterr().out
@@ -202,7 +202,7 @@ def test_show_counts_the_claims_that_are_met(folder: Path, capsys: pytest.Captur
         ("none.csv", None, "does not exist"),
         ("report.json", json.dumps(REPORT | {"rows": 3}), "rows  must be a list"),
         ("asked.json", json.dumps(REPORT | {"scenario": [1]}), "scenario  must be a table"),
-        ("claims.json", json.dumps(REPORT | {"claims": [1]}), "claims[1]  must be a table"),
+        ("claims.json", json.dumps(REPORT | {"verdicts": [1]}), "verdicts[1]  must be a table"),
         ("baseline.json", '{"format": "hammerstein-baseline/1", "rows": null}', "rows  must be a list"),
         ("fit.json", '{"held_records": 5}', "held_records  must be a list"),
         ("comparison.json", '{"format": "hammerstein-comparison/1", "models": [5]}', "models[1]  must be a"),

@@ -35,7 +35,7 @@ class _Named(BaseModel):
     name: str
 
 
-class _Claim(BaseModel):
+class _Verdict(BaseModel):
     verdict: str
 
 
@@ -48,7 +48,7 @@ class _Report(BaseModel):
     actuator: str
     scenario: _Asked
     rows: tuple[dict[str, Any], ...]
-    claims: tuple[_Claim, ...] = ()
+    verdicts: tuple[_Verdict, ...] = ()
     statements: tuple[str, ...] = ()
 
 
@@ -137,8 +137,8 @@ def _scenario(path: Path) -> Iterator[tuple[str, str]]:
             else "identified: " + _listed(found.model_dump(mode="json", exclude_none=True))
         )
         yield source.label, f"{law}; {where}"
-    if scenario.claims:
-        yield "claims", ", ".join(claim.id for claim in scenario.claims)
+    if scenario.assessment is not None and scenario.assessment.names():
+        yield scenario.assessment.title.lower(), ", ".join(scenario.assessment.names())
     takes = duration(plan.seconds) if plan.seconds > 60.0 else "a minute at most"
     yield "takes", f"{takes} on one processor, {size(plan.bytes)} of memory"
 
@@ -169,8 +169,9 @@ def _report(found: _Report) -> Iterator[tuple[str, str]]:
     yield "question", found.scenario.question
     yield "actuator", found.actuator
     yield "rows", str(len(found.rows))
-    if found.claims:
-        yield "claims", f"{sum(claim.verdict == 'met' for claim in found.claims)} of {len(found.claims)} met"
+    if found.verdicts:
+        met = sum(verdict.verdict == "met" for verdict in found.verdicts)
+        yield "verdicts", f"{met} of {len(found.verdicts)} met"
     for number, text in enumerate(found.statements[:MOST_STATEMENTS], start=1):
         yield f"statement {number}", text
 
