@@ -104,7 +104,7 @@ SampleTime = Annotated[float, SAMPLE_TIME_S]
 Scale = Annotated[float, SCALE]
 
 # Times
-Wait = Annotated[float, Range(0.0, 1e8)]
+Wait = Annotated[float, Range(1e-9, 1e8, or_zero=True)]
 Length = Annotated[float, Range(1e-6, 1e8)]
 Delay = Annotated[float, Range(0.0, 1e4)]
 TimeConstant = Annotated[float, Range(1e-9, 1e10)]

@@ -80,6 +80,7 @@ agreement = { at_most = 1 }
         ("amplitude_um = 10", "amplitude_um = inf", "reference.amplitude_um"),
         ("amplitude_um = 10", "amplitude_um = 10\noffset_um = -inf", "reference.offset_um"),
         ("frequency_hz = 50", "frequency_hz = 1e-320", "reference.frequency_hz"),
+        ("frequency_hz = 50", "frequency_hz = 50\nsmooth_start_s = 5e-324", "reference.smooth_start_s"),
         ("draws = 2", "resonance = 1.7e308", "uncertainty.resonance"),
         ("agreement", "paper = -inf\nagreement", "assessment.claims[1].paper"),
         ('model = "duo', 'preview_s = inf\nmodel = "duo', "compensators[1].preview_s"),
