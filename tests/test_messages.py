@@ -174,6 +174,8 @@ def test_a_mistake_in_an_option_names_the_option(tmp_path, capsys, csv):
         (options, ("--sensor-bandwidth", "must be")),
         (["--operators", "x"], ("--operators", "'x' is neither a number nor auto")),
         (["--thresholds", "x"], ("--thresholds", "'x' are no voltages")),
+        (["--thresholds", "3,1"], ("--thresholds", "each larger than the one before")),
+        (["--thresholds", "0,nan"], ("--thresholds", "must be 0 to 1e6")),
     ):
         with pytest.raises(SystemExit) as caught:
             main(["identify", str(csv()), *columns, *more])
