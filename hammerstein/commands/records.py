@@ -171,7 +171,7 @@ def loops(
     from hammerstein.commands.tables import gains_table, loops_table
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
-    from hammerstein.records.loops import loop_table, without_loops
+    from hammerstein.records.loops import loop_table, move_at_once, without_loops
     from hammerstein.reporting.figures.measured import LOOPS, LOOPS_FILES, loops_of_records
     from hammerstein.storage.manifest import refuse_name
     from hammerstein.storage.staging import prepare
@@ -185,7 +185,7 @@ def loops(
     gains = checked_gains(records, accept_gain)
     found = {record.source: loop_table(record) for record in records}
     empty = {record.source: without_loops(record) for record in records if not found[record.source]}
-    if len(empty) == len(records):
+    if len(empty) == len(records) and not any(map(move_at_once, records)):
         raise InputError(*next(iter(empty.items())))
     for source, why in empty.items():
         complain(f"{source}: {why}")
@@ -201,7 +201,8 @@ def loops(
         tell_json({"loops": plain})
     else:
         show(gains_table(gains))
-        show(loops_table(found))
+        if len(empty) < len(records):
+            show(loops_table(found))
     if figures:
         from hammerstein.reporting.figures import save_figures
 

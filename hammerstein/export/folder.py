@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from hammerstein.axis_names import column
 from hammerstein.errors import InputError, ToleranceError
 from hammerstein.export.code import CCode, environment
 from hammerstein.export.compiling import compiler
@@ -163,14 +164,14 @@ def _difference(path: Path, text: str) -> str:
 def _columns(code: CCode) -> list[str]:
     """Names of the columns of golden.csv."""
     model = code.model
-    volts, places = [f"drive_{name}_v" for name in model.inputs], model.outputs
+    volts, places = [column("drive", name, "v") for name in model.inputs], model.outputs
     if code.is_model:
-        return [*volts, *(f"position_{name}_um" for name in places)]
-    return [*(f"reference_{name}_um" for name in places), *volts]
+        return [*volts, *(column("position", name, "um") for name in places)]
+    return [*(column("reference", name, "um") for name in places), *volts]
 
 
 def _golden(code: CCode, signal: Array, answer: Array) -> str:
-    head = ",".join(column.replace(",", " ") for column in _columns(code))
+    head = ",".join(_columns(code))
     rows = (",".join(map(repr, row)) for row in np.vstack([signal, answer]).T.tolist())
     return "\n".join([head, *rows]) + "\n"
 
