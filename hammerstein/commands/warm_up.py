@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import wait
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, wait
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +38,27 @@ def compile_once(say: Callable[[str], None], several: bool = False) -> None:
     with Processes(2) as processes:
         wait([processes.submit(use) for use in (_use_the_others, _use_inverse)])
     # what is not compiled here is compiled when it is used
+
+
+@contextmanager
+def inverse_compiled_beside() -> Iterator[Callable[[], None]]:
+    """Compile the exact inverse in a process of its own, while this one does what it can without it.
+
+    Gives what waits until that is done, or does nothing: where it is compiled already, where it could not be
+    kept, and where there is no second processor.
+    """
+    from hammerstein.compensators.exact.kernel import respond_exact
+
+    if (os.cpu_count() or 1) < 2 or _is_cached(respond_exact):
+        yield lambda: None
+        return
+    with Processes(1) as processes:
+        compiled = processes.submit(_use_inverse)
+        yield lambda: _await(compiled)  # what is not compiled there is compiled when it is used
+
+
+def _await(task: Future[None]) -> None:
+    wait([task])
 
 
 def _must_compile() -> bool:

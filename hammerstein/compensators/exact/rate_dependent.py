@@ -89,6 +89,10 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         w[at.STACK, :, 0, at.END] = w[at.STACK, :, 0, at.D] = 1.0
         return Tables(w, here)
 
+    def design_table(self) -> Array:
+        """Table of ``pieces`` as it is before a run."""
+        return self._table.copy()
+
     def statement(self) -> str:
         """Say whether there is an inverse, and how far it is from ringing."""
         gain = float(self.hysteresis.loop_gain().max())
