@@ -1,7 +1,8 @@
 """The affine pieces of plays and dead-zones seen from their memory, for the walk of ``kernel``.
 
-k is an input, or the row o of the model. Two arrays hold it all, for a few arguments make the compiled calls
-cheap; short functions are put into their callers (``forceinline``). One is ``here[k]``, a record of names (``HERE``):
+k is an input, or the row o of the model. Two arrays hold it all, for few arguments make the compiled calls
+cheap, and most functions are put into their callers (``forceinline``): a call costs as much as what they do.
+One is ``here[k]``, a record of names (``HERE``):
 
     of the design    play r_0; low, high, least q that falls and largest that rises; soft, ramp of the jump;
                      still, no movement

@@ -76,7 +76,7 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         self._start, self.origin_um = RateInverseState(state, history[:, -1].copy()), v[:, -1].copy()
 
     def _new_design(self) -> Tables:
-        """Tables of ``pieces`` with one play of threshold and weight 0, and room for the zones of a sample."""
+        """Tables of ``pieces``: one play of threshold and weight 0, room for the zones of a sample."""
         from hammerstein.compensators.exact import pieces as at
 
         m, bank = self.n_inputs, self.hysteresis.bank
@@ -88,10 +88,6 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         w[at.SQUARE, :, at.GAIN, :m] = np.abs(bank.w.sum(axis=1))
         w[at.STACK, :, 0, at.END] = w[at.STACK, :, 0, at.D] = 1.0
         return Tables(w, here)
-
-    def design_table(self) -> Array:
-        """Table of ``pieces`` as it is before a run."""
-        return self._table.copy()
 
     def statement(self) -> str:
         """Say whether there is an inverse, and how far it is from ringing."""
