@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
@@ -279,6 +279,14 @@ class HysteresisFile(BaseModel, ABC):
 
 
 HYSTERESIS: Family[HysteresisFile] = Family(HysteresisFile, "kind")  # type: ignore[type-abstract]
+
+
+def refuse_unbuilt(build: Callable[[], object]) -> None:
+    """Let what cannot be built be a mistake at its place in the file: a ValueError for pydantic."""
+    try:
+        build()
+    except InputError as error:
+        raise ValueError("; ".join(f"{m.where} {m.what}".strip() for m in error.mistakes)) from None
 
 
 def refuse_not_finite(u_v: Array) -> None:

@@ -6,14 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.errors import InputError, Mistake
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite, refuse_unbuilt
 from hammerstein.hysteresis.pair import Array, WeightCovariance, frozen, played
 from hammerstein.hysteresis.pair_file import CovarianceFile
 from hammerstein.quantities import Bandwidth, Delay, Threshold, Weight
@@ -289,6 +289,11 @@ class RatePlaysFile(BaseModel):
     growth_s: tuple[Delay, ...] = Field(description="volts a threshold grows for each V/s")
     bandwidth_hz: Bandwidth = 500.0
     lambda_s_per_v: Delay = Field(default=0.0, description="where the growth flattens; 0: it does not")
+
+    @model_validator(mode="after")
+    def _are_plays(self) -> Self:
+        refuse_unbuilt(self.plays)
+        return self
 
     def plays(self) -> RatePlays:
         """Give the plays this describes."""
