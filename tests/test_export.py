@@ -320,6 +320,20 @@ def test_the_command(tmp_path, capsys):
     assert _call("export", "duo_bimorph", "--format", "rust", "--out", out) == 2
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--sample-time", "nan"], "--sample-time  must be 1e-9 to 10000"),
+        (["--range", "nan"], "--range  must be -1e6 to 1e6"),
+        (["--start", "1e9"], "--start  must be -1e6 to 1e6"),
+        (["--law", "nonsense"], "--law  'nonsense' is not one of"),
+    ],
+)
+def test_a_refused_option_is_named(tmp_path, capsys, options, said):
+    assert _call("export", "duo_bimorph", "--out", str(tmp_path / "out"), *options) == 2
+    assert said in capsys.readouterr().err
+
+
 def test_the_preview_has_one_name_and_hears_to_its_old_one(tmp_path, capsys):
     given = ("export", "duo_bimorph", "--law", "hammerstein_inverse", "--out", str(tmp_path / "out"))
     assert _call(*given) == 0

@@ -283,6 +283,16 @@ def test_what_cannot_be_learnt_is_refused_with_one_message(changed, said):
         run(_scenario([1, 2], **changed))
 
 
+def test_a_trial_that_is_too_short_is_named_by_its_file(tmp_path, capsys):
+    period = {"time_s": T * np.arange(250), "x": circle()[0], "y": circle()[1]}
+    path, played = tmp_path / "path.csv", tmp_path / "played.csv"
+    pd.DataFrame(period).to_csv(path, index=False)
+    options = ("--law", "exact_inverse", "--out", played)
+    assert _call("compensate", "duo_bimorph_static", path, "--cycle", *options) == 0
+    assert _call("compensate", "duo_bimorph_static", path, "--learn", played, path, *options) == 2
+    assert f"{path}: has 250 samples; give whole periods" in capsys.readouterr().err
+
+
 def test_no_drive_is_sent_ahead_by_a_law_that_learns(tmp_path, capsys):
     pd.DataFrame({"time_s": T * np.arange(250), "x": circle()[0], "y": circle()[1]}).to_csv(
         tmp_path / "path.csv", index=False
