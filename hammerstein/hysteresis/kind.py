@@ -105,6 +105,14 @@ class Hysteresis(ABC, Generic[S]):
         """
         return self.respond(path_v)[1]
 
+    def standing(self, path_v: Array) -> tuple[Array, S]:
+        """Outputs (p,) [um] and memory of an actuator at the end of a path (m, turns) of slow voltages [V].
+
+        At the first of them it is at rest.
+        """
+        v, state = self.respond(path_v)
+        return v[:, -1].copy(), state
+
     @abstractmethod
     def restore(self, data: dict[str, Any]) -> S:
         """Memory from what its ``as_dict`` gave."""

@@ -229,6 +229,11 @@ class RateDependent(Hysteresis[RateState]):
             plays[k, :n] = played(path_v[k], self.bank.r[k, :n])
         return RateState(plays, np.repeat(path_v[:, -1:], 2, axis=1), np.zeros(self.n_inputs))
 
+    def standing(self, path_v: Array) -> tuple[Array, RateState]:
+        """Outputs and memory at the end of a slow path: in jumps its thresholds would grow."""
+        state = self.after(path_v)
+        return np.einsum("kio,ki->o", self.bank.w, state.plays_v), state
+
     def restore(self, data: dict[str, Any]) -> RateState:
         """Memory from what ``as_dict`` gave."""
         return RateState.from_dict(data)
