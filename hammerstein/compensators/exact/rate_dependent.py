@@ -68,12 +68,8 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
             )
         self._design = self._new_design()
         history = self.range.history()
-        v, state = hysteresis.respond(history)
-        if history.shape[1] > 1:  # it has stood there long enough to be at rest
-            state = replace(
-                state, last_v=np.repeat(history[:, -1:], 2, axis=1), rate_v_per_s=np.zeros(self.n_inputs)
-            )
-        self._start, self.origin_um = RateInverseState(state, history[:, -1].copy()), v[:, -1].copy()
+        self.origin_um, state = hysteresis.standing(history)
+        self._start = RateInverseState(state, history[:, -1].copy())
 
     def _new_design(self) -> Tables:
         """Tables of ``pieces``: one play of threshold and weight 0, room for the zones of a sample."""
