@@ -131,32 +131,37 @@ def test_a_whole_stack_is_found_and_followed_at_a_frequency_between():
     records, held = stack_records()
     model, fit = identify(records, Settings(hysteresis="asymmetric"), validation=[held])
     [axis] = model.dynamics.axes
-    assert fit.validation["hammerstein"].nrmse_percent[0] <= 0.15
-    assert fit.validation["classical"].nrmse_percent[0] > 4.0 * 0.15
+    assert fit.validation["hammerstein"].nrmse_percent[0] <= 0.05  # 0.15 was wanted
+    assert fit.validation["classical"].nrmse_percent[0] > 0.6
     assert axis.lag_s == pytest.approx(LAG_S, rel=0.02)
     assert axis.resonance_hz == pytest.approx(RESONANCE_HZ, rel=0.02)
-    assert axis.damping_ratio == pytest.approx(DAMPING, rel=0.2)
-    assert sorted(mode.gain for mode in axis.creep) == pytest.approx([gain for gain, _ in CREEP], rel=0.1)
+    assert axis.damping_ratio == pytest.approx(DAMPING, rel=0.05)
+    assert sorted(mode.gain for mode in axis.creep) == pytest.approx([gain for gain, _ in CREEP], rel=0.02)
+    times = sorted(mode.time_constant_s for mode in axis.creep)
+    assert times == pytest.approx([time_s for _, time_s in CREEP], rel=0.02)
+    assert {start.kind for start in fit.starts} == {"turned"}  # of both it is told that they stood saturated
 
 
 @needs_ja
 @pytest.mark.parametrize(
-    ("name", "number", "times"),
+    ("name", "number"),
     [
-        ("11_TwoStepSolver_{}_MnZn_HP_ferrite.mat", 3, 3.0),
-        ("12_Automation2018_{}_MnZn_ferrite.mat", 2, 3.0),
-        ("1_isotropic_{}_MnZn_ferrite.mat", 2, 3.0),
-        ("1_isotropic_{}_MnZn_ferrite.mat", 3, 2.4),
-        ("2_anisotropic_{}_amorf.mat", 0, 3.0),
+        ("11_TwoStepSolver_{}_MnZn_HP_ferrite.mat", 3),
+        ("12_Automation2018_{}_MnZn_ferrite.mat", 2),
+        ("1_isotropic_{}_MnZn_ferrite.mat", 2),
+        ("1_isotropic_{}_MnZn_ferrite.mat", 3),
+        ("2_anisotropic_{}_amorf.mat", 0),
     ],
 )
-def test_dead_zones_follow_saturation_where_plays_are_flagged(name, number, times):
+def test_dead_zones_follow_saturation_where_plays_are_flagged(name, number):
+    """With nothing asked for but the kind; four times less than 15 plays, three were wanted."""
     record = loops(name)[number]
-    _, fit = identify([record], plain(hysteresis="asymmetric", dead_zones=20))
+    _, fit = identify([record], Settings(hysteresis="asymmetric"))
     ours, plays = (fit.fit[kind].nrmse_percent[0] for kind in ("static_hysteresis", "classical"))
-    assert times * ours <= plays
+    assert 4.0 * ours <= plays
     assert fit.flags == ()
     assert fit.invertible
+    assert identify([record], plain())[1].flags != ()
 
 
 @needs_dbo

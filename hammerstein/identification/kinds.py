@@ -20,14 +20,10 @@ from hammerstein.identification.linear.delay import MOST_DELAY
 from hammerstein.identification.linear.second_order import parameters_of as axis_parameters
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.settings import HysteresisKind
-from hammerstein.identification.static.asymmetric import (
-    breakpoints_in,
-    enough_dead_zones,
-    enough_plays,
-    fit_asymmetric,
-)
+from hammerstein.identification.static.asymmetric import fit_asymmetric
+from hammerstein.identification.static.asymmetric_choice import AsymmetricChoice, chosen_asymmetric
 from hammerstein.identification.static.bouc_wen import fit_bouc_wen
-from hammerstein.identification.static.history import START_ROUNDS, judged_starts
+from hammerstein.identification.static.history import each_alone, judged_starts, unexplained
 from hammerstein.identification.static.rate_dependent import TWO_RATES, fit_rate_dependent
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import Thresholds, Weighting, half_swing
@@ -41,14 +37,17 @@ Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
 
 MOST_TURNS = 4
 """Most times that block and axes are fitted in turn; each must lower the error by half a percent."""
+BEGINNING = 20_000
+"""Samples of a record that tell how it began."""
 
 
 @dataclass(frozen=True, eq=False)
 class Replacement:
-    """A block of another kind, and what is to be said of it."""
+    """A block of another kind, what is to be said of it, and the columns that were chosen if any were."""
 
     hysteresis: Hysteresis[Any]
     notes: tuple[str, ...] = ()
+    choice: AsymmetricChoice | None = None
 
 
 def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tuple[Task, Built]:
@@ -78,7 +77,7 @@ def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tu
     delays = range(MOST_DELAY + 1) if held and _free_delay(task) else [task.delay_samples]
     tried = [_before(task, thresholds_v, Behind((), delay)) for delay in delays]
     if settings.dynamics != "auto" or _several_rates(task.records):
-        tried += [_with_axes_and_starts(task, thresholds_v)] if settings.dynamics != "none" else []
+        tried += [_with_axes(task, thresholds_v)] if settings.dynamics != "none" else []
     trials = [_trial(task, one, held) for one in tried]
     nearest = min(range(len(delays)), key=lambda i: trials[i].percent)
     kept = [nearest, *range(len(delays), len(tried))]
@@ -139,75 +138,87 @@ class _Whole(NamedTuple):
         return float(np.log(1e3)) * max(times, default=0.0)
 
 
-def _with_axes_and_starts(task: Task, thresholds_v: Thresholds) -> _Whole:
-    """Block and axes, with starts that suit them."""
-    found, begun = _with_axes(task, thresholds_v), task.starts
-    for _ in range(START_ROUNDS):
-        predict, settle_s = found.candidate.predict, found.settle_s
-        starts = judged_starts(task.records, predict, settle_s, task.settings.start)
-        if starts == task.starts:
-            break
-        task = replace(task, starts=starts)
-        found = _before(task, thresholds_v, found.behind)
-    return found if task.starts == begun else _with_axes(task, thresholds_v, found.behind)
-
-
-def _with_axes(task: Task, thresholds_v: Thresholds, found: Behind | None = None) -> _Whole:
-    """Block and axes fitted in turn until nothing is gained, from axes found before if there are any.
+def _with_axes(task: Task, thresholds_v: Thresholds) -> _Whole:
+    """Block, axes and starts fitted in turn until nothing is gained.
 
     The block is fitted with its bounds and all that is not linear in it, the axes with its weights.
     """
     free, least = _free_delay(task), math.inf
-    begin = found or Behind((), 0.0 if free else task.delay_samples)
-    whole = _before(task, thresholds_v, begin)
+    found = Behind((), 0.0 if free else task.delay_samples)
+    whole = _before(task, thresholds_v, found)
     for _ in range(MOST_TURNS):
-        found = search_behind(task, whole.block.hysteresis, begin, free)
+        found = search_behind(task, whole.block.hysteresis, found, free)
         whole = _before(task, thresholds_v, found)
+        starts = _starts_behind(task, thresholds_v, whole)
+        moved = starts != task.starts
+        if moved:
+            task = replace(task, starts=starts)
+            whole = _before(task, thresholds_v, found)
         error = score(whole.candidate, task.records, task.starts).mean_percent
-        if error > (1.0 - WORTHWHILE) * least:
+        if error > (1.0 - WORTHWHILE) * least and not moved:
             break
-        begin, least = found, error
-    return _before(task, thresholds_v, sure_behind(task, whole.block.hysteresis, found or begin))
+        least = error
+    return _before(task, thresholds_v, sure_behind(task, whole.block.hysteresis, found))
 
 
-def _before(task: Task, thresholds_v: Thresholds, found: Behind) -> _Whole:
-    """Block before the axes found."""
+def _starts_behind(task: Task, thresholds_v: Thresholds, whole: _Whole) -> tuple[Start, ...]:
+    """Starts that suit a model with axes.
+
+    What a record did not tell before lag and creep were known is asked again: slow modes that are fitted as
+    if a record had gone before itself make its true past look wrong, so that the weights are fitted anew.
+    """
+    mode = task.settings.start
+    starts = judged_starts(task.records, whole.candidate.predict, whole.settle_s, mode)
+    if mode != "auto":
+        return starts
+    quick = replace(
+        task, records=tuple(record.part(0, min(record.samples, BEGINNING)) for record in task.records)
+    )
+
+    def fit(starts: Sequence[Start]) -> Callable[[Record, Start], Array]:
+        begun = replace(quick, starts=tuple(starts))
+        return _before(begun, thresholds_v, whole.behind, whole.block).candidate.predict
+
+    return each_alone(quick.records, starts, fit, unexplained(task.records, starts))
+
+
+def _before(task: Task, thresholds_v: Thresholds, found: Behind, like: Replacement | None = None) -> _Whole:
+    """Block before the axes found, with the columns of another one if it is given."""
     late = replace(task, delay_samples=found.delay_samples)
     dynamics = StaticDynamics(n_outputs=task.outputs) if found.is_static else found.dynamics
-    block = REPLACEMENTS[task.settings.hysteresis](late, thresholds_v, dynamics)
+    block = REPLACEMENTS[task.settings.hysteresis](late, thresholds_v, dynamics, like)
     return _Whole(late.candidate(block.hysteresis, dynamics), found, block, task.starts)
 
 
-def _asymmetric(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replacement:
+def _asymmetric(
+    task: Task, thresholds_v: Thresholds, dynamics: Linear, like: Replacement | None
+) -> Replacement:
     """Dead-zones beside the plays, as many as the records call for unless their number is given."""
     settings, paths = task.settings, task.paths(dynamics)
-    if settings.operators == "auto" and settings.thresholds_v is None and settings.partition == "auto":
-        task.progress("trying numbers of plays beside dead-zones")
-        thresholds_v = enough_plays(
-            task.records, starts=task.starts, delay_samples=task.whole_delay, through=paths
-        )
+    free = settings.operators == "auto" and settings.thresholds_v is None and settings.partition == "auto"
     begun = [[np.concatenate([[0.0], r[1:]]) if r.size else r for r in row] for row in thresholds_v]
-    count = settings.dead_zones
-    if count is None:
-        task.progress("trying numbers of dead-zones")
-        count = enough_dead_zones(
-            task.records, begun, starts=task.starts, delay_samples=task.whole_delay, through=paths
-        )
+    behind: dict[str, Any] = {"starts": task.starts, "delay_samples": task.whole_delay, "through": paths}
+    choice = like.choice if like else None
+    if choice is None:
+        task.progress("trying numbers of plays and dead-zones")
+        choice = chosen_asymmetric(task.records, None if free else begun, settings.dead_zones, **behind)
     method: Weighting = "invertible" if settings.method == "closed_form" else settings.method
     fit = fit_asymmetric(
         task.records,
-        begun,
-        breakpoints_in(task.records, count),
+        choice.thresholds_v,
+        choice.breakpoints_v,
         method=method,
-        starts=task.starts,
-        delay_samples=task.whole_delay,
-        through=paths,
+        ridge=settings.ridge or choice.ridge,
+        **behind,
     )
+    count = len(choice.breakpoints_v[0])
     told = f"{count} dead-zones an input stand beside the plays"
-    return Replacement(fit.hysteresis, (told, *_bounded(task, fit.held)))
+    return Replacement(fit.hysteresis, (told, *_bounded(task, fit.held)), choice)
 
 
-def _rate_dependent(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replacement:
+def _rate_dependent(
+    task: Task, thresholds_v: Thresholds, dynamics: Linear, like: Replacement | None
+) -> Replacement:
     """Plays whose thresholds grow with the rate; the outputs share those of an input."""
     grids = [np.unique(np.concatenate([[0.0], *(row[k][1:] for row in thresholds_v)]))
              for k in range(len(thresholds_v[0]))]  # fmt: skip
@@ -228,7 +239,9 @@ def _rate_dependent(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> R
     return Replacement(fit.hysteresis, (*told, late))
 
 
-def _bouc_wen(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replacement:
+def _bouc_wen(
+    task: Task, thresholds_v: Thresholds, dynamics: Linear, like: Replacement | None
+) -> Replacement:
     """The Bouc-Wen model, which has no thresholds."""
     fit = fit_bouc_wen(
         task.records,
@@ -254,7 +267,9 @@ def _bounded(task: Task, held: Sequence[tuple[int, int]]) -> list[str]:
     ]
 
 
-REPLACEMENTS: Mapping[HysteresisKind, Callable[[Task, Thresholds, Linear], Replacement]] = {
+REPLACEMENTS: Mapping[
+    HysteresisKind, Callable[[Task, Thresholds, Linear, Replacement | None], Replacement]
+] = {
     "asymmetric": _asymmetric,
     "rate_dependent": _rate_dependent,
     "bouc_wen": _bouc_wen,
