@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics
-from hammerstein.hysteresis import Hysteresis
+from hammerstein.hysteresis import Hysteresis, RateDependent
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.behind import Behind, search_behind, sure_behind
 from hammerstein.identification.choice import Trial, chosen, judged_squares, parameters_of
@@ -28,6 +28,7 @@ from hammerstein.identification.static.rate_dependent import TWO_RATES, fit_rate
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import Thresholds, Weighting, half_swing
 from hammerstein.identification.task import Built, Found, Task
+from hammerstein.identification.together import fitted_together
 from hammerstein.identification.verdict import drive_hz, invertibility_of
 from hammerstein.records.record import Record
 
@@ -148,17 +149,28 @@ def _with_axes(task: Task, thresholds_v: Thresholds) -> _Whole:
     whole = _before(task, thresholds_v, found)
     for _ in range(MOST_TURNS):
         found = search_behind(task, whole.block.hysteresis, found, free)
-        whole = _before(task, thresholds_v, found)
+        whole, found = _in_front(task, thresholds_v, whole.block, found)
         starts = _starts_behind(task, thresholds_v, whole)
         moved = starts != task.starts
         if moved:
             task = replace(task, starts=starts)
-            whole = _before(task, thresholds_v, found)
+            whole, found = _in_front(task, thresholds_v, whole.block, found)
         error = score(whole.candidate, task.records, task.starts).mean_percent
         if error > (1.0 - WORTHWHILE) * least and not moved:
             break
         least = error
-    return _before(task, thresholds_v, sure_behind(task, whole.block.hysteresis, found))
+    return _before(task, thresholds_v, sure_behind(task, whole.block.hysteresis, found), whole.block)
+
+
+def _in_front(
+    task: Task, thresholds_v: Thresholds, block: Replacement, found: Behind
+) -> tuple[_Whole, Behind]:
+    """Block in front of the axes found, and the axes again where both were fitted together."""
+    if not isinstance(block.hysteresis, RateDependent) or found.is_static:
+        return _before(task, thresholds_v, found), found
+    task.progress("fitting the block together with what stands behind it")
+    hysteresis, found = fitted_together(task, block.hysteresis, found)
+    return _before(task, thresholds_v, found, Replacement(hysteresis)), found
 
 
 def _starts_behind(task: Task, thresholds_v: Thresholds, whole: _Whole) -> tuple[Start, ...]:
@@ -229,6 +241,7 @@ def _rate_dependent(
         starts=task.starts,
         delay_samples=task.whole_delay,
         through=task.paths(dynamics),
+        like=like.hysteresis if like and isinstance(like.hysteresis, RateDependent) else None,
     )
     told = [
         f"thresholds of {name} grow by {float(plays.growth_s[-1]):.3g} V for each V/s, seen through "
