@@ -118,6 +118,11 @@ class Shape(BaseModel, ABC):
         return self.periodic
 
     @property
+    def smooth(self) -> bool:
+        """Whether its path has no corners."""
+        return True
+
+    @property
     @abstractmethod
     def highest_frequency_hz(self) -> float:
         """Highest frequency named in the signal; it must stay below half the sample rate."""
@@ -191,6 +196,11 @@ class Triangle(OnAxes):
     """A symmetric triangle wave that starts at zero and rises."""
 
     kind: Literal["triangle"] = "triangle"
+
+    @property
+    def smooth(self) -> bool:
+        """It has corners."""
+        return False
 
     def _wave(self, cycles: Array) -> Array:
         return 1.0 - 4.0 * np.abs((cycles + 0.25) % 1.0 - 0.5)
@@ -353,6 +363,11 @@ class FromFile(Shape):
     @property
     def periodic(self) -> bool:
         """A file is run once, from its first row to its last."""
+        return False
+
+    @property
+    def smooth(self) -> bool:
+        """Nobody knows what is between its rows."""
         return False
 
     @property

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.axis_names import column
 from hammerstein.blocks import Controller
 from hammerstein.driving import DriveRange
 from hammerstein.dynamics import LinearBlock, discretise
@@ -128,7 +129,9 @@ class Response(Pictured):
             if wire is not None:
                 quantity, unit = name.rsplit("_", 1)
                 axes = (self.inputs if name in OF_INPUTS else self.outputs) or range(1, len(wire) + 1)
-                columns |= {f"{quantity}_{axis}_{unit}": row for axis, row in zip(axes, wire, strict=True)}
+                columns |= {
+                    column(quantity, str(axis), unit): row for axis, row in zip(axes, wire, strict=True)
+                }
         return columns
 
     def to_frame(self) -> pd.DataFrame:

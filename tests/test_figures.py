@@ -25,6 +25,7 @@ from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure, save_figures, write_figures
 from hammerstein.reporting.figures.loop_data import legend_labels, legible_parts
+from hammerstein.reporting.figures.path import PathRun, path_figure
 from hammerstein.reporting.figures.style import MOST_POINTS, line_style, thin_path, thin_trace
 from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
 from hammerstein.reporting.figures.write import images
@@ -217,6 +218,31 @@ def test_path_shows_every_radius_and_its_legend_the_worst_distance_of_the_larges
     )
 
 
+@pytest.mark.parametrize("every", [1, 7, 20, 57, 130])  # 400 to 3 samples a turn
+def test_a_circle_is_drawn_as_a_circle_however_few_samples_are_kept(every: int) -> None:
+    time_s = 50e-6 * np.arange(0, 801, every)
+    turn = 2.0 * np.pi * 50.0 * time_s
+    circle = 30.0 * np.array([np.cos(turn), np.sin(turn)])
+    run = PathRun("", "", time_s, circle, circle + 2.0, None, 0.02, 0.02, closes=True, lap_s=0.02)
+    plane = path_figure([run], ["x", "y"], "reference").axes[0]
+    drawn, target = (np.array(plane.lines[k].get_data()) for k in (0, -1))
+    for points, centre in ((drawn, 2.0), (target, 0.0)):
+        steps = 0.5 * (points[:, 1:] + points[:, :-1])  # in the middle of every straight line
+        np.testing.assert_allclose(np.hypot(*(steps - centre)), 30.0, rtol=2e-3)
+        assert np.hypot(*(points[:, -1] - points[:, 0])) < 2.0 * np.pi * 30.0 / 57.0  # it closes
+    assert plane.get_aspect() == 1.0
+
+
+def test_a_path_with_corners_is_not_rounded() -> None:
+    report = report_of(
+        reference={"kind": "triangle", "amplitude_um": 20.0, "frequency_hz": 50.0, "axis": "all"},
+        compensators=[{"label": "none", "law": "none", "model": "duo_bimorph"}],
+        measure={"record_every": 40},
+    )
+    plane = figures_of(report)["path"].axes[0]
+    assert len(plane.lines[-1].get_xdata()) == 11  # the samples of one period, both ends included
+
+
 def test_errors_of_a_path_keep_their_worst_sample() -> None:
     report = circles()
     errors = figures_of(report)["errors"].axes
@@ -398,3 +424,25 @@ def test_the_largest_loop_of_falling_amplitudes_is_drawn():
     _, fit = identify([Record([u], y, 1e-3)], Settings(operators=6, delay_samples=0, error_curve=False))
     measured = measured_loops(fit).axes[0].lines[0]
     assert np.ptp(measured.get_xdata()) == pytest.approx(100.0, rel=0.01)
+
+
+def test_inputs_that_move_at_once_have_the_loop_of_each_pair_by_the_model() -> None:
+    from hammerstein.reporting.figures.identified import SEPARATED, measured_loops
+
+    time_s = 1e-3 * np.arange(3000)
+    u = np.array([10.0 * np.sin(2 * np.pi * 1.0 * time_s), 10.0 * np.sin(2 * np.pi * 1.7 * time_s)])
+    thresholds, weights = [[[0.0, 2.0, 4.0]] * 2] * 2, [[[3.0, 1.0, 0.5], [0.1, 0.1, 0.0]]] * 2
+    weights[1] = weights[1][::-1]
+    y = theory.prandtl_ishlinskii(u, thresholds, weights)
+    given = Settings(
+        thresholds_v=(0.0, 2.0, 4.0), dynamics="none", delay_samples=0, creep_modes=0, error_curve=False
+    )
+    _, fit = identify([Record(u, y, 1e-3, ("ux", "uy"), ("x", "y"))], given)
+    figure = measured_loops(fit)
+    assert legend_texts(figure) == [SEPARATED, "static hysteresis"]
+    for panel, (o, k) in zip(figure.axes, [(0, 0), (0, 1), (1, 0), (1, 1)], strict=True):
+        drawn = np.array(panel.lines[0].get_data())
+        height = 2.0 * theory.loop_amplitude(thresholds[o][k], weights[o][k], 10.0)
+        assert np.ptp(drawn[1]) == pytest.approx(height, rel=0.01)
+        area = theory.loop_area(thresholds[o][k], weights[o][k], 10.0)
+        assert abs(theory.polygon_area(*drawn)) == pytest.approx(area, rel=0.01)

@@ -175,6 +175,10 @@ def test_the_command_learns_from_files(tmp_path, model, capsys):
             break
     assert errors[0] > 0.2
     assert errors[-1] < 0.03
+    table = tmp_path / "table.csv"
+    asked = ("--learn", drive, measured, "--table", "csv", "--table-points", "125", "--out", table)
+    assert _call("compensate", "duo_bimorph", path, *asked) == 0
+    assert len(pd.read_csv(table, comment="#")) == 125
     wrong = ("--learn", path, measured, "--out", tmp_path / "no.csv")
     assert _call("compensate", "duo_bimorph", path, *wrong) == 2
     assert "drive_x_v" in capsys.readouterr().err

@@ -50,7 +50,9 @@ law = "hammerstein_inverse"
 model = "duo_bimorph"
 [uncertainty]
 draws = 2
-[[claims]]
+[assessment]
+kind = "paper"
+[[assessment.claims]]
 id = "a"
 statement = "b"
 quantity = { metric = "rms_um" }
@@ -65,7 +67,7 @@ agreement = { at_most = 1 }
         ("amplitude_um = 10", "amplitude_um = 10\noffset_um = -inf", "reference.offset_um"),
         ("frequency_hz = 50", "frequency_hz = 1e-320", "reference.frequency_hz"),
         ("draws = 2", "resonance = 1.7e308", "uncertainty.resonance"),
-        ("agreement", "paper = -inf\nagreement", "claims[1].paper"),
+        ("agreement", "paper = -inf\nagreement", "assessment.claims[1].paper"),
         ('model = "duo', 'preview_s = inf\nmodel = "duo', "compensators[1].preview_s"),
         ('model = "duo', 'filter_hz = nan\nmodel = "duo', "compensators[1].filter_hz"),
         ("draws = 2", "seed = 100000000000000000000000000", "uncertainty.seed"),

@@ -55,6 +55,20 @@ def test_loops_prints_and_draws(records, tmp_path, capsys):
     assert "u_x" in capsys.readouterr().out
 
 
+def test_a_record_in_which_all_inputs_move_is_drawn_and_called_so(tmp_path, capsys):
+    time_s = 1e-3 * np.arange(1000)
+    u = np.array([np.sin(2 * np.pi * f * time_s) for f in (3.0, 4.0)])
+    table = {"t": time_s, "ux [V]": 5.0 * u[0], "uy [V]": 5.0 * u[1], "x": 9.0 * u[0], "y": 9.0 * u[1]}
+    path = tmp_path / "circle.csv"
+    pd.DataFrame(table).to_csv(path, index=False)
+    named = ("--inputs", "ux,uy", "--outputs", "x,y", "--time", "t", "--out", tmp_path)
+    assert _call("loops", path, *named) == 0
+    told = capsys.readouterr()
+    assert "ux and uy move at once" in told.err
+    assert "height_um" not in told.out
+    assert (tmp_path / "circle" / "loops.png").stat().st_size > 10_000
+
+
 def test_identify_writes_a_model_that_scenarios_can_run(records, tmp_path, capsys):
     out = tmp_path / "stage.json"
     assert (

@@ -38,7 +38,24 @@ def test_a_scale_takes_the_place_of_the_unit(tmp_path):
     (record,) = read(path, inputs=["u_mV"], outputs=["x_V"], input_scale=1.0, output_scale=8.0)
     np.testing.assert_allclose(record.u_v[0], U, atol=1e-8)
     np.testing.assert_allclose(record.y_um[0], X, atol=1e-7)
-    assert record.inputs == ("u_mV",)
+    assert record.inputs == ("u",)
+
+
+@pytest.mark.parametrize(
+    ("header", "inputs", "outputs"),
+    [
+        ("t,Vx [V],X (nm)", ("Vx",), ("X",)),
+        ("t,Vx_mV,Weg in nm", ("Vx",), ("Weg",)),
+        ("t,x [V],x [um]", ("x",), ("x",)),
+        ("t,[mV],[nm]", ("V",), ("um",)),
+        ("t,u_x,y_m", ("u_x",), ("y_m",)),
+    ],
+)
+def test_an_axis_is_called_without_the_unit_of_its_column(tmp_path, header, inputs, outputs):
+    path = tmp_path / "loop.csv"
+    path.write_text(header + "\n" + table_text(np.column_stack([TIME, 1e3 * U, 1e3 * X])))
+    (record,) = read(path, inputs=["2"], outputs=["3"], input_scale=1e-3, output_scale=1e-3)
+    assert (record.inputs, record.outputs) == (inputs, outputs)
 
 
 def test_a_voltage_is_no_displacement(tmp_path):

@@ -27,7 +27,7 @@ from hammerstein.runtime.cache import folder_of_runs
 from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, ended_in_time, leave
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from hammerstein.experiment.batch import Outcome
     from hammerstein.experiment.prepare import Progress
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from hammerstein.reporting.folder import TraceFormat, Writer
     from hammerstein.runtime import fanning
     from hammerstein.scenario import Scenario
+    from hammerstein.scenario.assessment import Assessment
 
 app = typer.Typer(
     name="hammerstein",
@@ -176,7 +177,7 @@ def run(
         str | None, typer.Option(metavar="csv|mat", help="Write every wire of every case.")
     ] = None,
     page: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write all claims and figures on one page there.")
+        Path | None, typer.Option(metavar="DIR", help="Write all figures and verdicts on one page there.")
     ] = None,
     interactive: Annotated[
         bool, typer.Option("--interactive", help="Put plots to zoom into on each page.")
@@ -196,7 +197,6 @@ def run(
     from hammerstein.errors import InputError
     from hammerstein.experiment.batch import load_all
     from hammerstein.files import refuse_unwritable
-    from hammerstein.reporting.claims_page import CLAIMS, PAGE
     from hammerstein.reporting.folder import Writer
     from hammerstein.reporting.html.interactive import refuse_without_library
     from hammerstein.reporting.html.overview import OVERVIEW
@@ -209,7 +209,6 @@ def run(
     refuse_unwritable("--out", out)
     if page is not None:
         refuse_unwritable("--page", page)
-        prepare(page, PAGE, [PAGE.sign[0]])
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
@@ -223,8 +222,8 @@ def run(
     writer.prepare(scenarios)
     if len(scenarios) > 1:
         prepare(out, OVERVIEW, [OVERVIEW.sign[0]])
-    if any(scenario.claims for scenario in scenarios.values()):
-        prepare(out, CLAIMS, [CLAIMS.sign[0]])
+    for assessed in _assessed(scenarios.values(), page):
+        assessed.prepare(out, page)
     outcomes = _run_what_changed(scenarios, writer, jobs, cluster, yes)
     for trouble in dict.fromkeys(outcome.unkept for outcome in outcomes if outcome.unkept):
         complain(trouble)
@@ -234,6 +233,19 @@ def run(
     if open_ and reports:
         _open(_first_page(reports, out))
     _fail_with(outcomes)
+
+
+def _assessed(scenarios: Iterable[Scenario], page: Path | None) -> list[type[Assessment]]:
+    """Kinds of assessment that some scenario has.
+
+    Raises InputError where none could write the page that is wanted.
+    """
+    from hammerstein.errors import InputError
+
+    kinds = list(dict.fromkeys(type(s.assessment) for s in scenarios if s.assessment is not None))
+    if page is not None and not kinds:
+        raise InputError("--page", "no scenario has an [assessment], which would say what stands on the page")
+    return kinds
 
 
 def _show_plan(paths: Sequence[Path], jobs: int) -> None:
@@ -246,21 +258,19 @@ def _show_plan(paths: Sequence[Path], jobs: int) -> None:
 
 
 def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None) -> list[Report]:
-    """Write what stands over several reports: claims, the page of all figures, the overview."""
+    """Write what stands over several reports: what was asked of them, the overview."""
     from hammerstein.commands.tables import kept_aside
-    from hammerstein.reporting.claims_page import write_claims, write_page
     from hammerstein.reporting.html.overview import write_overview
 
     reports = [outcome.report for outcome in outcomes if outcome.report is not None]
-    claimed = [report for report in reports if report.verdicts]
     kept = [place for outcome in outcomes for place in outcome.kept]
+    kinds = _assessed((report.scenario for report in reports), None)
     if len(reports) < len(outcomes):
-        what = ["claims.csv"] * bool(claimed) + ["the page"] * (page is not None)
-        if what:
-            complain(f"{' and '.join(what)} is not written, as not every scenario has a report")
+        if kinds:
+            complain("what stands over all reports is not written, as not every scenario has one")
     else:
-        kept += write_claims(claimed, out) if claimed else ()
-        kept += write_page(reports, out, page) if page is not None else ()
+        for kind in kinds:
+            kept += kind.write(reports, out, page)
     kept += write_overview(reports, out) if len(reports) > 1 else ()
     for place in kept:
         complain(kept_aside(place))
@@ -269,7 +279,7 @@ def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None) -> lis
 
 def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: Path, as_json: bool) -> None:
     """Print the results, and where the reports are."""
-    from hammerstein.commands.tables import claims_table, result_table
+    from hammerstein.commands.tables import result_table, verdict_tables
 
     if as_json:
         errors = [str(outcome.error) for outcome in outcomes if outcome.error]
@@ -277,8 +287,8 @@ def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: P
         return
     if reports:
         show(result_table(reports))
-    if claimed := [report for report in reports if report.verdicts]:
-        show(claims_table(claimed))
+    for table in verdict_tables(reports):
+        show(table)
     if reports:
         tell(f"{len(reports)} of {len(outcomes)} reports written in {out}")
         tell(f"look at {_first_page(reports, out)}")
@@ -416,8 +426,10 @@ def check(
 @app.command(epilog=_example("schema > scenario.schema.json"))
 def schema() -> None:
     """Print the JSON Schema of scenario files, for editors."""
+    from hammerstein.plugins import load_plugins
     from hammerstein.scenario import Scenario
 
+    load_plugins()
     tell_json(Scenario.model_json_schema(), indent=1, sort_keys=True)
 
 

@@ -86,8 +86,8 @@ def _scenario(path: Path) -> Iterator[tuple[str, str]]:
             else "identified: " + _listed(found.model_dump(mode="json", exclude_none=True))
         )
         yield source.label, f"{law}; {where}"
-    if scenario.claims:
-        yield "claims", ", ".join(claim.id for claim in scenario.claims)
+    if scenario.assessment is not None and scenario.assessment.names():
+        yield scenario.assessment.title.lower(), ", ".join(scenario.assessment.names())
     takes = duration(plan.seconds) if plan.seconds > 60.0 else "a minute at most"
     yield "takes", f"{takes} on one processor, {size(plan.bytes)} of memory"
 
@@ -118,9 +118,9 @@ def _report(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "question", str(found.get("scenario", {}).get("question"))
     yield "actuator", str(found.get("actuator"))
     yield "rows", str(len(found.get("rows", ())))
-    claims = found.get("claims", ())
-    if claims:
-        yield "claims", f"{sum(bool(claim.get('agrees')) for claim in claims)} of {len(claims)} met"
+    verdicts = found.get("verdicts", ())
+    if verdicts:
+        yield "verdicts", f"{sum(v.get('verdict') == 'met' for v in verdicts)} of {len(verdicts)} met"
     for number, text in enumerate(found.get("statements", ())[:5], start=1):
         yield f"statement {number}", str(text)
 

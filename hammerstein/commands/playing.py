@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.axis_names import column
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.files import Content
 from hammerstein.model import HammersteinModel
+from hammerstein.records.units import axis_name
 from hammerstein.signals import read_signal
 from hammerstein.simulation import Response
 
@@ -92,9 +94,14 @@ def played(model_path: str, drive_path: Path, with_sensor: bool = False) -> Play
 
 def _chosen(model: HammersteinModel, names: list[str], path: Path) -> list[int]:
     """Columns of the inputs: those of a drive file, those of the inputs' names, or all there are."""
-    for wanted in ([f"drive_{name}_v" for name in model.inputs], list(model.inputs)):
-        if all(name in names for name in wanted):
-            return [names.index(name) for name in wanted]
+    bare = [axis_name(name) for name in names]
+    for wanted, there in (
+        ([column("drive", name, "v") for name in model.inputs], names),
+        (list(model.inputs), names),
+        (list(model.inputs), bare),
+    ):
+        if all(name in there for name in wanted):
+            return [there.index(name) for name in wanted]
     if len(names) != len(model.inputs):
         raise InputError(
             str(path),

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from hammerstein.commands.terminal import complain, hushed, show as show_table, tell, tell_json
+from hammerstein.commands.terminal import complain, show as show_table, tell, tell_json
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
@@ -28,11 +28,13 @@ def init(
         paper_folder(folder)
         tell(f"scenarios in {folder}; {there}hammerstein run . or hammerstein check .")
         return
+    from hammerstein.commands.records import Spinner
     from hammerstein.commands.warm_up import compile_once
 
     refuse_started(folder)
     compile_once(complain)
-    own_folder(folder, complain if sys.stderr.isatty() and not hushed() else lambda _: None)
+    with Spinner() as spinner:
+        own_folder(folder, spinner.tell)
     tell(f"what to do next stands in {folder / 'README.md'}")
     tell(f"look at {folder / 'reports/circle/report.html'}; {there}hammerstein run .")
 

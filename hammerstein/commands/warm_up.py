@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import wait
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, wait
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.actuators import DEFAULT
 from hammerstein.compiled import CHECKED, told_before_compiling
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.workers import Processes
 
-MODEL, RANGE_V, SAMPLE_TIME_S, SAMPLES = "duo_bimorph", 10.0, 50e-6, 800
+RANGE_V, SAMPLE_TIME_S, SAMPLES = 10.0, 50e-6, 800
 
 
 def compile_once(say: Callable[[str], None], several: bool = False) -> None:
@@ -35,6 +38,27 @@ def compile_once(say: Callable[[str], None], several: bool = False) -> None:
     with Processes(2) as processes:
         wait([processes.submit(use) for use in (_use_the_others, _use_inverse)])
     # what is not compiled here is compiled when it is used
+
+
+@contextmanager
+def inverse_compiled_beside() -> Iterator[Callable[[], None]]:
+    """Compile the exact inverse in a process of its own, while this one does what it can without it.
+
+    Gives what waits until that is done, or does nothing: where it is compiled already, where it could not be
+    kept, and where there is no second processor.
+    """
+    from hammerstein.compensators.exact.kernel import respond_exact
+
+    if (os.cpu_count() or 1) < 2 or _is_cached(respond_exact):
+        yield lambda: None
+        return
+    with Processes(1) as processes:
+        compiled = processes.submit(_use_inverse)
+        yield lambda: _await(compiled)  # what is not compiled there is compiled when it is used
+
+
+def _await(task: Future[None]) -> None:
+    wait([task])
 
 
 def _must_compile() -> bool:
@@ -60,7 +84,7 @@ def _use_inverse() -> None:
     """The exact inverse takes as long to compile as all the other loops together."""
     from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 
-    law = HammersteinInverseLaw(HammersteinModel.load(MODEL), RANGE_V, SAMPLE_TIME_S, filter_hz=2000.0)
+    law = HammersteinInverseLaw(HammersteinModel.load(DEFAULT), RANGE_V, SAMPLE_TIME_S, filter_hz=2000.0)
     law.drive_for(_path())
 
 
@@ -76,9 +100,9 @@ def _use_the_others() -> None:
     scenario = Scenario.model_validate(
         {
             "question": "Does it run?",
-            "actuator": MODEL,
+            "actuator": DEFAULT,
             "reference": {"kind": "sine", "amplitude_um": 10.0, "frequency_hz": 50.0},
-            "compensators": [{"label": law, "law": law, "model": MODEL} for law in laws],
+            "compensators": [{"label": law, "law": law, "model": DEFAULT} for law in laws],
         }
     )
     setup = prepare(scenario)

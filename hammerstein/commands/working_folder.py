@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.actuators import DEFAULT
 from hammerstein.errors import InputError
 from hammerstein.files import begun, ended, reason_of
 
@@ -20,7 +21,7 @@ Say = Callable[[str], None]
 
 PACKAGE = Path(__file__).parents[1]
 STARTER = PACKAGE / "starter"
-ACTUATOR, SAMPLE_TIME_S, AMPLITUDE_V = "duo_bimorph", 50e-6, 10.0
+SAMPLE_TIME_S, AMPLITUDE_V = 50e-6, 10.0
 SINE_SAMPLES, MULTISINE_SAMPLES = 1200, 3000
 COLUMNS = ("u_x", "u_y"), ("x", "y")
 CI = ".github/workflows/hammerstein.yml"
@@ -38,17 +39,19 @@ def own_folder(target: Path, say: Say) -> None:
     ------
     InputError : something of these names is there already, or the folder cannot be written
     """
-    with _made(target) as room:
+    from hammerstein.commands.warm_up import inverse_compiled_beside
+
+    with _made(target) as room, inverse_compiled_beside() as compiled:
         _copy(STARTER / "README.md", room / "README.md")
         _copy(STARTER / "circle.toml", room / "circle.toml")
         _copy(STARTER / "hammerstein.yml", room / CI)
-        say("recording a simulated stage")
+        say("1 of 3: recording a simulated stage")
         _write_path(room / "path.csv")
         files = [_write_record(room, axis) for axis in range(2)]
-        say("identifying its model")
-        _identify(files, room / "stage.json")
-        say("running the scenario")
-        _run(room)
+        _identify(files, room / "stage.json", lambda what: say(f"2 of 3: identifying its model: {what}"))
+        say("3 of 3: compiling what the scenario needs")
+        compiled()
+        _run(room, lambda what, done, of: say(f"3 of 3: running the scenario: {what}, {done} of {of}"))
 
 
 def paper_folder(target: Path) -> None:
@@ -57,8 +60,8 @@ def paper_folder(target: Path) -> None:
     Raises InputError as ``own_folder`` does.
     """
     scenarios, baselines = (
-        _shipped("paper", "*.toml", "scenarios"),
-        _shipped("paper_baseline", "*.json", "reports/baseline"),
+        _shipped("paper/scenarios", "*.toml", "scenarios"),
+        _shipped("paper/baseline", "*.json", "reports/baseline"),
     )
     with _made(target) as room:
         for file in scenarios:
@@ -137,7 +140,7 @@ def _write_record(room: Path, axis: int) -> Path:
     ]
     u = np.zeros((2, SINE_SAMPLES + MULTISINE_SAMPLES))
     u[axis] = np.concatenate(parts)
-    actuator = HammersteinModel.load(ACTUATOR)
+    actuator = HammersteinModel.load(DEFAULT)
     response = actuator.simulate(u, SAMPLE_TIME_S, instruments=actuator.instruments, seed=axis)
     inputs, outputs = COLUMNS
     table = {"time_s": SAMPLE_TIME_S * np.arange(u.shape[1])}
@@ -158,7 +161,7 @@ def _write_path(place: Path) -> None:
     pd.DataFrame(path).round(6).to_csv(place, index=False, lineterminator="\n")
 
 
-def _identify(files: list[Path], place: Path) -> None:
+def _identify(files: list[Path], place: Path, say: Say) -> None:
     from hammerstein.identification.identify import identify
     from hammerstein.identification.settings import Settings
     from hammerstein.records.record import read_records
@@ -166,16 +169,17 @@ def _identify(files: list[Path], place: Path) -> None:
 
     inputs, outputs = COLUMNS
     records = read_records(files, inputs=inputs, outputs=outputs, time="time_s")
-    model, fit = identify(records, Settings(dynamics="second_order"), name=place.stem)
+    model, fit = identify(records, Settings(dynamics="second_order"), name=place.stem, progress=say)
+    say("drawing")
     write_fit(model, fit, place, place.parent / f"{place.stem}_fit")
 
 
-def _run(room: Path) -> None:
+def _run(room: Path, progress: Callable[[str, int, int], None]) -> None:
     """Write the report of the scenario, and accept its numbers."""
     from hammerstein.experiment.run import run
     from hammerstein.regression.baseline import Baseline
     from hammerstein.reporting.folder import write_report
 
-    report = run(room / "circle.toml")
+    report = run(room / "circle.toml", progress=progress)
     write_report(report, room / "reports/circle")
     Baseline.of(report).save(room / "reports/baseline/circle.json")

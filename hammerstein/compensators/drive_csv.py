@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.axis_names import column
 from hammerstein.errors import InputError
 from hammerstein.escaping import clean
 
@@ -43,15 +44,10 @@ def drive_csv(
     for word, unit, axes, rows in groups:
         if len(axes) != len(rows):
             raise InputError("drive file", f"{len(rows)} {word} columns for {len(axes)} names")
-        names += [f"{word}_{_plain(axis)}_{unit}" for axis in axes]
+        names += [column(word, axis, unit) for axis in axes]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError("drive file", f"two columns would be called {twice[0]}; rename the model's axes")
     table = pd.DataFrame(np.vstack([time_s, *(rows for *_, rows in groups)]).T, columns=names)
     above = "".join(f"# {clean(' '.join(text.split()))}\n" for text in statements)
     return above + str(table.to_csv(index=False, lineterminator="\n"))
-
-
-def _plain(name: str) -> str:
-    """Name without what opens a comment or ends a line."""
-    return clean(" ".join(name.replace("#", "").split()))

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.axis_names import column
 from hammerstein.compensators.cycle import Cycle, held_least, rms
 from hammerstein.errors import InputError
 from hammerstein.escaping import clean
@@ -105,7 +106,7 @@ class WaveTable:
         lines = [f"# {clean(' '.join(words.split()))}" for words in head]
         separator = "\t" if self.device == "pi" else ","
         if self.device == "csv":
-            lines.append(separator.join(f"drive_{clean(name)}_v" for name in self.cycle.model.inputs))
+            lines.append(separator.join(column("drive", name, "v") for name in self.cycle.model.inputs))
         digits = DEVICES[self.device].digits
         rows = (separator.join(f"{value:.{digits}f}" for value in row) for row in self.numbers().T)
         return "\n".join([*lines, *rows]) + "\n"

@@ -17,7 +17,6 @@ from hammerstein.experiment.recording import Target, recorded, targets_of
 from hammerstein.experiment.report import Prediction, Trace
 from hammerstein.experiment.settling import advice, settled
 from hammerstein.metrics import METRICS, LoopFigures, Measured, Metric, Row, loop_figures
-from hammerstein.scenario.claims import Claim
 from hammerstein.signals import OneFrequency
 from hammerstein.simulation import Response
 
@@ -141,16 +140,15 @@ def _key(setup: SetUp, case: Case) -> dict[str, Any]:
     }
 
 
-def needed_by(setup: SetUp, case: Case, claims: Sequence[Claim]) -> bool:
-    """Whether some claim selects a row of a case."""
+def empty_rows_of(setup: SetUp, case: Case) -> list[Row]:
+    """The rows that a case will give, as yet without figures."""
     labels = [source.label for source in setup.scenario.models] or [""]
     key = _key(setup, case)
-    rows = [
+    return [
         Row(compensator=label, measured_axis=axis, **key)
         for label in ([case.label] if case.label else labels)
         for axis in setup.plant.model.outputs
     ]
-    return any(claim.selects(row) for claim in claims for row in rows)
 
 
 def _whole_cycle(setup: SetUp, case: Case, sample_time_s: float) -> int | None:

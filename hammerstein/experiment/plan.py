@@ -173,7 +173,7 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
         work += others * axes * total * sum(_work(c, plant.sample_time_s) for c in tested)
     models = len(scenario.models)
     seconds = samples * SECONDS_A_SAMPLE * (1 + models) + cases * SECONDS_A_CASE + work
-    seconds *= 1 + len(scenario.claims_also_on)
+    seconds *= 1 + (0 if scenario.assessment is None else scenario.assessment.runs)
     every = scenario.measure.record_every or 1
     whole = any(isinstance(c, HammersteinInverse | Feedback | Learned) for c in scenario.compensators)
     at_once = longest if every == 1 or whole else min(longest, STRETCH)

@@ -132,7 +132,7 @@ def varied(scenario: Scenario, values: Mapping[str, float], name: str = "scenari
     >>> varied(scenario, {"drive.amplitude_v": 5.0}).signal.model_dump()["amplitude_v"]
     5.0
     """
-    unused = {"study", "uncertainty", "claims", "claims_also_on", "tolerances"}
+    unused = {"study", "uncertainty", "assessment", "tolerances"}
     content = scenario.model_dump(exclude_unset=True, exclude=unused)
     content = json.loads(json.dumps(content))
     for key, value in values.items():

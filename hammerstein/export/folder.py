@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from hammerstein.axis_names import column
 from hammerstein.errors import InputError, ToleranceError
 from hammerstein.export.code import CCode, environment
 from hammerstein.export.compiling import compiler
 from hammerstein.export.fmu import BUILD, DESCRIPTION, UNIT, fmu_context, fmu_of
-from hammerstein.export.golden import SAMPLES, adverse, entering
+from hammerstein.export.golden import SAMPLES, entering
 from hammerstein.export.measured import Measured
 from hammerstein.export.request import Request
 from hammerstein.files import read_limited
@@ -55,7 +56,7 @@ def files_of(code: CCode, measured: Measured | None = None) -> dict[str, str]:
     InputError : there is no C code for it, or single precision without a C compiler
     """
     request, model = code.request, code.model
-    signal = entering(code.block, model.on_grid(request.sample_time_s), SAMPLES)
+    signal = entering(code.block, code.model_on_grid, SAMPLES)
     answer = code.block.respond(signal)[0]
     found = measured if measured is not None else measure(code, signal, answer)
     template = environment().get_template
@@ -98,9 +99,7 @@ def measure(code: CCode, signal: Array, answer: Array) -> Measured:
             )
         return Measured()
     with code.library(counting=True) as library:
-        most = library.respond(adverse(code.block, code.model.on_grid(code.request.sample_time_s), SEARCHED))[
-            1
-        ]
+        most = library.respond(code.adverse(SEARCHED))[1]
         lost = np.abs(library.respond(signal)[0] - answer)
     loss = {}
     if code.request.float32:
@@ -165,14 +164,14 @@ def _difference(path: Path, text: str) -> str:
 def _columns(code: CCode) -> list[str]:
     """Names of the columns of golden.csv."""
     model = code.model
-    volts, places = [f"drive_{name}_v" for name in model.inputs], model.outputs
+    volts, places = [column("drive", name, "v") for name in model.inputs], model.outputs
     if code.is_model:
-        return [*volts, *(f"position_{name}_um" for name in places)]
-    return [*(f"reference_{name}_um" for name in places), *volts]
+        return [*volts, *(column("position", name, "um") for name in places)]
+    return [*(column("reference", name, "um") for name in places), *volts]
 
 
 def _golden(code: CCode, signal: Array, answer: Array) -> str:
-    head = ",".join(column.replace(",", " ") for column in _columns(code))
+    head = ",".join(_columns(code))
     rows = (",".join(map(repr, row)) for row in np.vstack([signal, answer]).T.tolist())
     return "\n".join([head, *rows]) + "\n"
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.axis_names import column
 from hammerstein.compensators.cycle import Cycle, design_of
 from hammerstein.compensators.drive_file import Terms, read_path
 from hammerstein.errors import InputError
@@ -54,7 +55,7 @@ def learn_from_files(
 def _drive_of(path: Path, model: HammersteinModel, samples: int) -> Array:
     """Voltages (m, N) of a drive file, by the names of its columns."""
     _, values, names = read_signal(path)
-    wanted = [f"drive_{name}_v" for name in model.inputs]
+    wanted = [column("drive", name, "v") for name in model.inputs]
     missing = [name for name in wanted if name not in names]
     if missing:
         raise InputError(str(path), f"has no column {missing[0]}; give the drive file that was played")

@@ -34,6 +34,8 @@ GRID = 64
 """Voltages on each branch at which two cycles are compared."""
 SETTLED_SHARE = 0.005
 """Part of the height by which a settled cycle may differ from its neighbour, beside the noise."""
+SAME_SWING = 0.01
+"""Part by which the swings of two cycles of one amplitude may differ."""
 CLEAR = 3.0
 """Noise, times this, by which an output must fall for its gain to be negative."""
 SETTLED_NOISE = 3.0
@@ -144,11 +146,39 @@ def loop_table(record: Record) -> list[Loop]:
     ]
 
 
+def widest_cycle(record: Record, k: int, alone: bool = True) -> slice | None:
+    """Last closed cycle of largest swing of an input, if there is one.
+
+    Parameters
+    ----------
+    record : voltages and displacements
+    k : input, from 0
+    alone : whether the other inputs must rest meanwhile
+    """
+    u = record.u_v[k]
+    found = [e for e in find_cycles(u).excursions if not alone or driven_alone(record, k, e.start, e.stop)]
+    cycles = [e for e in found if not e.minor] or found
+    if not cycles:
+        return None
+    swings = [float(np.ptp(u[e.start : e.stop + 1])) for e in cycles]
+    wide = [e for e, swing in zip(cycles, swings, strict=True) if swing >= (1.0 - SAME_SWING) * max(swings)]
+    return slice(wide[-1].start, wide[-1].stop + 1)
+
+
+def move_at_once(record: Record) -> bool:
+    """Whether several inputs move, none of them through a cycle alone, so that no loop is one pair's."""
+    driven = driven_inputs(record)
+    return len(driven) > 1 and not any(widest_cycle(record, k) for k in driven)
+
+
 def without_loops(record: Record) -> str:
     """Why a record has no loop, as a sentence with a remedy."""
     driven = [record.inputs[k] for k in driven_inputs(record)]
     if len(driven) > 1:
-        return f"no loop of a pair: {' and '.join(driven)} move at once; drive one input at a time"
+        return (
+            f"no loop of a pair: {' and '.join(driven)} move at once; drive one input at a time, or let "
+            "hammerstein identify tell them apart"
+        )
     if find_cycles(record.u_v[driven_inputs(record)[0]]).excursions:
         return f"no loop found: {driven[0]} jumps between its levels; drive it by sines or triangles"
     return "no loop found: a voltage must turn twice; record two periods or more"

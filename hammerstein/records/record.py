@@ -28,7 +28,7 @@ from hammerstein.records.checks import (
 from hammerstein.records.outliers import Outliers, listed, outlier_mistakes, without_outliers
 from hammerstein.records.readers import Columns, read_array, read_columns
 from hammerstein.records.scales import factors_of, refuse_other_time, sample_time_of
-from hammerstein.records.units import in_base_unit
+from hammerstein.records.units import axis_name
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -306,10 +306,7 @@ def _record(
     if mistakes:
         raise InputError(columns.source, mistakes)
     values = factors[:, None] * columns.values[: m + p]
-    scaled = [input_scale] * m + [output_scale] * p
-    names = unique(
-        [name if scale else in_base_unit(name) for name, scale in zip(columns.names, scaled, strict=False)]
-    )
+    names = tuple(axis_name(name) for name in columns.names[: m + p])
     return Record(values[:m], values[m:], step, names[:m], names[m:], columns.source, columns.rows)
 
 

@@ -95,19 +95,22 @@ def unit_in(name: str) -> Unit | None:
     return unit_of(match["unit"]) if match else None
 
 
-def in_base_unit(name: str) -> str:
-    """Name of a column after its numbers were turned into V, um or s.
+def axis_name(column: str) -> str:
+    """Name of the axis that a column holds, once its numbers were turned into V, um or s: without a unit.
+
+    A column that is called by a unit alone keeps the one that its numbers have now.
 
     Examples
     --------
-    >>> in_base_unit("u_mV"), in_base_unit("X (nm)"), in_base_unit("x")
-    ('u_V', 'X (um)', 'x')
+    >>> axis_name("Vx [V]"), axis_name("X (nm)"), axis_name("x"), axis_name("[mV]")
+    ('Vx', 'X', 'x', 'V')
     """
-    match = _match(name)
+    match = _match(column)
     unit = unit_of(match["unit"]) if match else None
-    if match is None or unit is None or unit.factor == 1.0:
-        return name
-    return f"{match['name']}{match['open']}{BASE[unit.kind]}{match['close']}"
+    if match is None or unit is None:
+        return column
+    is_word = match.re is PLAIN and unit.factor == 1.0  # such as Volt
+    return match["name"].strip(" _") or (column if is_word else BASE[unit.kind])
 
 
 def without_unit(name: str) -> str:

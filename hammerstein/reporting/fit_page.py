@@ -17,7 +17,8 @@ from hammerstein.identification.score import Score
 from hammerstein.model import HammersteinModel
 
 CAPTIONS = {
-    "loops": "One cycle of each input driven alone, measured and by the model (dark, broken).",
+    "loops": "One cycle of each input, measured and by the model (dark, broken). Of an input that only moves "
+    "together with others, what the model says of the others is taken off what was measured.",
     "residual": "What each kind of model leaves: over time, and the largest amplitude in bands of frequency.",
     "operators": "Error on stretches of the records that were held out, against the number of operators. The "
     "grey bar marks this model.",

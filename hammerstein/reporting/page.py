@@ -12,11 +12,12 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from hammerstein.escaping import code, markdown
-from hammerstein.experiment.report import Report
+from hammerstein.experiment.report import Report, Trace
 from hammerstein.experiment.selection import identified_at, number
 from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
+from hammerstein.reporting.figures.smooth_path import is_sparse
 from hammerstein.reporting.summary import answer
 from hammerstein.reporting.tables import number_tables
 from hammerstein.scenario.source import ModelSource
@@ -71,10 +72,6 @@ CAPTIONS = {
 }
 
 MOST_STATEMENTS = 15
-PAPER = (
-    "Multivariable classical Prandtl-Ishlinskii hysteresis modeling and compensation and sensorless control "
-    "of a nonlinear 2-dof piezoactuator"
-)
 
 # What tells the rows of rms.csv apart; each figure of merit says itself what it is.
 KEYS = {
@@ -115,7 +112,8 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
         setting=list(setting_of(report)),
         sources=[source_of(s) for s in (*report.scenario.compensators, *report.scenario.models)],
         glossary=glossary_of(report),
-        paper=PAPER,
+        asked=report.scenario.assessment,
+        judged=[verdict.cells() for verdict in report.verdicts],
     )
     return re.sub(r"\n{3,}", "\n\n", page)
 
@@ -177,10 +175,15 @@ def picture_of(name: str, report: Report) -> Picture:
         + banded,
         "trials_true": banded,
         "trials": banded,
-        "path": ["True is the actuator's position, without the sensor."] * compared,
+        "path": ["True is the actuator's position, without the sensor."] * compared
+        + ["Dots are the samples, few a turn; smooth curves join them."] * any(map(_sparse, report.traces)),
     }
     caption = " ".join([CAPTIONS.get(kind, ""), *remarks.get(kind, [])])
     return Picture(name, f"{stem}.svg", TITLES.get(kind, stem), caption)
+
+
+def _sparse(trace: Trace) -> bool:
+    return trace.signal.smooth and is_sparse(trace.time_s, 1.0 / trace.signal.highest_frequency_hz)
 
 
 def _lag(report: Report) -> str:

@@ -38,7 +38,7 @@ def _whole(content: dict[str, Any]) -> dict[str, Any]:
     signal = content.get("drive" if in_volts else "reference")
     if not isinstance(signal, dict) or signal.get("kind") == "file":
         signal = {"kind": "sine", "frequency_hz": 50.0, "amplitude_v" if in_volts else "amplitude_um": 5.0}
-    replaced = ("drive", "reference", "compensators", "models", "sweep", "claims", "claims_also_on")
+    replaced = ("drive", "reference", "compensators", "models", "sweep", "assessment")
     kept = {name: value for name, value in content.items() if name not in replaced}
     kept["drive" if in_volts else "reference"] = signal
     if str(content.get("actuator")) not in packaged_actuators():
@@ -218,9 +218,10 @@ def good_scenarios() -> list[dict[str, Any]]:
                                   "noise": 0.1}})  # fmt: skip
     found.append({"question": "?", "reference": sine, "sweep": {"frequency_hz": [40.0, 50.0]},
                   "compensators": [{"label": "a", **laws[0], "only_at_hz": [40.0]}],
-                  "claims": [{"id": "c", "statement": "s", "paper": 1.0, "factor": 2.0, "quantity": {
-                      "metric": "rms_um", "from_hz": 10.0, "to_hz": 60.0, "of": "spread"},
-                      "agreement": {"within": 0.1, "at_most": 5.0}}]})  # fmt: skip
+                  "assessment": {"kind": "paper", "figure": "Fig. 1", "claims": [
+                      {"id": "c", "statement": "s", "paper": 1.0, "factor": 2.0, "quantity": {
+                          "metric": "rms_um", "from_hz": 10.0, "to_hz": 60.0, "of": "spread"},
+                          "agreement": {"within": 0.1, "at_most": 5.0}}]}})  # fmt: skip
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -276,13 +276,15 @@ def path_runs_of(report: Report, trace: Trace) -> Iterator[PathRun]:
     response, signal, time_s = trace.response, trace.signal, trace.time_s
     group = swept_label(trace, report.scenario.sweep)
     length = float(np.ptp(time_s))
-    period = min(length, signal.period_s) if signal.repeats else length
+    period = signal.period_s if signal.repeats else length
     shown = min(length, SHOWN_CYCLES * period)
+    lap = 1.0 / signal.highest_frequency_hz if signal.smooth else 0.0
+    drawn: dict[str, Any] = {"shown_s": shown, "period_s": period, "closes": signal.repeats, "lap_s": lap}
     if response.reference_um is not None:
         target, reading, true = response.reference_um, response.reading_um, response.position_um
-        yield PathRun(trace.label, group, time_s, target, reading, true, shown, period)
+        yield PathRun(trace.label, group, time_s, target, reading, true, **drawn)
         return
     for p in trace.predictions:
-        yield PathRun(p.label, group, time_s, response.reading_um, p.reading_um, None, shown, period)
+        yield PathRun(p.label, group, time_s, response.reading_um, p.reading_um, None, **drawn)
     if not trace.predictions:
-        yield PathRun("reading", group, time_s, None, response.reading_um, None, shown, period)
+        yield PathRun("reading", group, time_s, None, response.reading_um, None, **drawn)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,9 +18,9 @@ from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.regressors import Start
-from hammerstein.records.preparation import driven_alone, driven_inputs
+from hammerstein.records.loops import SAME_SWING, widest_cycle
+from hammerstein.records.preparation import driven_inputs
 from hammerstein.records.record import Record
-from hammerstein.records.turning_points import find_cycles
 from hammerstein.reporting.figures.loops import LoopRun, loops_figure
 from hammerstein.reporting.figures.style import (
     MOST_POINTS,
@@ -50,7 +51,7 @@ LINES = 160
 LEAST = 1e-12
 PHASES = 1024
 """Samples of the sine with which a static block's describing function is found."""
-SAME_SWING = 0.01
+MEASURED, SEPARATED = "measured", "measured, less the model's response to the other inputs"
 BROAD_SHARE = 0.5
 """Records from this part of the longest one's length on are used for the measured response."""
 
@@ -81,20 +82,15 @@ def _longest(records: Sequence[Record]) -> list[Record]:
     return [record for record in long if record.sample_time_s == long[0].sample_time_s]
 
 
-def _cycle(record: Record, k: int) -> slice | None:
-    """Last closed cycle of largest swing in which an input is driven alone, if there is one."""
-    u = record.u_v[k]
-    alone = [e for e in find_cycles(u).excursions if driven_alone(record, k, e.start, e.stop)]
-    cycles = [e for e in alone if not e.minor] or alone
-    if not cycles:
-        return None
-    swings = [float(np.ptp(u[e.start : e.stop + 1])) for e in cycles]
-    wide = [e for e, swing in zip(cycles, swings, strict=True) if swing >= (1.0 - SAME_SWING) * max(swings)]
-    return slice(wide[-1].start, wide[-1].stop + 1)
-
-
 def measured_loops(fit: Fit) -> Figure | None:
-    """Slowest last cycle of each input driven alone, at its largest amplitude, and what the model says of it.
+    """Slowest last cycle of each input at its largest amplitude, and what the model says of it.
+
+    Of an input that only moves together with others, the model's response to the others is taken off what was
+    measured, so that the loop of one pair is left,
+
+        y - (y_model(u) - y_model(u_k alone)),
+
+    which differs from the model's own loop by the residual of the fit, as the loop of a lone input does.
 
     Parameters
     ----------
@@ -106,26 +102,38 @@ def measured_loops(fit: Fit) -> Figure | None:
     """
     runs = []
     for k in range(len(fit.inputs)):
-        found = [
-            (float(np.ptp(record.u_v[k, part])), i, part)
-            for i, record in enumerate(fit.records)
-            if k in driven_inputs(record) and (part := _cycle(record, k))
-        ]
-        if not found:
+        found = _slowest_cycle(fit, k, alone=True)
+        label, found = (MEASURED, found) if found else (SEPARATED, _slowest_cycle(fit, k, alone=False))
+        if found is None:
             continue
-        largest = max(swing for swing, _, _ in found)
-        alike = [one for one in found if one[0] >= (1.0 - SAME_SWING) * largest]
-        _, i, part = max(alike, key=lambda one: one[2].stop - one[2].start)
+        i, part = found
         record, model = fit.records[i], fit.candidates[fit.kind]
-        said = model.predict(record, fit.starts[i])[:, part]
-        said += (record.y_um[:, part] - said).mean(axis=1, keepdims=True)
-        drawn = ((KIND_NAMES[fit.kind], said),)
+        said, measured = model.predict(record, fit.starts[i])[:, part], record.y_um[:, part]
+        if label == SEPARATED:
+            lone = np.where(np.arange(len(record.u_v))[:, None] == k, record.u_v, record.u_v[:, :1])
+            own = model.predict(replace(record, u_v=lone, verified=True), fit.starts[i])[:, part]
+            measured, said = measured - (said - own), own
+        said = said + (measured - said).mean(axis=1, keepdims=True)
         sent = record.u_v[k, part] + record.rest_v[k]
-        runs.append(LoopRun("measured", k, sent, record.y_um[:, part], drawn))
+        runs.append(LoopRun(label, k, sent, measured, ((KIND_NAMES[fit.kind], said),)))
     if not runs:
         return None
     inputs = [axis_label(name, "V") for name in fit.inputs]
     return loops_figure(runs, inputs, [axis_label(name, "µm") for name in fit.outputs])
+
+
+def _slowest_cycle(fit: Fit, k: int, alone: bool) -> tuple[int, slice] | None:
+    """Number of a record and its last cycle of largest swing: the longest of those over all records."""
+    found = [
+        (float(np.ptp(record.u_v[k, part])), i, part)
+        for i, record in enumerate(fit.records)
+        if k in driven_inputs(record) and (part := widest_cycle(record, k, alone))
+    ]
+    if not found:
+        return None
+    largest = max(swing for swing, _, _ in found)
+    alike = [(i, part) for swing, i, part in found if swing >= (1.0 - SAME_SWING) * largest]
+    return max(alike, key=lambda one: one[1].stop - one[1].start)
 
 
 def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:

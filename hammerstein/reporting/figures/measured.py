@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hammerstein.records.loops import Loop
+from hammerstein.records.loops import Loop, move_at_once, widest_cycle
+from hammerstein.records.preparation import driven_inputs
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures.loops import LoopRun, loops_figure
 from hammerstein.reporting.figures.style import axis_label
@@ -17,11 +18,15 @@ if TYPE_CHECKING:
 
 LOOPS = Owner("loops", sign=("loops.svg", "<dc:title>hammerstein"))
 LOOPS_FILES = ("loops.svg", "loops.png")
+AT_ONCE = "all inputs move at once: no loop of one pair"
 MOST_AMPLITUDES = 4  # line styles that can be told apart
 
 
 def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]) -> Figure | None:
-    """Draw the last settled loop of each amplitude, largest first; None where no record has a loop.
+    """Draw the last settled loop of each amplitude, largest first; None where no record has anything to draw.
+
+    Of a record in which the inputs only move at once, the last cycle of each is drawn, and called so: what is
+    measured then is no loop of one pair.
 
     Parameters
     ----------
@@ -36,6 +41,8 @@ def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]
             driven = record.inputs.index(loop.input)
             label = f"{loop.amplitude_v:.3g} V" + (f", {name}" if len(records) > 1 else "")
             runs.append(LoopRun(label, driven, record.u_v[driven, part], record.y_um[:, part]))
+        if not table and move_at_once(record):
+            runs += list(_at_once(record, name if len(records) > 1 else ""))
     if not runs:
         return None
     first = records[0]
@@ -44,6 +51,14 @@ def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]
         [axis_label(name, "V") for name in first.inputs],
         [axis_label(name, "µm") for name in first.outputs],
     )
+
+
+def _at_once(record: Record, name: str) -> Iterator[LoopRun]:
+    """Last widest cycle of each input, the others in motion."""
+    for k in driven_inputs(record):
+        if part := widest_cycle(record, k, alone=False):
+            label = ", ".join(word for word in (AT_ONCE, name) if word)
+            yield LoopRun(label, k, record.u_v[k, part], record.y_um[:, part])
 
 
 def file_labels(sources: Sequence[str]) -> list[str]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hammerstein.experiment.selection import significant
+from hammerstein.reporting.figures.smooth_path import ENOUGH, is_sparse, smooth_path
 from hammerstein.reporting.figures.style import (
     COLOURS,
     DARK,
@@ -62,6 +63,8 @@ class PathRun:
     true_um : (axis, sample) where it truly goes, if ``output_um`` is a sensor's reading
     shown_s : length of time that is drawn [s]; the errors in the legend are those of the whole run
     period_s : length of time after which the path closes [s]; of one that does not, its whole length
+    closes : whether the path repeats after that time
+    lap_s : time of one turn of a path without corners [s]; 0 of any other
     """
 
     label: str
@@ -72,10 +75,18 @@ class PathRun:
     true_um: Array | None
     shown_s: float
     period_s: float
+    closes: bool = False
+    lap_s: float = 0.0
 
     def first(self, seconds: float) -> slice:
         """Samples of the first stretch of the run."""
         return slice(0, int(np.searchsorted(self.time_s, self.time_s[0] + seconds * (1.0 + 1e-9), "right")))
+
+    def plane_of(self, path_um: Array) -> Array:
+        """Points (axis, point) of one period of a path; few samples of a smooth one are joined smoothly."""
+        if not is_sparse(self.time_s, self.lap_s):
+            return path_um[:, self.first(self.period_s)]
+        return smooth_path(self.time_s, path_um, self.period_s, self.lap_s, self.closes)
 
     def errors(self) -> list[tuple[str, Array]]:
         """Error of each axis, then its length over all axes, then that of the true position."""
@@ -207,16 +218,24 @@ def _draw_plane(
 ) -> None:
     """One period of each path: broken lines drawn over themselves would look whole."""
     for run in runs:
-        x, y = thin_path(list(run.output_um[:, run.first(run.period_s)]), most)
+        x, y = thin_path(list(run.plane_of(run.output_um)), _points(run, most))
         axes.plot(x, y, **pens[run.label])
+        if is_sparse(run.time_s, run.lap_s):  # the samples themselves
+            part = run.first(run.period_s)
+            axes.plot(*run.output_um[:, part], ".", color=pens[run.label]["color"], markersize=4.5)
     for run in {run.group: run for run in runs if run.target_um is not None}.values():
         assert run.target_um is not None
-        x, y = thin_path(list(run.target_um[:, run.first(run.period_s)]), most)
+        x, y = thin_path(list(run.plane_of(run.target_um)), _points(run, most))
         axes.plot(x, y, **TARGET)
     axes.set_aspect("equal")
     few_ticks(axes)
     axes.set_xlabel(f"{symbol(names[0], 'reading')} [µm]")
     axes.set_ylabel(f"{symbol(names[1], 'reading')} [µm]")
+
+
+def _points(run: PathRun, most: int) -> int:
+    """Most points of a path in the plane: enough for every turn of a smooth one."""
+    return max(most, math.ceil(ENOUGH * run.period_s / run.lap_s)) if run.lap_s else most
 
 
 def _draw_traces(

@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 MOST_VALUES = 60_000
 """Numbers of all curves together: as single precision in base64, a third of a megabyte."""
-FEWEST, MOST_POINTS = 40, 1000  # of a curve
+FEWEST, MOST_POINTS = 60, 1000  # of a curve
 MOST_STEPS = 12  # of the slider
 HEIGHT = 320
 DASHES = ("solid", "dashed", "dotdash", "dotted", "dashdot")
@@ -305,13 +305,13 @@ def _path_curves(report: Report, trace: Trace) -> Iterator[Curve]:
 
 
 def _path(report: Report, run: PathRun) -> Iterator[Curve]:
-    period, shown = run.first(run.period_s), run.first(run.shown_s)
+    shown = run.first(run.shown_s)
     time_ms = 1e3 * run.time_s[shown]
     if len(report.axes) == 2:
         panel = f"Path\n{report.axes[0]} [µm]\n{report.axes[1]} [µm]"
-        yield Curve(panel, run.label, run.output_um[0, period], run.output_um[1, period])
+        yield Curve(panel, run.label, *run.plane_of(run.output_um))
         if run.target_um is not None:
-            yield Curve(panel, REFERENCE, run.target_um[0, period], run.target_um[1, period])
+            yield Curve(panel, REFERENCE, *run.plane_of(run.target_um))
     else:
         for o, axis in enumerate(report.axes):
             yield Curve(f"{axis}\ntime [ms]\n{axis} [µm]", run.label, time_ms, run.output_um[o, shown])
