@@ -23,7 +23,7 @@ from hammerstein.identification.settings import HysteresisKind
 from hammerstein.identification.static.asymmetric import fit_asymmetric
 from hammerstein.identification.static.asymmetric_choice import AsymmetricChoice, chosen_asymmetric
 from hammerstein.identification.static.bouc_wen import fit_bouc_wen
-from hammerstein.identification.static.history import each_alone, judged_starts, unexplained
+from hammerstein.identification.static.history import FEWEST, each_alone, judged_starts, unexplained
 from hammerstein.identification.static.rate_dependent import TWO_RATES, fit_rate_dependent
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import Thresholds, Weighting, half_swing
@@ -38,8 +38,10 @@ Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
 
 MOST_TURNS = 4
 """Most times that block and axes are fitted in turn; each must lower the error by half a percent."""
+CHOSEN_TURNS = 2
+"""Turns in which the columns of the block are chosen anew."""
 BEGINNING = 20_000
-"""Samples of a record that tell how it began."""
+"""Samples of all records together that tell how they began."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +80,7 @@ def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tu
     delays = range(MOST_DELAY + 1) if held and _free_delay(task) else [task.delay_samples]
     tried = [_before(task, thresholds_v, Behind((), delay)) for delay in delays]
     if settings.dynamics != "auto" or _several_rates(task.records):
-        tried += [_with_axes(task, thresholds_v)] if settings.dynamics != "none" else []
+        tried += [_with_axes(task, thresholds_v, tried[0].block)] if settings.dynamics != "none" else []
     trials = [_trial(task, one, held) for one in tried]
     nearest = min(range(len(delays)), key=lambda i: trials[i].percent)
     kept = [nearest, *range(len(delays), len(tried))]
@@ -139,22 +141,24 @@ class _Whole(NamedTuple):
         return float(np.log(1e3)) * max(times, default=0.0)
 
 
-def _with_axes(task: Task, thresholds_v: Thresholds) -> _Whole:
+def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> _Whole:
     """Block, axes and starts fitted in turn until nothing is gained.
 
     The block is fitted with its bounds and all that is not linear in it, the axes with its weights.
+
+    alone : the block as it was found without axes
     """
     free, least = _free_delay(task), math.inf
     found = Behind((), 0.0 if free else task.delay_samples)
-    whole = _before(task, thresholds_v, found)
-    for _ in range(MOST_TURNS):
+    whole = _before(task, thresholds_v, found, alone)
+    for turn in range(MOST_TURNS):
         found = search_behind(task, whole.block.hysteresis, found, free)
-        whole, found = _in_front(task, thresholds_v, whole.block, found)
+        whole, found = _in_front(task, thresholds_v, whole.block, found, anew=turn < CHOSEN_TURNS)
         starts = _starts_behind(task, thresholds_v, whole)
         moved = starts != task.starts
         if moved:
             task = replace(task, starts=starts)
-            whole, found = _in_front(task, thresholds_v, whole.block, found)
+            whole, found = _in_front(task, thresholds_v, whole.block, found, anew=False)
         error = score(whole.candidate, task.records, task.starts).mean_percent
         if error > (1.0 - WORTHWHILE) * least and not moved:
             break
@@ -163,11 +167,14 @@ def _with_axes(task: Task, thresholds_v: Thresholds) -> _Whole:
 
 
 def _in_front(
-    task: Task, thresholds_v: Thresholds, block: Replacement, found: Behind
+    task: Task, thresholds_v: Thresholds, block: Replacement, found: Behind, *, anew: bool
 ) -> tuple[_Whole, Behind]:
-    """Block in front of the axes found, and the axes again where both were fitted together."""
+    """Block in front of the axes found, and the axes again where both were fitted together.
+
+    ``anew`` chooses the columns again; otherwise they stay those of ``block``.
+    """
     if not isinstance(block.hysteresis, RateDependent) or found.is_static:
-        return _before(task, thresholds_v, found), found
+        return _before(task, thresholds_v, found, None if anew else block), found
     task.progress("fitting the block together with what stands behind it")
     hysteresis, found = fitted_together(task, block.hysteresis, found)
     return _before(task, thresholds_v, found, Replacement(hysteresis)), found
@@ -183,9 +190,9 @@ def _starts_behind(task: Task, thresholds_v: Thresholds, whole: _Whole) -> tuple
     starts = judged_starts(task.records, whole.candidate.predict, whole.settle_s, mode)
     if mode != "auto":
         return starts
-    quick = replace(
-        task, records=tuple(record.part(0, min(record.samples, BEGINNING)) for record in task.records)
-    )
+    most = max(BEGINNING // len(task.records), FEWEST)
+    parts = tuple(record.part(0, min(record.samples, most)) for record in task.records)
+    quick = replace(task, records=parts)
 
     def fit(starts: Sequence[Start]) -> Callable[[Record, Start], Array]:
         begun = replace(quick, starts=tuple(starts))
