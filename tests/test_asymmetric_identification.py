@@ -182,6 +182,31 @@ def test_loops_of_one_amplitude_leave_weights_that_hold_for_others(dead_zones):
     assert error[choice.ridge] < 2.0 < 0.2 * error[1e-9]
 
 
+def test_the_error_left_out_is_that_of_plain_least_squares_on_coarser_grids():
+    """Stretch by stretch with plain columns, while the choice sums those of its finest grid."""
+    from hammerstein.identification.static.asymmetric_choice import DEAD_ZONES, PLAYS, STRETCHES, Folds
+    from hammerstein.identification.static.folds import FOLDS
+
+    u = wave(samples=3000, turns=23.0)
+    y = theory.asymmetric([u], [[R]], [[[3.0, 0.5, 0.6, 0.7]]], [[Q]], [[[0.6, -0.9, 0.5]]], [0.0])[0]
+    y = y + 0.05 * np.random.default_rng(3).standard_normal(len(y))
+    found = Folds.of([Record([u], [y], 1e-3)], [Start("rest")], None, None, 0, ())
+    n, zones = PLAYS[1], DEAD_ZONES[2]
+    low, high = u.min(), u.max()
+    columns = [theory.play(u, 0.5 * (high - low) * i / n) for i in range(n)]
+    columns += [theory.dead_zone(u, low + (high - low) * k / (zones + 1)) for k in range(1, zones + 1)]
+    rows = np.column_stack([*columns, y])
+    fold = np.arange(len(u)) * STRETCHES // len(u) % FOLDS
+    parts = [rows[fold == f] - rows[fold == f].mean(axis=0) for f in range(FOLDS)]
+    squares = 0.0
+    for f, part in enumerate(parts):
+        rest = np.vstack([other for i, other in enumerate(parts) if i != f])
+        w = np.linalg.lstsq(rest[:, :-1], rest[:, -1], rcond=1e-12)[0]
+        squares += np.sum((part[:, -1] - part[:, :-1] @ w) ** 2)
+    expected = np.sqrt(squares / len(u)) / np.ptp(y)
+    assert found.error(found.plays(n), zones, 0.0) == pytest.approx(expected, rel=1e-6)
+
+
 def test_records_without_noise_bear_hardly_any_penalty():
     choice = chosen_asymmetric(records_of(truth()), [[R, R]] * 2)
     fit = fit_asymmetric(records_of(truth()), choice.thresholds_v, choice.breakpoints_v, ridge=choice.ridge)

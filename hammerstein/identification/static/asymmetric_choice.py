@@ -79,24 +79,17 @@ def chosen_asymmetric(
     records, starts, delay_samples, through : as for ``fit_asymmetric``
     """
     begun = tuple(starts) or (Start("rest"),) * len(records)
-    few, first = shortened(records, begun, CURVE_SAMPLES)
-    fine_plays = thresholds_v or [input_grids(few, PLAYS[-1], "voltage")] * len(few[0].y_um)
-    most = DEAD_ZONES[-1] if dead_zones is None else dead_zones
-    task = AsymmetricTask(
-        few, first, Layout.of(fine_plays), tuple(breakpoints_in(few, most)), delay_samples, tuple(through)
-    )
-    folds = _Folds(task, task.folds(STRETCHES), 1.0 / ranges(few, first))
-    plays = [fine_plays] if thresholds_v else [_every(fine_plays, PLAYS[-1] // n) for n in PLAYS]
+    folds = Folds.of(records, begun, thresholds_v, dead_zones, delay_samples, through)
     counts = DEAD_ZONES if dead_zones is None else (dead_zones,)
-    beside = BESIDE if dead_zones is None else dead_zones
-    row = _first_near(plays, lambda row: folds.error(row, beside, BEGUN))
-    count = _first_near(counts, lambda count: folds.error(row, count, BEGUN))
-    ridge = _first_near(RIDGES, lambda ridge: folds.error(row, count, ridge))
+    beside, row = BESIDE if dead_zones is None else dead_zones, thresholds_v
+    if row is None:
+        plays = _first_near(PLAYS, lambda n: folds.error(folds.plays(n), beside, BEGUN))
+        fitted, row = folds.plays(plays), [input_grids(records, plays, "voltage")] * len(records[0].y_um)
+    else:
+        fitted = [[*pair] for pair in row]
+    count = _first_near(counts, lambda count: folds.error(fitted, count, BEGUN))
+    ridge = _first_near(RIDGES, lambda ridge: folds.error(fitted, count, ridge))
     return AsymmetricChoice(row, tuple(breakpoints_in(records, count)), ridge)
-
-
-def _every(thresholds_v: Thresholds, step: int) -> list[list[Array]]:
-    return [[r[::step] for r in row] for row in thresholds_v]
 
 
 def _some(breakpoints_v: Sequence[Array], count: int) -> list[Array]:
@@ -110,12 +103,35 @@ def _first_near(trials: Sequence[T], error: Callable[[T], float]) -> T:
     return next(t for t, e in zip(trials, errors, strict=True) if e <= (1.0 + NEAR) * min(errors))
 
 
-class _Folds(NamedTuple):
+class Folds(NamedTuple):
     """Moments of every fold with all columns of the fine grids, and the inverse ranges of the outputs."""
 
     task: AsymmetricTask
     moments: list[list[dict[int, Moments]]]
     scale: Array
+
+    @classmethod
+    def of(
+        cls,
+        records: Sequence[Record],
+        starts: Sequence[Start],
+        thresholds_v: Thresholds | None,
+        dead_zones: int | None,
+        delay_samples: int,
+        through: Sequence[LinearBlock],
+    ) -> Folds:
+        """Pass the beginnings of the records once, with thresholds and dead-zones given or the finest."""
+        few, begun = shortened(records, starts, CURVE_SAMPLES)
+        fine = thresholds_v or [input_grids(few, PLAYS[-1], "voltage")] * len(few[0].y_um)
+        points = breakpoints_in(few, DEAD_ZONES[-1] if dead_zones is None else dead_zones)
+        layout = Layout.of(fine)
+        task = AsymmetricTask(few, begun, layout, tuple(points), delay_samples, tuple(through))
+        return cls(task, task.folds(STRETCHES), 1.0 / ranges(few, begun))
+
+    def plays(self, number: int) -> list[list[Array]]:
+        """So many thresholds (output, input) of the finest grids."""
+        row = [grid[:: PLAYS[-1] // number] for grid in self.task.layout.grids]
+        return [row] * len(self.scale)
 
     def error(self, thresholds_v: Thresholds, dead_zones: int, ridge: float) -> float:
         """Rms error on the folds left out in turn, in parts of the ranges, with some of the columns."""
