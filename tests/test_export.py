@@ -16,6 +16,7 @@ from hammerstein.errors import InputError, InternalError, SimulationError, Toler
 from hammerstein.export.compiling import FLAGS, compiler
 from hammerstein.export.folder import REQUEST_FILE, check_export, files_of, write_export
 from hammerstein.export.operations import Code
+from hammerstein.export.worst import dearest
 
 MILLION = 1_000_000
 
@@ -138,8 +139,9 @@ def test_no_signal_costs_more_than_the_bound(name, record_property):
             assert operations <= code.cost.operations
 
         search()
+        told, _ = dearest(lambda signal: library.respond(signal)[1], scale)
     record_property("worst step", worst[0])
-    assert worst[0] > 0
+    assert 0.9 * worst[0] < told <= code.cost.operations  # what an export reports is no smaller story
 
 
 @needs_compiler
@@ -316,6 +318,20 @@ def test_the_command(tmp_path, capsys):
     for wrong in (["export"], ["export", "duo_bimorph"], ["export", "--check", str(tmp_path / "nowhere")]):
         assert _call(*wrong) == 2
     assert _call("export", "duo_bimorph", "--format", "rust", "--out", out) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--sample-time", "nan"], "--sample-time  must be 1e-9 to 10000"),
+        (["--range", "nan"], "--range  must be -1e6 to 1e6"),
+        (["--start", "1e9"], "--start  must be -1e6 to 1e6"),
+        (["--law", "nonsense"], "--law  'nonsense' is not one of"),
+    ],
+)
+def test_a_refused_option_is_named(tmp_path, capsys, options, said):
+    assert _call("export", "duo_bimorph", "--out", str(tmp_path / "out"), *options) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_the_preview_has_one_name_and_hears_to_its_old_one(tmp_path, capsys):

@@ -19,12 +19,20 @@ from hammerstein.commands import (
     study as study_commands,
     terminal,
 )
-from hammerstein.commands.crew import Address, compile_here, workers
+from hammerstein.commands.crew import Address, announce, compile_here, workers
 from hammerstein.commands.terminal import complain, hushed, show, tell, tell_json
 from hammerstein.errors import HammersteinError
 from hammerstein.escaping import clean
 from hammerstein.runtime.cache import folder_of_runs
-from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, ended_in_time, leave
+from hammerstein.runtime.leaving import (
+    INTERRUPTED,
+    INTERRUPTS,
+    LEFT,
+    dropped_in_silence,
+    ended_in_time,
+    leave,
+    once,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -129,14 +137,15 @@ def _one_thread_a_job() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; a mistake of the user is one message and an exit code, never a traceback."""
+    say = once(lambda: complain(LEFT))
     try:
         _answer_interrupts()
         terminal.make_ready()
         _one_thread_a_job()
-        with ended_in_time(lambda: complain(LEFT)):
+        with dropped_in_silence(_Interrupted), ended_in_time(say):
             code = _answered(arguments)
     except _Interrupted:
-        complain(LEFT)
+        say()
         code = INTERRUPTED
     sys.exit(code)
 
@@ -344,16 +353,11 @@ def _planned(scenarios: dict[str, Scenario], jobs: fanning.Jobs, yes: bool) -> f
 
     Raises InputError where a person watches and has not said yes.
     """
-    from hammerstein.errors import InputError
     from hammerstein.experiment.plan import jobs_that_fit, plans_of, together
     from hammerstein.runtime.fanning import workers_of
 
     plans, workers_there = plans_of(scenarios), workers_of(jobs)
-    if text := together(plans).announcement(workers_there):
-        watched = sys.stdin.isatty() and sys.stderr.isatty()
-        if watched and not yes and together(plans).is_long(workers_there):
-            raise InputError("plan", f"{text}. Or start it with --yes")
-        complain(text)
+    announce(*together(plans).announcement(workers_there), yes)
     if not isinstance(jobs, int):
         return jobs
     fitting = jobs_that_fit(plans, jobs)

@@ -90,6 +90,7 @@ def _check(folder: Path, as_json: bool) -> None:
 def _write(
     model: str, law: str, out: Path | None, sample_time: float | None, given: dict[str, Any], as_json: bool
 ) -> None:
+    from hammerstein.commands.records import told_by_options
     from hammerstein.commands.tables import kept_aside
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.errors import InputError
@@ -102,9 +103,10 @@ def _write(
         raise InputError("--out", "name the folder for the code")
     refuse_unwritable("--out", out)
     prepare(out, EXPORT, ALWAYS)
-    request, loaded = request_of(model, law, sample_time, **given)
-    compile_once(complain)
-    written = write_export(request, loaded, out)
+    with told_by_options("compensate"):
+        request, loaded = request_of(model, law, sample_time, **given)
+        compile_once(complain)
+        written = write_export(request, loaded, out)
     for place in written.kept:
         complain(kept_aside(place))
     if as_json:

@@ -55,7 +55,15 @@ if TYPE_CHECKING:
     from hammerstein.records.gains import Gain
     from hammerstein.records.record import Record
 
-_OPTIONS = {"sensor_bandwidth_hz": "sensor-bandwidth", "thresholds_v": "thresholds"}
+_ALONE = ("start", "range")
+"""Options whose own values make a message of their own."""
+_OPTIONS = {
+    "sample_time_s": "sample-time",
+    "range_v": "range",
+    "start_v": "start",
+    "sensor_bandwidth_hz": "sensor-bandwidth",
+    "thresholds_v": "thresholds",
+}
 MOST_NAMED = 3
 """Records whose names make up that of a folder."""
 
@@ -86,6 +94,12 @@ def _columns(words: str) -> list[str]:
     return [word.strip() for word in words.split(",") if word.strip()]
 
 
+def _option_of(where: str) -> str:
+    """Option that gave a setting; nothing where the mistake is of them together."""
+    name = where.partition("[")[0]
+    return f"--{_OPTIONS.get(name, name.replace('_', '-'))}" * bool(name)
+
+
 @contextmanager
 def told_by_options(source: str) -> Iterator[None]:
     """Let the mistakes in what a function was told name the options that told it."""
@@ -94,12 +108,11 @@ def told_by_options(source: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
+        if error.source in _ALONE:
+            raise InputError(f"--{error.source}", error.mistakes) from None
         if error.source != source:
             raise
-        mistakes = [
-            m._replace(where=_OPTIONS.get(m.where, m.where.replace("_", "-"))) for m in error.mistakes
-        ]
-        named = [m._replace(where=f"--{m.where}" * bool(m.where)) for m in mistakes]
+        named = [m._replace(where=_option_of(m.where)) for m in error.mistakes]
         raise InputError("options", named) from None
 
 
@@ -364,7 +377,7 @@ def compensate(
     from hammerstein.commands.periods import Period, Table, write_cycle, write_lesson
     from hammerstein.commands.tables import compensation_table
     from hammerstein.commands.warm_up import compile_once
-    from hammerstein.compensators.drive_file import CONTENT, Terms, compensate as compensated
+    from hammerstein.compensators.drive_file import Terms, compensate as compensated
     from hammerstein.errors import InputError
     from hammerstein.files import write_atomic
 
@@ -372,13 +385,13 @@ def compensate(
         raise InputError("--gain", f"must be auto or identity, not {gain!r}; a matrix goes into a scenario")
     ahead = preview if preview_s is None else preview_s
     options = {"filter_hz": filter_hz, "preview_s": ahead, "softening_v": softening_v, "gain": gain}
-    refuse_output(out, [Path(model), reference], CONTENT)
+    wanted = Table(table, table_scale, table_points)
+    wanted.check()
+    refuse_output(out, [Path(model), reference, *(learn or ())], wanted.content())
     compile_once(complain)
     ends, begins = volts("--range", range_v), volts("--start", start)
     terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
     with told_by_options("compensate"):
-        wanted = Table(table, table_scale, table_points)
-        wanted.check()
         period = Period(model, reference, law, options, terms, out, wanted, as_json)
         if learn is not None:
             write_lesson(period, learn, unsure)

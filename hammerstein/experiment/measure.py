@@ -74,8 +74,9 @@ def _refuse_still(setup: SetUp, case: Case, response: Response) -> None:
         return
     drive = setup.plant.instruments.drive
     low, high = drive.limits(len(response.drive_v))[:, case.axis or 0]
+    still_v = response.drive_v[case.axis or 0, -1] + 0.0  # no -0
     raise SimulationError(
-        f"the drive stands still at {response.drive_v[case.axis or 0, -1]:.4g} V throughout: its converter "
+        f"the drive stands still at {still_v:.4g} V throughout: its converter "
         f"has steps of {drive.resolution_v:.3g} V and a range of {low:g} to {high:g} V. Use a larger "
         "amplitude, or an offset within the range"
     )

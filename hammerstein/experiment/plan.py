@@ -82,20 +82,15 @@ class Plan:
             f"{largest.what}, with {size(largest.bytes)}. Lower {largest.keys}"
         )
 
-    def announcement(self, jobs: int) -> str:
-        """Say how long it takes where that is long; empty where it is not."""
+    def announcement(self, jobs: int) -> tuple[str, float]:
+        """Say how long it takes, in words and in seconds, and what shortens it."""
         seconds = self.seconds / max(jobs, 1)
-        if not seconds > TOLD_S:
-            return ""
-        longest = max(self.parts, key=lambda part: part.seconds)
+        longest = max(self.parts, key=lambda part: part.seconds, default=Part("nothing", 0.0, 0.0, "nothing"))
         return (
             f"this takes about {duration(seconds)}; the longest part is {longest.what} "
-            f"({duration(longest.seconds)} on one processor). To shorten it, lower {longest.keys}"
+            f"({duration(longest.seconds)} on one processor). To shorten it, lower {longest.keys}",
+            seconds,
         )
-
-    def is_long(self, jobs: int) -> bool:
-        """Whether a person who watches must say yes first."""
-        return self.seconds / max(jobs, 1) > LONG_S
 
 
 def plans_of(scenarios: Mapping[str, Scenario]) -> list[Plan]:

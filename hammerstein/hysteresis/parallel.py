@@ -13,13 +13,10 @@ from pydantic import Field
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.asymmetric import AsymmetricFile
 from hammerstein.hysteresis.bouc_wen import BoucWenFile
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
+from hammerstein.hysteresis.kind import SLOW_S, Hysteresis, HysteresisFile
 from hammerstein.hysteresis.pair import Array, WeightCovariance
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiFile
 from hammerstein.hysteresis.rate_dependent import RateDependentFile
-
-SLOW_S = 1e6
-"""Sample time on which a voltage that is swept has no rate [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +103,15 @@ class Parallel(Hysteresis[ParallelState]):
     def rest(self) -> ParallelState:
         """Memory of an actuator that was never driven."""
         return ParallelState(tuple(part.rest() for part in self.parts))
+
+    def after(self, path_v: Array) -> ParallelState:
+        """Memory after a path; see ``Hysteresis.after``."""
+        return ParallelState(tuple(part.after(path_v) for part in self.parts))
+
+    def standing(self, path_v: Array) -> tuple[Array, ParallelState]:
+        """Sum of the outputs, and memory, at the end of a slow path."""
+        found = [part.standing(path_v) for part in self.parts]
+        return np.sum([v for v, _ in found], axis=0), ParallelState(tuple(own for _, own in found))
 
     def restore(self, data: dict[str, Any]) -> ParallelState:
         """Memory from what ``as_dict`` gave."""
