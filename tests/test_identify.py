@@ -347,7 +347,7 @@ def test_files_are_identified_with_the_columns_they_name(tmp_path):
     records = read_records([tmp_path / "record.csv"], **options)
     model, fit = identify(records, plain(), name="bench")
     assert model.name == "bench"
-    assert (model.inputs, model.outputs) == (("volt",), ("nm",))
+    assert (model.inputs, model.outputs) == (("volt",), ("um",))  # the unit of its numbers now
     assert fit.fit["static_hysteresis"].rms_um[0] == pytest.approx(0.02, rel=0.5)
 
 
