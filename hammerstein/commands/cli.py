@@ -29,6 +29,8 @@ from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, ended_in_
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from typer.models import CommandInfo
+
     from hammerstein.experiment.batch import Outcome
     from hammerstein.experiment.prepare import Progress
     from hammerstein.experiment.report import Report
@@ -52,10 +54,28 @@ def _example(command: str) -> str:
 
 
 COLUMNS = "--inputs u_x,u_y --outputs x,y --time time_s"
+SHORT = {
+    "init": "Make a working folder with an example that runs.",
+    "guide": "Read the guide.",
+    "show": "Print what a file holds.",
+    "loops": "Measure the loops in records.",
+    "identify": "Find a model from records, and how far to trust it.",
+    "compare": "Fit every kind of model to records; recommend one.",
+    "compensate": "Turn a path into the voltages to send.",
+    "play": "Play voltages on a model.",
+    "export": "Write a law or a model as C, or as an FMU.",
+    "run": "Run scenarios; write a report page for each.",
+    "sweep": "Run a scenario with many values of its keys.",
+    "check": "Compare every number of scenarios with its baseline.",
+    "plot": "Draw the figures of one scenario, and nothing else.",
+    "actuators": "List the actuators that come with the package.",
+    "schema": "Print the JSON Schema of scenario files.",
+}
+"""Every command in a line, in the order of a person's work."""
 ANSWERS = ("schema", "actuators", "show", "guide")
 """Commands that print what they are asked for, however quiet they are to be."""
 
-Paths = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Scenario files, or folders of them.")]
+Paths = Annotated[list[Path], typer.Argument(metavar="PATH", help="Scenario files, or folders of them.")]
 Jobs = Annotated[
     int, typer.Option(min=1, help="Runs side by side.", show_default="the processors of this machine")
 ]
@@ -88,7 +108,7 @@ def _before(
 
 
 def _register_others() -> None:
-    """Commands that stand in other modules, in the order of a person's work."""
+    """Commands that stand in other modules; then all of them in the order of a person's work."""
     records = f"record_x.csv record_y.csv {COLUMNS}"
     app.command(epilog=_example(f"loops {records}"))(record_commands.loops)
     app.command(epilog=_example(f"identify {records} --out own.json"))(record_commands.identify)
@@ -101,6 +121,14 @@ def _register_others() -> None:
     app.command(epilog=_example("init my_stage"))(start.init)
     app.command(epilog=_example("show stage.json"))(start.show)
     app.command(epilog=_example("guide start"))(start.guide)
+    for command in app.registered_commands:
+        command.short_help = SHORT[_name(command)]
+    app.registered_commands.sort(key=lambda command: list(SHORT).index(_name(command)))
+
+
+def _name(command: CommandInfo) -> str:
+    assert command.callback is not None
+    return command.name or command.callback.__name__
 
 
 class _Interrupted(BaseException):

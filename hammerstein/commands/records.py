@@ -57,6 +57,8 @@ if TYPE_CHECKING:
 _OPTIONS = {"sensor_bandwidth_hz": "sensor-bandwidth", "thresholds_v": "thresholds"}
 MOST_NAMED = 3
 """Records whose names make up that of a folder."""
+MOST_LOOPS = 8
+"""Of each pair and record, in the table."""
 
 
 def refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
@@ -170,7 +172,7 @@ def loops(
     from hammerstein.commands.tables import gains_table, loops_table
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
-    from hammerstein.records.loops import loop_table, move_at_once, without_loops
+    from hammerstein.records.loops import loop_table, move_at_once, telling_loops, without_loops
     from hammerstein.reporting.figures.measured import LOOPS, LOOPS_FILES, loops_of_records
     from hammerstein.storage.manifest import refuse_name
     from hammerstein.storage.staging import prepare
@@ -201,7 +203,12 @@ def loops(
     else:
         show(gains_table(gains))
         if len(empty) < len(records):
-            show(loops_table(found))
+            shown = {source: telling_loops(loops, MOST_LOOPS) for source, loops in found.items()}
+            show(loops_table(shown))
+            if (few := sum(map(len, shown.values()))) < (all_ := sum(map(len, found.values()))):
+                tell(
+                    f"{few} of {all_} loops: of each pair the settled and the widest; --json has all of them"
+                )
     if figures:
         from hammerstein.reporting.figures import save_figures
 

@@ -15,7 +15,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object inst
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Where to; here if not given.")] = Path("."),
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to; here if not given.")] = Path("."),
     paper: Annotated[
         bool, typer.Option("--paper", help="Copy the scenarios of the paper, with their accepted numbers.")
     ] = False,

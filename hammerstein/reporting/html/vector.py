@@ -14,6 +14,7 @@ _SVG = "{http://www.w3.org/2000/svg}"
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _GAPS = re.compile(r"\s*([A-Za-z])\s*")
 _REFERENCE = re.compile(r"#([\w.-]+)")
+NARROW_SHARE = 0.35
 _LENGTHS = frozenset({"x", "y", "width", "height"})
 
 
@@ -35,19 +36,23 @@ class Drawn:
 def pictures(files: Mapping[str, bytes], titles: Mapping[str, str], most_bytes: int) -> Iterator[Markup]:
     """Each figure as SVG while they stay below ``most_bytes`` together, and as PNG from there on.
 
+    The drawings for narrow screens take a part of as much again; behind them the wide ones scroll.
+
     Parameters
     ----------
-    files : bytes of ``NAME.svg`` and ``NAME.png``
+    files : bytes of ``NAME.svg`` and ``NAME.png``, and of ``NAME.narrow``, a PNG for a narrow screen
     titles : text alternative of each name, in the order of the page
     most_bytes : of all drawings together
     """
-    left = most_bytes
+    left, narrow_left = most_bytes, NARROW_SHARE * most_bytes
     for number, (name, title) in enumerate(titles.items(), start=1):
+        narrow = embedded(files[f"{name}.narrow"], title, "narrow")
         picture = inlined(files[f"{name}.svg"], f"f{number}", title)
         if len(picture) > left:
-            picture = embedded(files[f"{name}.png"], title)
+            picture = embedded(files[f"{name}.png"], title, "wide")
         left -= len(picture)
-        yield picture
+        narrow_left -= len(narrow)
+        yield picture + narrow if narrow_left > 0.0 else Markup('<div class="alone">{}</div>').format(picture)
 
 
 def inlined(svg: bytes, prefix: str, title: str) -> Markup:
@@ -69,7 +74,13 @@ def inlined(svg: bytes, prefix: str, title: str) -> Markup:
     for name in ("width", "height", "version"):
         root.attrib.pop(name, None)
     # what matplotlib says for every element of its file would hold for the whole page
-    root.attrib |= {"role": "img", "aria-label": title, "stroke-linejoin": "round", "stroke-linecap": "butt"}
+    root.attrib |= {
+        "class": "wide",
+        "role": "img",
+        "aria-label": title,
+        "stroke-linejoin": "round",
+        "stroke-linecap": "butt",
+    }
     return Markup(ElementTree.tostring(root, encoding="unicode"))  # serialised, not pasted
 
 
@@ -93,7 +104,7 @@ def _rounded(text: str) -> str:
     return _NUMBER.sub(lambda found: f"{float(found[0]):.2f}".rstrip("0").rstrip("."), text)
 
 
-def embedded(png: bytes, title: str) -> Markup:
-    """PNG as an element of a page."""
+def embedded(png: bytes, title: str, kind: str) -> Markup:
+    """PNG as an element of a page; kind: class of the screens that show it."""
     data = base64.b64encode(png).decode("ascii")
-    return Markup('<img alt="{}" src="data:image/png;base64,{}">').format(title, data)
+    return Markup('<img class="{}" alt="{}" src="data:image/png;base64,{}">').format(kind, title, data)
