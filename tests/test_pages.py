@@ -19,7 +19,7 @@ from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.reporting.figures.moved import courses_of
 from hammerstein.reporting.html.check_page import check_page
 from hammerstein.reporting.html.markup import line_of, link_to
-from hammerstein.reporting.html.vector import inlined, pictures
+from hammerstein.reporting.html.vector import embedded, inlined, pictures
 from hammerstein.scenario.scenario import Tolerance
 
 EVIL = "</script><script>window.hit=1</script><img src=x onerror=window.hit=2>$$x$$ &lt; =1+1"
@@ -215,12 +215,18 @@ def test_drawings_that_are_too_large_are_pictures() -> None:
     svg = b'<svg xmlns="http://www.w3.org/2000/svg"><path d="M 0 0"/></svg>'
     files = {f"{name}.{kind}": name.encode() for name in "ab" for kind in ("png", "narrow")}
     files |= {"a.svg": svg, "b.svg": svg}
-    first, second = pictures(files, {"a": "A", "b": "B"}, most_bytes=len(inlined(svg, "f1", "A")))
-    assert first.startswith('<div class="alone"><svg class="wide"')
-    assert '<img class="wide" alt="B" src="data:image/png;base64,Yg==">' in second
-    first, second = pictures(files, {"a": "A", "b": "B"}, most_bytes=10_000)
-    assert [found.count("<svg") for found in (first, second)] == [1, 1]
-    assert second.endswith('<img class="narrow" alt="B" src="data:image/png;base64,Yg==">')
+    png, narrow = embedded(b"b", "B", "wide"), embedded(b"b", "B", "narrow")
+    drawn = len(inlined(svg, "f1", "A")) - len(png)
+
+    def kinds(most_bytes: int) -> list[list[str]]:
+        found = pictures(files, {"a": "A", "b": "B"}, most_bytes)
+        return [re.findall("alone|wide|narrow|svg", one.replace("</svg>", "")) for one in found]
+
+    least = 2 * len(png)
+    assert kinds(least) == [["alone", "wide"]] * 2
+    assert kinds(least + len(narrow)) == [["wide", "narrow"], ["alone", "wide"]]
+    assert kinds(least + 2 * len(narrow) + drawn) == [["svg", "wide", "narrow"], ["wide", "narrow"]]
+    assert kinds(least + 2 * len(narrow) + 2 * drawn) == [["svg", "wide", "narrow"]] * 2
 
 
 def test_courses_tell_how_far_a_number_moved_in_units_of_what_is_allowed() -> None:

@@ -14,7 +14,6 @@ _SVG = "{http://www.w3.org/2000/svg}"
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _GAPS = re.compile(r"\s*([A-Za-z])\s*")
 _REFERENCE = re.compile(r"#([\w.-]+)")
-NARROW_SHARE = 0.35
 _LENGTHS = frozenset({"x", "y", "width", "height"})
 
 
@@ -34,9 +33,9 @@ class Drawn:
 
 
 def pictures(files: Mapping[str, bytes], titles: Mapping[str, str], most_bytes: int) -> Iterator[Markup]:
-    """Each figure as SVG while they stay below ``most_bytes`` together, and as PNG from there on.
+    """Each figure as PNG at least; for narrow screens too, while all stay below ``most_bytes`` together.
 
-    The drawings for narrow screens take a part of as much again; behind them the wide ones scroll.
+    What is left then is spent on SVG in place of PNG. A figure without a narrow drawing scrolls there.
 
     Parameters
     ----------
@@ -44,15 +43,20 @@ def pictures(files: Mapping[str, bytes], titles: Mapping[str, str], most_bytes: 
     titles : text alternative of each name, in the order of the page
     most_bytes : of all drawings together
     """
-    left, narrow_left = most_bytes, NARROW_SHARE * most_bytes
-    for number, (name, title) in enumerate(titles.items(), start=1):
-        narrow = embedded(files[f"{name}.narrow"], title, "narrow")
-        picture = inlined(files[f"{name}.svg"], f"f{number}", title)
-        if len(picture) > left:
-            picture = embedded(files[f"{name}.png"], title, "wide")
-        left -= len(picture)
-        narrow_left -= len(narrow)
-        yield picture + narrow if narrow_left > 0.0 else Markup('<div class="alone">{}</div>').format(picture)
+    wide = [embedded(files[f"{name}.png"], title, "wide") for name, title in titles.items()]
+    left = most_bytes - sum(map(len, wide))
+    narrow = [embedded(files[f"{name}.narrow"], title, "narrow") for name, title in titles.items()]
+    for number, picture in enumerate(narrow):
+        fits = len(picture) <= left
+        left -= len(picture) * fits
+        narrow[number] = picture if fits else Markup()
+    for number, (name, title) in enumerate(titles.items()):
+        drawing = inlined(files[f"{name}.svg"], f"f{number + 1}", title)
+        if (more := len(drawing) - len(wide[number])) <= left:
+            wide[number] = drawing
+            left -= more
+    for large, small in zip(wide, narrow, strict=True):
+        yield large + small if small else Markup('<div class="alone">{}</div>').format(large)
 
 
 def inlined(svg: bytes, prefix: str, title: str) -> Markup:
