@@ -74,12 +74,12 @@ def headline(model: HammersteinModel, fit: Fit) -> str:
         for name, um, share in zip(fit.outputs, rms, percent, strict=True)
     )
     where = (
-        "records that it was not fitted to"
+        "on records that it was not fitted to"
         if fit.validation
-        else "the records that it was fitted to (none was held back)"
+        else "on the records that it was fitted to; none was held back"
     )
     warned = " It cannot represent all that they hold: see below." if fit.flags else ""
-    return f"On {where}, {model.name} is off by {off}, rms.{warned}"
+    return f"The model {model.name} is off by {off}, rms, {where}.{warned}"
 
 
 def fit_body(model: HammersteinModel, fit: Fit) -> str:

@@ -15,7 +15,7 @@ from hammerstein.storage.manifest import Owner
 from hammerstein.storage.staging import Stage, staged
 
 PNG_COMPRESSION = 6
-FEW_COLOURS = 24
+FEW_COLOURS = 64
 KINDS = ("svg", "png", "narrow")
 """What is drawn of each figure; the last one, a PNG for a narrow screen, lies in a page alone."""
 SHADES = [min(255, round(round(v / 25.5) * 25.5)) for v in range(256)]  # eleven of each colour
