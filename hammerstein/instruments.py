@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from hammerstein.errors import InputError
-from hammerstein.quantities import END_V, Bandwidth, End, Limit, SampleTime, Step
+from hammerstein.quantities import END_V, Bandwidth, End, Limit, Noise, SampleTime, Step
 
 Array = NDArray[np.float64]
 Interval = tuple[End, End]
@@ -115,7 +115,7 @@ class Sensor(BaseModel):
     range_um: Limit = Field(default=250.0, description="largest reading of either sign; inf: no limit")
     resolution_um: Step = Field(default=0.04, description="step of the reading; 0: none")
     bandwidth_hz: Bandwidth = Field(default=2000.0, description="-3 dB of the first-order lag; inf: none")
-    noise_um: Step = Field(default=0.04, description="rms of the white noise; 0: none")
+    noise_um: Noise = Field(default=0.04, description="rms of the white noise; 0: none")
 
     def read(self, filtered_um: Array, generator: np.random.Generator) -> Array:
         """Readings (output, sample) of positions that have passed the sensor's bandwidth."""

@@ -1,9 +1,9 @@
 """Kinds that plug in: signals, compensators and every other value that a file names by its kind.
 
 A family is what a scenario or model file chooses from by a tag, such as ``kind = "circle"``. The package's
-own kinds and those of others are registered in the same way, and nothing else knows their names. Others are
-found by the entry point group ``hammerstein.blocks``: each entry is a class, or a module that calls
-``register``.
+own kinds and those of others are registered in the same way, and nothing else knows their names. Others,
+and what the package has for one paper alone, are found by the entry point group ``hammerstein.blocks``: each
+entry is a class, or a module that calls ``register``.
 """
 
 from __future__ import annotations
@@ -84,6 +84,7 @@ class Choice:
         """Choose by the tag among the kinds that are known now."""
         kinds = self.family.kinds.items()
         choices = {name: handler.generate_schema(self.form(kind)) for name, kind in kinds}
+        choices = choices or {"none": core_schema.none_schema()}  # as long as no kind has plugged in
         return core_schema.tagged_union_schema(choices, discriminator=self.family.tag)
 
 
@@ -91,7 +92,7 @@ _FAMILIES: list[Family[Any]] = []
 
 
 def register(kind: K) -> K:
-    """Add a kind of signal, compensator, hysteresis or dynamics, so that files may name it.
+    """Add a kind of signal, compensator, hysteresis, dynamics or assessment, so that files may name it.
 
     May be used as a decorator.
 

@@ -21,24 +21,27 @@ OUT_OF_RANGE = "out_of_range"
 
 @dataclass(frozen=True)
 class Range:
-    """Numbers from ``low`` to ``high``, ends included; ``or_inf`` allows infinity, which switches off.
+    """Numbers from ``low`` to ``high``, ends included; ``or_inf`` and ``or_zero`` allow what switches off.
 
-    >>> Range(0.0, 10.0).words()
-    'must be 0 to 10'
+    >>> Range(0.0, 10.0).words(), Range(1.0, 10.0, or_zero=True).words()
+    ('must be 0 to 10', 'must be 0, or 1 to 10')
     """
 
     low: float
     high: float
     or_inf: bool = False
+    or_zero: bool = False
 
     def holds(self, value: float) -> bool:
         """Whether a number lies within; NaN never does."""
         switched_off = self.or_inf and (value == math.inf or (self.low < 0.0 and value == -math.inf))
+        switched_off |= self.or_zero and value == 0.0
         return switched_off or self.low <= value <= self.high
 
     def words(self) -> str:
         """Say what is allowed."""
-        return f"must be {_plain(self.low)} to {_plain(self.high)}" + (" or inf" if self.or_inf else "")
+        zero, inf = "0, or " * self.or_zero, " or inf" * self.or_inf
+        return f"must be {zero}{_plain(self.low)} to {_plain(self.high)}{inf}"
 
     def checked(self, value: Any) -> Any:
         """Give the value back, or say what is allowed."""
@@ -54,7 +57,7 @@ class Range:
     ) -> JsonSchemaValue:
         limits: dict[str, Any] = {}
         if not (self.or_inf and self.low < 0.0):
-            limits["minimum"] = self.low
+            limits["minimum"] = 0.0 if self.or_zero else self.low
         if not self.or_inf:
             limits["maximum"] = self.high
         return handler(schema) | limits
@@ -95,12 +98,13 @@ Frequency = Annotated[float, FREQUENCY_HZ]
 Bandwidth = Annotated[float, BANDWIDTH_HZ]
 Limit = Annotated[float, Range(1e-6, 1e6, or_inf=True)]  # of a drive or a sensor; inf: none
 End = Annotated[float, END_V]
-Step = Annotated[float, Range(0.0, 1e6)]  # of a converter, or the rms of a noise; 0: none
+Step = Annotated[float, Range(1e-12, 1e6, or_zero=True)]  # of a converter; 0: none
+Noise = Annotated[float, Range(0.0, 1e6)]  # its rms; 0: none
 SampleTime = Annotated[float, SAMPLE_TIME_S]
 Scale = Annotated[float, SCALE]
 
 # Times
-Wait = Annotated[float, Range(0.0, 1e8)]
+Wait = Annotated[float, Range(1e-9, 1e8, or_zero=True)]
 Length = Annotated[float, Range(1e-6, 1e8)]
 Delay = Annotated[float, Range(0.0, 1e4)]
 TimeConstant = Annotated[float, Range(1e-9, 1e10)]

@@ -21,6 +21,7 @@ PLAIN = (
     (", unable to parse string as an integer", ""),
     ("String should", "must"),
     ("Tuple should", "must"),
+    ("Dictionary should", "must"),
     (" after validation", ""),
     ("a valid integer", "a whole number"),
     ("a valid number", "a number"),

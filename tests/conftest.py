@@ -1,5 +1,6 @@
 import os
 import signal
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ def pytest_configure(config: pytest.Config) -> None:
     modules = sorted(path.stem for path in Path(__file__).parent.rglob("*.py"))
     config.addinivalue_line("markers", "long: runs only where HAMMERSTEIN_LONG is set")
     config.addinivalue_line("filterwarnings", f"error:::({'|'.join(modules)})$")
+    if not entry_points(group="hammerstein.blocks", name="paper"):
+        pytest.exit("the installed package is an older one; run python -m pip install -e . --no-deps", 4)
     # Behind a shell's "&" Ctrl-C is ignored, and programs that are begun here would inherit that.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)

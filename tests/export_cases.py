@@ -7,7 +7,17 @@ import numpy as np
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StateSpaceDynamics, StaticDynamics
 from hammerstein.export.code import CCode
 from hammerstein.export.request import Request
-from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii, RateDependent, RatePlays
+from hammerstein.hysteresis import (
+    Asymmetric,
+    BoucWen,
+    BoucWenPair,
+    DeadZones,
+    Pair,
+    Parallel,
+    PrandtlIshlinskii,
+    RateDependent,
+    RatePlays,
+)
 from hammerstein.instruments import Drive, Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.voltages import Voltages
@@ -80,15 +90,44 @@ def asymmetric(smallest_v=0.0, working_point_v=40.0):
     )
 
 
-def rate_dependent():
+def rate_dependent(flattening=0.0, bandwidth_hz=400.0):
     """Two inputs with other plays each, whose thresholds grow with the rate."""
     inputs = (
-        RatePlays([0.0, 1.0, 4.0], [0.0, 1e-4, 3e-4], bandwidth_hz=400.0),
+        RatePlays([0.0, 1.0, 4.0], [0.0, 1e-4, 3e-4], bandwidth_hz=bandwidth_hz, lambda_s_per_v=flattening),
         RatePlays([0.0, 2.0], [0.0, 2e-4], bandwidth_hz=700.0),
     )
     weights = (([1.0, 0.3, 0.2], [0.05, 0.02]), ([0.1, 0.0, 0.05], [1.2, 0.4]))
     axes = AxesDynamics(axes=(Axis(resonance_hz=500.0, damping_ratio=0.05), Axis()))
     return HammersteinModel("fast stage", RateDependent(inputs, weights), axes, 10.0, ("u", "w"), ("x", "y"))
+
+
+def bouc_wen():
+    """Two inputs; one pair falls slower than it grows, one faster, and one is linear."""
+    pairs = [
+        [BoucWenPair(2.0, 0.8, 0.4, 0.3), BoucWenPair(0.1, -0.05, 0.2, 0.5)],
+        [BoucWenPair(0.15), BoucWenPair(1.6, 0.3, 2.5, -1.0)],
+    ]
+    axes = AxesDynamics(axes=(Axis(resonance_hz=400.0, damping_ratio=0.1), Axis()))
+    return HammersteinModel("soft stage", BoucWen(pairs), axes, 10.0, ("u", "w"), ("x", "y"))
+
+
+def parallel():
+    """All kinds side by side, and one of them twice, around a working point."""
+    around = asymmetric(working_point_v=2.0)
+    parts = (
+        around.hysteresis,
+        rate_dependent(flattening=1e-3).hysteresis,
+        bouc_wen().hysteresis,
+        asymmetric(smallest_v=1.5).hysteresis.plays,
+    )
+    return replace(
+        around,
+        name="all at once",
+        hysteresis=Parallel(parts),
+        instruments=Instruments(drive=Drive(range_v=(-8.0, 12.0))),
+        voltages=Voltages.of([2.0, 2.0], [-8.0, -8.0], [12.0, 12.0]),
+        amplitude_v=10.0,
+    )
 
 
 def static(model):
@@ -150,6 +189,25 @@ def _cases():
     behind = asymmetric(smallest_v=1.5, working_point_v=0.0)
     yield Export("asymmetric behind plays", behind, "exact_inverse", {"options": {"softening_v": 0.5}})
     yield Export("rate-dependent model", rate_dependent(), "model")
+    yield Export("flattening model", rate_dependent(flattening=1e-3), "model")
+    slower = rate_dependent(flattening=1e-3, bandwidth_hz=200.0)
+    for law in ("exact_inverse", "hammerstein_inverse"):
+        yield Export(f"rate-dependent {law}", rate_dependent(), law)
+        yield Export(f"flattening {law}", slower, law, {"start_v": (3.0, -2.0)})
+    yield Export("bouc-wen model", bouc_wen(), "model")
+    yield Export("parallel model", parallel(), "model")
+    others = {
+        "asymmetric": asymmetric(),
+        "rate-dependent": slower,
+        "bouc-wen": bouc_wen(),
+        "parallel": parallel(),
+    }
+    for kind, model in others.items():
+        yield Export(f"{kind} none", model, "none")
+        yield Export(f"{kind} inverse_multiplicative", model, "inverse_multiplicative")
+    yield Export(
+        "bouc-wen passes", bouc_wen(), "inverse_multiplicative", {"options": several, "start_v": (4.0, 1.0)}
+    )
 
 
 CASES = tuple(_cases())

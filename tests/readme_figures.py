@@ -42,7 +42,7 @@ class Figure:
 
         whole = load_scenario(ROOT / "scenarios" / f"{self.scenario}.toml")
         own = tuple(c for c in whole.compensators if c.label in self.labels)
-        report = run(whole.model_copy(update={"seed": seed, "compensators": own, "claims": ()}))
+        report = run(whole.model_copy(update={"seed": seed, "compensators": own, "assessment": None}))
         return [
             float(row.figures[self.metric])
             for row in report.rows

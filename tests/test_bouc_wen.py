@@ -246,3 +246,9 @@ def test_a_far_movement_takes_few_steps_however_fast_it_forgets():
     assert time.perf_counter() - begun < 10.0
     exact = theory.bouc_wen([u], [[14.0]], [[4.0]], [[1e3]], [[-1e3 + 1e-3]])
     np.testing.assert_allclose(ours, exact, atol=4.0 * STATED / 1e-3)
+
+
+def test_a_movement_has_a_bound_where_nothing_is_forgotten():
+    """With beta = 0 and z at its limit the way back changes nothing, however far it is."""
+    v = one(d=1.0, a=1.0, beta=0.0, gamma=5.0).respond([[0.0, 100.0, -1e9]])[0]
+    assert v[0, 1:] == pytest.approx([100.0 - 0.2, -1e9 - 0.2], rel=1e-12)

@@ -9,8 +9,9 @@ from pydantic import ValidationError
 from hammerstein.errors import InputError
 from hammerstein.experiment.run import run
 from hammerstein.metrics import Row
-from hammerstein.reporting.claims_page import write_page
-from hammerstein.scenario.claims import Agreement, Change, Claim, Quantity, verdicts
+from hammerstein.paper.claims import Agreement, Claim, Quantity
+from hammerstein.paper.page import write_page
+from hammerstein.paper.verdicts import Change, verdicts
 
 
 def _row(rms, frequency=50.0, measured="x", true=None, label="a"):
@@ -137,14 +138,17 @@ def test_the_cause_of_a_lagging_sensor_is_found_on_the_chain_itself():
         "instruments": {"sensor": {"bandwidth_hz": 500, "noise_um": 0, "resolution_um": 0}},
         "reference": {"kind": "sine", "amplitude_um": 20, "frequency_hz": 100, "axis": 1},
         "compensators": [{"label": "exact", "law": "exact_inverse", "model": "duo_bimorph_static"}],
-        "claims": [
-            {
-                "id": "C",
-                "statement": "follows",
-                "quantity": {"metric": "rms_um", "measured_axis": "x"},
-                "agreement": {"at_most": 0.5},
-            }
-        ],
+        "assessment": {
+            "kind": "paper",
+            "claims": [
+                {
+                    "id": "C",
+                    "statement": "follows",
+                    "quantity": {"metric": "rms_um", "measured_axis": "x"},
+                    "agreement": {"at_most": 0.5},
+                }
+            ],
+        },
     }
     (verdict,) = run(content).verdicts
     half_a_hold = np.exp(-1j * np.pi * 100.0 * 50e-6)
@@ -195,9 +199,12 @@ def test_the_page_opens_with_what_holds_where_and_puts_calibration_apart(tmp_pat
     content = {
         "question": "?",
         "actuator": "duo_bimorph_static",
-        "claims_also_on": [{"actuator": "duo_bimorph_paper", "passes": 4}],
         "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0, "axis": 1},
-        "claims": claims,
+        "assessment": {
+            "kind": "paper",
+            "claims": claims,
+            "also_on": [{"actuator": "duo_bimorph_paper", "passes": 4}],
+        },
     }
     write_page([run(content, "one")], tmp_path, tmp_path / "page")
     text = (tmp_path / "page" / "README.md").read_text()

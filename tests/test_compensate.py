@@ -43,6 +43,24 @@ def test_drive_sent_to_the_actuator_gives_the_path(tmp_path):
     assert np.abs(position - reference[["x", "y"]].to_numpy().T).max() < 0.01
 
 
+def test_the_reach_of_a_block_that_knows_the_rate_is_that_of_slow_paths(tmp_path, capsys):
+    _circle(tmp_path / "path.csv", 10.0, 10.0, samples=300)
+    out = ("--law", "inverse_multiplicative", "--out", tmp_path / "d.csv", "--json")
+    assert _call("compensate", "rate_dependent_stack", tmp_path / "path.csv", *out) == 0
+    axes = json.loads(capsys.readouterr().out)["axes"]
+    model = HammersteinModel.load("rate_dependent_stack")
+    slow = model.hysteresis.on_grid(1e6)
+    swept = slow.respond([[0.0, 10.0, -10.0, 10.0], [0.0, 0.0, 0.0, 0.0]])[0][0]
+    assert np.ptp(swept[1:]) == pytest.approx(np.ptp(axes["x"]["reach_alone_um"]), rel=0.02)
+
+
+def test_a_start_out_of_the_range_names_its_option(tmp_path, capsys):
+    _circle(tmp_path / "path.csv", samples=30)
+    path, out = tmp_path / "path.csv", tmp_path / "d.csv"
+    assert _call("compensate", "duo_bimorph_static", path, "--out", out, "--start", "50") == 2
+    assert "--start: 50 V of input 1 lies outside" in capsys.readouterr().err
+
+
 def test_summary_is_one_object(tmp_path, capsys):
     _circle(tmp_path / "path.csv")
     options = ("--law", "exact_inverse", "--out", tmp_path / "d.csv", "--json")

@@ -4,7 +4,6 @@ import json
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -16,7 +15,6 @@ from hammerstein.commands.cli import main
 from hammerstein.errors import InputError, InternalError, SimulationError, ToleranceError
 from hammerstein.export.compiling import FLAGS, compiler
 from hammerstein.export.folder import REQUEST_FILE, check_export, files_of, write_export
-from hammerstein.export.golden import adverse
 from hammerstein.export.operations import Code
 
 MILLION = 1_000_000
@@ -39,7 +37,7 @@ def _same_bits(a, b):
 @pytest.mark.parametrize("name", NAMES)
 def test_every_bit_is_that_of_python(name):
     code, library = compiled(name)
-    signal = adverse(code.block, code.model, 40_000)
+    signal = code.adverse(12_000)
     assert _same_bits(library.respond(signal)[0], code.block.respond(signal)[0])
 
 
@@ -47,9 +45,11 @@ def test_every_bit_is_that_of_python(name):
 @pytest.mark.parametrize(
     ("name", "samples"),
     [
-        ("exact_inverse", MILLION),
+        ("exact_inverse", 100_000),
+        ("flattening exact_inverse", 20_000),
+        pytest.param("exact_inverse", MILLION, marks=pytest.mark.long),
         pytest.param("hammerstein_inverse", 100_000, marks=pytest.mark.long),
-        ("model", 100_000),
+        pytest.param("parallel model", 100_000, marks=pytest.mark.long),
     ],
 )
 def test_every_optimisation_of_every_compiler_gives_the_same_bits(name, samples):
@@ -57,7 +57,7 @@ def test_every_optimisation_of_every_compiler_gives_the_same_bits(name, samples)
     if not found:
         pytest.skip("neither gcc nor clang is here")
     code = case(name).code()
-    signal = adverse(code.block, code.model, samples)
+    signal = code.adverse(samples)
     wanted = code.block.respond(signal)[0]
     for command in found:
         for level in ("-O0", "-O1", "-O2", "-O3"):
@@ -70,7 +70,7 @@ def test_every_optimisation_of_every_compiler_gives_the_same_bits(name, samples)
 def test_the_comparison_notices_another_number():
     """Code for another range."""
     code, _ = compiled("exact_inverse")
-    signal = adverse(code.block, code.model, 4000)
+    signal = code.adverse(4000)
     wanted = code.block.respond(signal)[0]
     other = case("exact_inverse").code(range_v=(-9.0, 10.0))
     with other.library() as library:
@@ -81,7 +81,7 @@ def test_the_comparison_notices_another_number():
 def test_a_run_in_pieces_is_a_run():
     """The structure holds all memory: steps from where it stands give the numbers of one go."""
     code, library = compiled("filtered")
-    signal = adverse(code.block, code.model, 4000)
+    signal = code.adverse(4000)
     law = library.rest()
     parts = [library.respond(part, law)[0] for part in np.array_split(signal, 7, axis=1)]
     assert _same_bits(np.hstack(parts), library.respond(signal)[0])
@@ -92,7 +92,7 @@ def test_a_run_in_pieces_is_a_run():
 def test_the_voltages_stay_in_the_range(name):
     code, library = compiled(name)
     limits = code.block.range
-    wild = 1e3 * adverse(code.block, code.model, 4000)
+    wild = 1e3 * code.adverse(4000)
     drive = library.respond(wild)[0]
     assert (drive >= limits.low_v[:, None]).all()
     assert (drive <= limits.high_v[:, None]).all()
@@ -102,7 +102,7 @@ def test_the_voltages_stay_in_the_range(name):
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 2e9])
 def test_a_number_that_is_none_changes_nothing(bad):
     code, library = compiled("exact_inverse")
-    signal = adverse(code.block, code.model, 300)
+    signal = code.adverse(300)
     spoilt = np.insert(signal, 150, [bad, 1.0], axis=1)
     plain, with_bad = library.respond(signal)[0], library.respond(spoilt)[0]
     assert _same_bits(np.delete(with_bad, 150, axis=1), plain)
@@ -118,12 +118,13 @@ def test_a_number_that_is_none_changes_nothing(bad):
     [
         *("exact_inverse", "inverse_multiplicative", "three inputs exact_inverse", "model"),
         *("asymmetric model", "asymmetric exact_inverse", "rate-dependent model"),
+        *("flattening exact_inverse", "bouc-wen passes", "parallel model"),
     ],
 )
 def test_no_signal_costs_more_than_the_bound(name, record_property):
     """Adverse signals, looked for by their cost."""
     code = case(name).code()
-    scale = np.abs(adverse(code.block, code.model, 2000)).max(axis=1)
+    scale = np.abs(code.adverse(2000)).max(axis=1)
     worst = [0]
     with code.library(counting=True) as library:
 
@@ -144,7 +145,7 @@ def test_no_signal_costs_more_than_the_bound(name, record_property):
 @needs_compiler
 def test_counting_changes_no_number():
     code, plain = compiled("exact_inverse")
-    signal = adverse(code.block, code.model, 4000)
+    signal = code.adverse(4000)
     with code.library(counting=True) as counting:
         drive, operations = counting.respond(signal)
         assert _same_bits(drive, plain.respond(signal)[0])
@@ -297,14 +298,6 @@ def test_a_kind_of_hysteresis_without_code_is_refused_by_name():
         c_block_of(Bouc(), None)
 
 
-def test_growth_that_flattens_is_refused_for_it_needs_a_logarithm():
-    export = case("rate-dependent model")
-    bent = tuple(replace(plays, lambda_s_per_v=1e-3) for plays in export.model.hysteresis.inputs)
-    model = replace(export.model, hysteresis=replace(export.model.hysteresis, inputs=bent))
-    with pytest.raises(InputError, match="logarithm"):
-        replace(export, model=model).code().header()
-
-
 def _call(*arguments):
     with pytest.raises(SystemExit) as caught:
         main(list(arguments))
@@ -313,7 +306,7 @@ def _call(*arguments):
 
 def test_the_command(tmp_path, capsys):
     out = str(tmp_path / "out")
-    law = ("--law", "hammerstein_inverse", "--preview", "0", "--range=-9,9", "--sample-time", "1e-4")
+    law = ("--law", "hammerstein_inverse", "--preview-s", "0", "--range=-9,9", "--sample-time", "1e-4")
     assert _call("export", "duo_bimorph", *law, "--out", out) == 0
     assert "1e-04 s" in capsys.readouterr().out.replace("0.0001 s", "1e-04 s")
     assert _call("export", "--check", out) == 0
@@ -323,6 +316,34 @@ def test_the_command(tmp_path, capsys):
     for wrong in (["export"], ["export", "duo_bimorph"], ["export", "--check", str(tmp_path / "nowhere")]):
         assert _call(*wrong) == 2
     assert _call("export", "duo_bimorph", "--format", "rust", "--out", out) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--sample-time", "nan"], "--sample-time  must be 1e-9 to 10000"),
+        (["--range", "nan"], "--range  must be -1e6 to 1e6"),
+        (["--start", "1e9"], "--start  must be -1e6 to 1e6"),
+        (["--law", "nonsense"], "--law  'nonsense' is not one of"),
+    ],
+)
+def test_a_refused_option_is_named(tmp_path, capsys, options, said):
+    assert _call("export", "duo_bimorph", "--out", str(tmp_path / "out"), *options) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_the_preview_has_one_name_and_hears_to_its_old_one(tmp_path, capsys):
+    given = ("export", "duo_bimorph", "--law", "hammerstein_inverse", "--out", str(tmp_path / "out"))
+    assert _call(*given) == 0
+    assert "the reference of sample k" in capsys.readouterr().out
+    for name in ("--preview-s", "--preview"):
+        assert _call(*given, name, "0.0") == 0
+        assert "the reference of sample k" not in capsys.readouterr().out
+    for command in ("export", "compensate"):
+        assert _call(command, "--help") == 0
+        said = capsys.readouterr().out
+        assert "--preview-s" in said
+        assert "--preview " not in said
 
 
 def test_flags_say_no_fused_multiply_adds():

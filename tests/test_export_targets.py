@@ -14,7 +14,8 @@ from hammerstein.export.folder import write_export
 BOARD = Path(__file__).parent / "cortex_m4"
 EXPORTS = (
     *("filtered", "inverse_multiplicative", "decoupled_inverse", "model", "started exact_inverse"),
-    *("asymmetric model behind plays", "asymmetric exact_inverse", "rate-dependent model"),
+    *("asymmetric model behind plays", "asymmetric exact_inverse"),
+    *("flattening hammerstein_inverse", "bouc-wen passes", "parallel model"),
 )
 LEFT = {
     "2.4": "enumerations without a name hold the constants: they have no tag that could be used",

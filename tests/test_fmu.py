@@ -11,7 +11,6 @@ from hammerstein.commands.cli import main
 from hammerstein.experiment.run import simulate
 from hammerstein.export.compiling import compiler
 from hammerstein.export.folder import check_export, write_export
-from hammerstein.export.golden import adverse
 from hammerstein.model import HammersteinModel
 
 fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
@@ -62,7 +61,7 @@ def test_the_unit_is_valid(unit):
 
 def test_every_bit_is_that_of_python(unit, tmp_path):
     code, path = unit
-    signal = adverse(code.block, code.model, 2000)
+    signal = code.adverse(2000)
     instance = Instance(path, tmp_path)
     found = np.stack([instance.step(row, k * T) for k, row in enumerate(signal.T)], axis=1)
     assert (found.view(np.int64) == code.block.respond(signal)[0].view(np.int64)).all()
@@ -70,7 +69,7 @@ def test_every_bit_is_that_of_python(unit, tmp_path):
 
 def test_a_longer_step_takes_samples_with_the_input_held(unit, tmp_path):
     code, path = unit
-    signal = adverse(code.block, code.model, 300)
+    signal = code.adverse(300)
     instance = Instance(path, tmp_path)
     found = np.stack([instance.step(row, 3 * k * T, 3 * T) for k, row in enumerate(signal.T)], axis=1)
     assert (found == code.block.respond(np.repeat(signal, 3, axis=1))[0][:, 2::3]).all()
@@ -79,7 +78,7 @@ def test_a_longer_step_takes_samples_with_the_input_held(unit, tmp_path):
 @pytest.mark.parametrize("step", [0.5 * T, 1.5 * T, 0.0, -T, 2.01 * T, np.nan])
 def test_any_other_step_is_refused(unit, tmp_path, step):
     code, path = unit
-    signal = adverse(code.block, code.model, 20)
+    signal = code.adverse(20)
     instance = Instance(path, tmp_path)
     with pytest.raises(Exception, match="fmi3DoStep"):
         instance.step(signal[:, 1], 0.0, step)
@@ -90,7 +89,7 @@ def test_any_other_step_is_refused(unit, tmp_path, step):
 def test_several_instances_do_not_know_each_other(unit, tmp_path):
     code, path = unit
     one, other = Instance(path, tmp_path / "a", "one"), Instance(path, tmp_path / "a", "other")
-    signal = adverse(code.block, code.model, 200)
+    signal = code.adverse(200)
     found, others = [], []
     for row in signal.T:
         found.append(one.step(row))
@@ -102,7 +101,7 @@ def test_several_instances_do_not_know_each_other(unit, tmp_path):
 
 def test_states_are_kept_restored_and_serialised(unit, tmp_path):
     code, path = unit
-    signal = adverse(code.block, code.model, 400)
+    signal = code.adverse(400)
     instance = Instance(path, tmp_path)
     for row in signal[:, :200].T:
         instance.step(row)
@@ -125,7 +124,7 @@ def test_a_number_that_is_none_is_an_error(unit, tmp_path):
 
 def test_fmpy_simulates_it(unit):
     code, path = unit
-    signal = adverse(code.block, code.model, 100)
+    signal = code.adverse(100)
     names = [v.name for v in fmpy.read_model_description(str(path)).modelVariables if v.causality == "input"]
     rows = [(k * T, *column) for k, column in enumerate(signal.T)]
     table = np.array(rows, dtype=[("time", "f8"), *((name, "f8") for name in names)])

@@ -98,6 +98,34 @@ def test_python_answers_ctrl_c_within_a_compiled_loop():
     assert time.process_time() - begun < 3.0
 
 
+SWALLOWED = """
+import signal, sys, time
+import hammerstein.experiment.batch as batch
+
+class Last:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+def run(*_):
+    Last()
+    time.sleep(60.0)
+
+batch.run = run
+sys.argv = ["hammerstein", "run", "slow.toml", "--no-figures", "--yes"]
+from hammerstein.__main__ import main
+main()
+"""
+
+
+def test_ctrl_c_in_a_destructor_is_answered_like_any_other(tmp_path):
+    """Python drops what is raised in a destructor or a callback, of which imports have many, and tells it."""
+    (tmp_path / "slow.toml").write_text(SLOW)
+    options = {"capture_output": True, "text": True, "cwd": tmp_path, "timeout": 60, "check": False}
+    run = subprocess.run([sys.executable, "-c", SWALLOWED], **options)
+    told = [line for line in run.stderr.splitlines() if not line.startswith("this takes about")]
+    assert (run.returncode, told) == (130, ["interrupted; what was finished is written, and nothing else"])
+
+
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize(
     ("jobs", "files", "busy_s"),

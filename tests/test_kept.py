@@ -452,7 +452,8 @@ def test_two_runs_at_once_share_the_place(place, tmp_path):
 
 
 def test_the_report_that_is_kept_is_the_report(place, tmp_path, capsys):
-    text = FILE + '[[claims]]\nid = "a"\nstatement = "s"\npaper = 1.0\nquantity = { metric = "rms_um" }\n'
+    text = FILE + '[assessment]\nkind = "paper"\n[[assessment.claims]]\nid = "a"\nstatement = "s"\n'
+    text += 'paper = 1.0\nquantity = { metric = "rms_um" }\n'
     (tmp_path / "s.toml").write_text(text + "agreement = { within = 0.1 }\n")
     said = []
     for name in "12":
@@ -468,8 +469,8 @@ def test_what_a_package_only_ships_is_no_source(tmp_path, monkeypatch):
     (tmp_path / "law.py").write_text("x = 1\n")
     monkeypatch.setattr(provenance, "PACKAGE", tmp_path)
     before = provenance.sources.__wrapped__()
-    (tmp_path / "paper_baseline").mkdir()
-    (tmp_path / "paper_baseline" / "circles.json").write_text("{}")
+    (tmp_path / "paper" / "baseline").mkdir(parents=True)
+    (tmp_path / "paper" / "baseline" / "circles.json").write_text("{}")
     assert provenance.sources.__wrapped__() == before
     (tmp_path / "law.json").write_text("{}")
     assert provenance.sources.__wrapped__() != before

@@ -13,7 +13,6 @@ from hammerstein.compensators.no_compensation import NoCompensationLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode
 from hammerstein.errors import InputError
-from hammerstein.export.golden import adverse
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
 
@@ -76,7 +75,7 @@ def test_step_by_step_and_in_blocks_it_gives_the_same_bits(model, build, limit):
 def test_a_step_counts_from_where_the_actuator_starts(name):
     """Working points, starts, more inputs than outputs, dead-zones: a step has the bits of a block."""
     code = case(name).code()
-    law, path = code.block, adverse(code.block, code.model, 900)
+    law, path = code.block, code.adverse(900)
     state, one_by_one = law.rest(), []
     for sample in path.T:
         drive, state = law.step(np.ascontiguousarray(sample), state)

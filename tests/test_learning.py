@@ -175,6 +175,10 @@ def test_the_command_learns_from_files(tmp_path, model, capsys):
             break
     assert errors[0] > 0.2
     assert errors[-1] < 0.03
+    table = tmp_path / "table.csv"
+    asked = ("--learn", drive, measured, "--table", "csv", "--table-points", "125", "--out", table)
+    assert _call("compensate", "duo_bimorph", path, *asked) == 0
+    assert len(pd.read_csv(table, comment="#")) == 125
     wrong = ("--learn", path, measured, "--out", tmp_path / "no.csv")
     assert _call("compensate", "duo_bimorph", path, *wrong) == 2
     assert "drive_x_v" in capsys.readouterr().err
@@ -266,6 +270,16 @@ def test_the_report_leads_with_the_trials(off):
 def test_what_cannot_be_learnt_is_refused_with_one_message(changed, said):
     with pytest.raises(InputError, match=said):
         run(_scenario([1, 2], **changed))
+
+
+def test_a_trial_that_is_too_short_is_named_by_its_file(tmp_path, capsys):
+    period = {"time_s": T * np.arange(250), "x": circle()[0], "y": circle()[1]}
+    path, played = tmp_path / "path.csv", tmp_path / "played.csv"
+    pd.DataFrame(period).to_csv(path, index=False)
+    options = ("--law", "exact_inverse", "--out", played)
+    assert _call("compensate", "duo_bimorph_static", path, "--cycle", *options) == 0
+    assert _call("compensate", "duo_bimorph_static", path, "--learn", played, path, *options) == 2
+    assert f"{path}: has 250 samples; give whole periods" in capsys.readouterr().err
 
 
 def test_no_drive_is_sent_ahead_by_a_law_that_learns(tmp_path, capsys):

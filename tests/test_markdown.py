@@ -19,7 +19,6 @@ from hammerstein.metrics import KEY, METRICS, Row
 from hammerstein.reporting.page import KEYS, render
 from hammerstein.reporting.summary import answer
 from hammerstein.reporting.tables import MOST_FREQUENCIES, number_tables
-from hammerstein.scenario import Scenario
 
 SINE_V = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}
 SINE_UM = {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 50.0}
@@ -32,24 +31,26 @@ SIX = {"frequency_hz": TEN["frequency_hz"][:6]}
 
 
 def report_of(**content: Any) -> Report:
-    return run(
-        Scenario.model_validate({"question": "How good?", "actuator": "duo_bimorph_static"} | content), "test"
-    )
+    return run({"question": "How good?", "actuator": "duo_bimorph_static"} | content, "test")
+
+
+def of_figure(figure: str) -> dict[str, str]:
+    return {"kind": "paper", "figure": figure}
 
 
 @cache
 def circle() -> Report:
-    return report_of(reference=CIRCLE, compensators=[PAPER, NONE], paper_figure="Fig. 10")
+    return report_of(reference=CIRCLE, compensators=[PAPER, NONE], assessment=of_figure("Fig. 10"))
 
 
 @cache
 def sine() -> Report:
-    return report_of(reference=SINE_UM, compensators=[PAPER, NONE], paper_figure="Fig. 8")
+    return report_of(reference=SINE_UM, compensators=[PAPER, NONE], assessment=of_figure("Fig. 8"))
 
 
 @cache
 def swept() -> Report:
-    return report_of(reference=SINE_UM, sweep=SIX, compensators=[PAPER, NONE], paper_figure="Fig. 9")
+    return report_of(reference=SINE_UM, sweep=SIX, compensators=[PAPER, NONE], assessment=of_figure("Fig. 9"))
 
 
 def with_rms(report: Report, rms_of: Any) -> Report:
@@ -68,7 +69,7 @@ def cells(line: str) -> list[str]:
 
 
 def test_page_opens_with_the_question_and_the_paper_s_figure() -> None:
-    report = report_of(drive=SINE_V, paper_figure="Fig. 5")
+    report = report_of(drive=SINE_V, assessment=of_figure("Fig. 5"))
     lines = render(report).splitlines()
     assert lines[0] == "# test"
     assert lines[2] == "**How good?**"
@@ -76,7 +77,7 @@ def test_page_opens_with_the_question_and_the_paper_s_figure() -> None:
 
 
 def test_equal_reports_give_equal_pages() -> None:
-    again = report_of(reference=CIRCLE, compensators=[PAPER, NONE], paper_figure="Fig. 10")
+    again = report_of(reference=CIRCLE, compensators=[PAPER, NONE], assessment=of_figure("Fig. 10"))
     assert render(again, ["path.png"]) == render(circle(), ["path.png"])
 
 
@@ -112,7 +113,7 @@ def test_answer_tells_the_errors_of_a_single_frequency() -> None:
 
 def test_beyond_the_paper_the_true_position_comes_first() -> None:
     paths, sines = (
-        replace(report, scenario=report.scenario.model_copy(update={"paper_figure": None}))
+        replace(report, scenario=report.scenario.model_copy(update={"assessment": None}))
         for report in (circle(), sine())
     )
     assert answer(paths).startswith("The worst distance of the true position from the reference is")
@@ -337,11 +338,16 @@ def test_claims_of_the_paper_are_a_table() -> None:
         "quantity": {"metric": "height_um", "excited_axis": "x", "measured_axis": "x"},
         "agreement": {"within": 0.02},
     }
-    page = render(report_of(drive=SINE_V, claims=[claim, claim | {"id": "C2", "paper": 200.0}]))
+    page = render(
+        report_of(
+            drive=SINE_V,
+            assessment={"kind": "paper", "claims": [claim, claim | {"id": "C2", "paper": 200.0}]},
+        )
+    )
     first, second = (cells(line) for line in page.splitlines() if line.startswith("| C"))
-    assert first[:3] == ["C1", "The loop of x is 2 x 58 um high", "116 um"]
-    assert float(first[4]) == pytest.approx(116.8 / 116.0, abs=0.01)
-    assert (first[6], second[6]) == ("met", "not met")
+    assert first[:4] == ["C1", "The loop of x is 2 x 58 um high", "", "116 um"]
+    assert float(first[5]) == pytest.approx(116.8 / 116.0, abs=0.01)
+    assert (first[7], second[7]) == ("met", "not met")
 
 
 def test_words_of_the_user_do_not_break_the_page() -> None:

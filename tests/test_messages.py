@@ -116,14 +116,17 @@ def test_a_misspelt_actuator_stands_with_the_other_mistakes(tmp_path):
     assert "did you mean duo_bimorph?" in mistakes["actuator"]
 
 
-@pytest.mark.parametrize("place", ["model", "claims_also_on"])
+@pytest.mark.parametrize("place", ["model", "also_on"])
 def test_other_misspelt_models_stand_there_too(tmp_path, place):
     new = {
         "model": ('model = "duo_bimorph"', 'model = "duo_bimorf"'),
-        "claims_also_on": ("[reference]", 'claims_also_on = ["duo_bimorf"]\n[reference]'),
+        "also_on": (
+            "[reference]",
+            '[assessment]\nkind = "paper"\nalso_on = [{ actuator = "duo_bimorf" }]\n[reference]',
+        ),
     }[place]
     mistakes = _mistakes(tmp_path, *new)
-    where = {"model": "compensators[2].model", "claims_also_on": "claims_also_on[1]"}[place]
+    where = {"model": "compensators[2].model", "also_on": "assessment.also_on[1].actuator"}[place]
     assert "did you mean duo_bimorph?" in mistakes[where]
 
 

@@ -75,7 +75,7 @@ def test_a_metric_from_outside_has_column_glossary_claim_tolerance_and_baseline(
         "actuator": "duo_bimorph_static",
         "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0},
         "measure": {"settle_cycles": 1, "measured_cycles": 1},
-        "claims": [claim],
+        "assessment": {"kind": "paper", "claims": [claim]},
         "tolerances": {"crossing_um": {"relative": 0.5}},
     }
     report = hammerstein.run(scenario)
@@ -97,8 +97,9 @@ def test_a_metric_needs_a_name_of_its_own(crossing_um):
 def test_a_claim_on_a_metric_that_is_not_there_names_the_nearest():
     claim = {"id": "P", "statement": "s", "quantity": {"metric": "rms_umm"}, "agreement": {"at_most": 1.0}}
     drive = {"kind": "sine", "amplitude_v": 1.0, "frequency_hz": 50.0}
+    asked = {"kind": "paper", "claims": [claim]}
     with pytest.raises(hammerstein.InputError, match="did you mean rms_um"):
-        hammerstein.run({"question": "?", "drive": drive, "claims": [claim]})
+        hammerstein.run({"question": "?", "drive": drive, "assessment": asked})
 
 
 def test_the_radius_is_larger_outside_and_smaller_inside():

@@ -237,9 +237,15 @@ def test_plot_replaces_figures_only(folder):
     assert (folder / "reports/small/loops.png.edited").read_text() == "a photograph"
 
 
+OF_THE_PAPER = '\n[assessment]\nkind = "paper"\nfigure = "Fig. 5"\n'
+
+
 def test_a_page_beside_a_person_s_files(folder, capsys):
     page = folder / "site"
     page.mkdir()
+    assert call("run", "small.toml", "--page", "site") == 2
+    assert "no scenario has an [assessment]" in capsys.readouterr().err
+    (folder / "small.toml").write_text(SMALL + OF_THE_PAPER)
     (page / "small-beach.png").write_text("mine")
     assert call("run", "small.toml", "--page", "site") == 0
     (folder / "reports/small/photo.png").write_text("mine, and not of the report")
@@ -258,8 +264,8 @@ def test_a_page_beside_a_person_s_files(folder, capsys):
 
 def test_a_page_is_not_replaced_by_one_that_lacks_what_failed(folder, capsys):
     (folder / "s").mkdir()
-    (folder / "s" / "small.toml").write_text(SMALL)
-    (folder / "s" / "far.toml").write_text(SMALL)
+    (folder / "s" / "small.toml").write_text(SMALL + OF_THE_PAPER)
+    (folder / "s" / "far.toml").write_text(SMALL + OF_THE_PAPER)
     assert call("run", "s", "--page", "site", "--jobs", "1") == 0
     before = contents(folder / "site")
     (folder / "s" / "far.toml").write_text(
@@ -268,7 +274,7 @@ def test_a_page_is_not_replaced_by_one_that_lacks_what_failed(folder, capsys):
     )
     assert call("run", "s", "--page", "site", "--jobs", "1") == 3
     assert contents(folder / "site") == before
-    assert "page is not written" in capsys.readouterr().err
+    assert "is not written" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,9 @@ model = "evil.json"
 label = "second"
 law = "exact_inverse"
 model = "evil.json"
-[[claims]]
+[assessment]
+kind = "paper"
+[[assessment.claims]]
 id = {json.dumps(EVIL)}
 statement = {json.dumps(EVIL)}
 paper = 1.0

@@ -1,7 +1,7 @@
 """What another package can add without a change in this one."""
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import asdict, dataclass, replace
+from typing import ClassVar, Literal
 
 import control
 import numpy as np
@@ -17,6 +17,9 @@ from hammerstein.compensators.no_compensation import NoMemory
 from hammerstein.driving import DriveRange
 from hammerstein.hysteresis import HYSTERESIS, slopes_of
 from hammerstein.hysteresis.kind import SWEEP_SAMPLES
+from hammerstein.reporting.html.run_page import run_page
+from hammerstein.reporting.page import render
+from hammerstein.scenario.assessment import ASSESSMENTS, Assessment, Verdict
 from hammerstein.signals import SIGNALS, OnAxes, OneFrequency
 
 
@@ -104,6 +107,69 @@ def test_entry_points_are_found(monkeypatch):
     finally:
         SIGNALS.remove(Sawtooth)
         plugins.load_plugins.cache_clear()
+
+
+@dataclass(frozen=True)
+class Kept(Verdict):
+    """Whether a limit is kept."""
+
+    worst_um: float
+    limit_um: float
+
+    @property
+    def agrees(self):
+        return self.worst_um <= self.limit_um
+
+    def cells(self):
+        return {"limit": self.id, "found": f"{self.worst_um:.3g} um", "verdict": str(self.agrees)}
+
+    def numbers(self):
+        yield {"limit": self.id}, {"worst_of_all_um": self.worst_um}
+
+    def as_dict(self):
+        return asdict(self)
+
+
+class DataSheet(Assessment):
+    """What a data sheet promises, as another package might ask it."""
+
+    kind: Literal["data_sheet"] = "data_sheet"
+    title: ClassVar[str] = "Promises of the data sheet"
+    number_names: ClassVar[tuple[str, ...]] = ("worst_of_all_um",)
+    limit_um: float
+
+    def judge(self, scenario, name, model, rows, store):
+        return (Kept("error", max(row.max_true_um for row in rows), self.limit_um),)
+
+    def verdict_of(self, content):
+        return Kept(**content)
+
+
+@pytest.fixture
+def data_sheet():
+    yield hammerstein.register(DataSheet)
+    ASSESSMENTS.remove(DataSheet)
+
+
+def test_an_assessment_from_outside_has_verdict_page_tolerance_and_baseline(data_sheet, tmp_path):
+    asked = {
+        "question": "Does it keep what is promised?",
+        "actuator": "duo_bimorph_static",
+        "reference": {"kind": "sine", "amplitude_um": 20.0, "frequency_hz": 50.0},
+        "compensators": [{"label": "exact", "law": "exact_inverse", "model": "duo_bimorph_static"}],
+        "tolerances": {"worst_of_all_um": {"relative": 0.5}},
+        "assessment": {"kind": "data_sheet", "limit_um": 1e-4},
+    }
+    report = hammerstein.run(asked)
+    (verdict,) = report.verdicts
+    assert verdict.worst_um == report.to_frame()["max_true_um"].max()
+    assert not verdict.agrees
+    assert "## Promises of the data sheet" in render(report)
+    assert "Promises of the data sheet" in run_page(report, {})
+    baseline = tmp_path / "promised.json"
+    hammerstein.check(asked, baseline, update=True)
+    assert "worst_of_all_um" in baseline.read_text()
+    assert hammerstein.check(asked, baseline).exit_code == 0
 
 
 class Doubtful(hammerstein.Compensator):

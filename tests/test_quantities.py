@@ -1,8 +1,10 @@
 """Every number that a file may hold has limits, in the message and in the schema."""
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from hammerstein.instruments import Drive, Sensor
 from hammerstein.model import ModelFile
 from hammerstein.quantities import BANDWIDTH_HZ, FREQUENCY_HZ
 from hammerstein.scenario import Scenario, load_scenario
@@ -38,6 +40,18 @@ def test_only_what_can_be_switched_off_may_be_infinite():
     assert not FREQUENCY_HZ.holds(float("nan"))
 
 
+@pytest.mark.parametrize("resolution", [0.0, 1e-12, 0.04])
+def test_a_resolution_is_none_or_one_that_numbers_have(resolution):
+    assert Sensor(resolution_um=resolution, noise_um=0.0).read(np.full((1, 1), 20.0), None) == pytest.approx(
+        20
+    )
+    for finer in (5e-324, 1e-300, 1e-13):
+        with pytest.raises(ValidationError, match="must be 0, or 1e-12 to 1e6"):
+            Sensor(resolution_um=finer)
+        with pytest.raises(ValidationError, match="must be 0, or 1e-12 to 1e6"):
+            Drive(resolution_v=finer)
+
+
 BASE = """
 question = "?"
 [reference]
@@ -50,7 +64,9 @@ law = "hammerstein_inverse"
 model = "duo_bimorph"
 [uncertainty]
 draws = 2
-[[claims]]
+[assessment]
+kind = "paper"
+[[assessment.claims]]
 id = "a"
 statement = "b"
 quantity = { metric = "rms_um" }
@@ -64,8 +80,9 @@ agreement = { at_most = 1 }
         ("amplitude_um = 10", "amplitude_um = inf", "reference.amplitude_um"),
         ("amplitude_um = 10", "amplitude_um = 10\noffset_um = -inf", "reference.offset_um"),
         ("frequency_hz = 50", "frequency_hz = 1e-320", "reference.frequency_hz"),
+        ("frequency_hz = 50", "frequency_hz = 50\nsmooth_start_s = 5e-324", "reference.smooth_start_s"),
         ("draws = 2", "resonance = 1.7e308", "uncertainty.resonance"),
-        ("agreement", "paper = -inf\nagreement", "claims[1].paper"),
+        ("agreement", "paper = -inf\nagreement", "assessment.claims[1].paper"),
         ('model = "duo', 'preview_s = inf\nmodel = "duo', "compensators[1].preview_s"),
         ('model = "duo', 'filter_hz = nan\nmodel = "duo', "compensators[1].filter_hz"),
         ("draws = 2", "seed = 100000000000000000000000000", "uncertainty.seed"),

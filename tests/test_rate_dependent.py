@@ -11,6 +11,7 @@ from hammerstein.compensators.exact.inverse import ExactInverse, ExactInverseLaw
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, RateDependent, RatePlays
+from hammerstein.hysteresis.rate_dependent_kernels import log_of_one_and
 from hammerstein.model import HammersteinModel
 
 SEED = 16
@@ -41,6 +42,12 @@ def test_response_is_the_equation(lam):
     hysteresis = block(lam=lam)
     u = np.cumsum(np.random.default_rng(SEED).normal(0.0, 0.3, (2, 800)), axis=1)
     np.testing.assert_allclose(hysteresis.respond(u)[0], by_theory(hysteresis, u), atol=1e-10)
+
+
+def test_the_logarithm_of_flattening_growth_is_that_of_the_library():
+    x = np.concatenate([[0.0, 1e-300], np.logspace(-20.0, 20.0, 2001), np.linspace(0.3, 0.6, 301)])
+    ours = np.array([log_of_one_and(value) for value in x])
+    np.testing.assert_allclose(ours, np.log1p(x), rtol=1e-15)
 
 
 def test_without_growth_it_is_the_classical_block():

@@ -16,12 +16,12 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.report import Band, Report
 from hammerstein.experiment.run import run
 from hammerstein.metrics import METRICS, Row
+from hammerstein.paper.verdicts import Answer, ClaimVerdict
 from hammerstein.regression.baseline import Baseline, key_of, numbers_of
 from hammerstein.regression.check import check_files
 from hammerstein.regression.compare import Finding, Kind, compare
 from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.claims import Answer, Verdict
 from hammerstein.scenario.scenario import Tolerance
 
 LOOP = """
@@ -194,7 +194,7 @@ def test_the_bands_of_an_uncertain_actuator_are_guarded(loop: Report) -> None:
 
 def test_what_every_actuator_answers_to_a_claim_is_guarded(loop: Report) -> None:
     answers = (Answer("one", 1.0, True), Answer("other", 2.0, True), Answer("third", math.nan, False))
-    verdict = Verdict("C1", "It is one.", 1.0, "um", "within 2 %", answers, "")
+    verdict = ClaimVerdict("C1", "It is one.", 1.0, "um", "within 2 %", answers, "")
     before = replace(loop, verdicts=(verdict,))
     moved = replace(verdict, answers=(answers[0], replace(answers[1], value=2.01), answers[2]))
     (finding,) = compare(replace(loop, verdicts=(moved,)), Baseline.of(before))

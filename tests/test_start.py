@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import json
+import os
 import re
 import shlex
 import shutil
@@ -40,6 +43,40 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copytree(made, place)
     monkeypatch.chdir(place)
     return place
+
+
+@pytest.mark.parametrize("options", [[], ["--paper"]])
+@pytest.mark.parametrize("linked", [True, False])
+def test_init_writes_nothing_past_what_stands_in_the_way_of_a_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], linked: bool
+) -> None:
+    target, elsewhere = tmp_path / "here", tmp_path / "elsewhere"
+    target.mkdir()
+    elsewhere.mkdir()
+    if linked:
+        (target / "reports").symlink_to(elsewhere)
+    else:
+        (target / "reports").write_text("mine")
+    assert call("init", target, *options) == 2
+    assert "holds reports already" in capsys.readouterr().err
+    assert [path.name for path in target.iterdir()] == ["reports"]
+    assert not list(elsewhere.iterdir())
+
+
+def test_an_init_that_fails_in_the_middle_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target, rename = tmp_path / "new" / "here", os.rename
+
+    def full(source: Path, place: Path) -> None:
+        if Path(place).name == "static_inverse.json":
+            raise OSError(errno.ENOSPC, "No space left on device")
+        rename(source, place)
+
+    monkeypatch.setattr("os.rename", full)
+    assert call("init", target, "--paper") == 2
+    assert f"{target}: cannot be written (no space left on device)" in capsys.readouterr().err
+    assert not target.exists() or not list(target.iterdir())
 
 
 def commands_of(page: Path) -> list[str]:
@@ -141,14 +178,55 @@ def test_show_tells_what_a_file_holds(
     assert call("show", file, "--json") == 0
 
 
-@pytest.mark.parametrize(("name", "text"), [("no.json", "{"), ("other.json", "{}"), ("none.csv", None)])
+REPORT = {
+    "format": "hammerstein-report/1",
+    "name": "a",
+    "actuator": "b",
+    "scenario": {"question": "?"},
+    "rows": [],
+    "verdicts": [{"verdict": "met"}, {"verdict": "not met"}, {"verdict": "met"}],
+}
+
+
+def test_show_counts_what_is_met(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("claims.json").write_text(json.dumps(REPORT))
+    assert call("show", "claims.json") == 0
+    assert "2 of 3 met" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        ("no.json", "{", "is not JSON"),
+        ("other.json", "{}", "is no model"),
+        ("none.csv", None, "does not exist"),
+        ("report.json", json.dumps(REPORT | {"rows": 3}), "rows  must be a list"),
+        ("asked.json", json.dumps(REPORT | {"scenario": [1]}), "scenario  must be a table"),
+        ("claims.json", json.dumps(REPORT | {"verdicts": [1]}), "verdicts[1]  must be a table"),
+        ("baseline.json", '{"format": "hammerstein-baseline/1", "rows": null}', "rows  must be a list"),
+        ("fit.json", '{"held_records": 5}', "held_records  must be a list"),
+        ("comparison.json", '{"format": "hammerstein-comparison/1", "models": [5]}', "models[1]  must be a"),
+    ],
+)
 def test_show_says_what_is_wrong(
-    folder: Path, capsys: pytest.CaptureFixture[str], name: str, text: str | None
+    folder: Path, capsys: pytest.CaptureFixture[str], name: str, text: str | None, told: str
 ) -> None:
     if text is not None:
         Path(name).write_text(text)
     assert call("show", name) == 2
-    assert name in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert name in error
+    assert told in re.sub("  +", "  ", error)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with a name here")
+@pytest.mark.parametrize("command", ["show", "loops"])
+def test_a_pipe_is_not_waited_for(folder: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
+    if not Path("pipe.csv").exists():
+        os.mkfifo("pipe.csv")
+    columns = ["--inputs", "1", "--outputs", "2", "--rate", "9"] if command == "loops" else []
+    assert call(command, "pipe.csv", *columns) == 2
+    assert "pipe.csv: is no ordinary file" in capsys.readouterr().err
 
 
 def help_of(*command: str) -> Result:

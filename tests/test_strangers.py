@@ -27,7 +27,9 @@ frequency_hz = 50
 label = {json.dumps(EVIL[:55])}
 law = "none"
 model = "evil.json"
-[[claims]]
+[assessment]
+kind = "paper"
+[[assessment.claims]]
 id = {json.dumps(EVIL)}
 statement = {json.dumps(EVIL)}
 paper = 1.0

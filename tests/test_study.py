@@ -1,5 +1,6 @@
 """Many values of any numeric key: lists, zips, samples; rows as they come."""
 
+import errno
 import itertools
 import tracemalloc
 
@@ -80,11 +81,19 @@ def test_what_cannot_be_run_is_told_and_the_others_go_on():
 
 
 @pytest.mark.parametrize(
-    "key", ["reference.kind", "nothing", "compensators[2].gain", "reference.radus_um", "a[", ""]
-)
+    "key",
+    ["reference.kind", "nothing", "compensators[2].gain", "reference.radus_um", "a[", "",
+     "compensators[0].iterations", "compensators[1]"],
+)  # fmt: skip
 def test_a_key_that_is_no_number_is_refused(key):
-    with pytest.raises(InputError, match=r"study\.values"):
+    with pytest.raises(InputError, match=r"study\.values") as refused:
         found({key: [1.0]})
+    assert key in str(refused.value)
+
+
+def test_listed_values_that_would_be_rounded_are_refused():
+    with pytest.raises(InputError, match=r"iterations +takes whole numbers alone, not 2\.5"):
+        found({PASSES: [2.0, 2.5]})
 
 
 @pytest.mark.parametrize(
@@ -188,4 +197,38 @@ def test_a_dry_run_says_how_much_it_is(tmp_path, capsys):
     (tmp_path / "s.toml").write_text(TEXT.replace("= 8", "= 65536"))
     assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--dry-run") == 0
     assert "65536 runs of sobol values" in capsys.readouterr().err
+    assert not (tmp_path / "o.csv").exists()
+
+
+def test_what_is_no_scenario_with_a_study_is_refused_before_anything_runs(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "several").mkdir()
+    for name in ("several/a", "several/b", "plain"):
+        (tmp_path / f"{name}.toml").write_text(TEXT.partition("[study]")[0])
+    for arguments, told in (
+        (("several", "--out", "o.csv"), "several: is a folder"),
+        (("plain.toml", "--out", "o.csv", "--dry-run"), "plain.toml: has no table [study]"),
+        (("plain.toml", "--out", "o.csv"), "plain.toml: has no table [study]"),
+    ):
+        assert called("sweep", *arguments) == 2
+        assert told in capsys.readouterr().err
+
+
+def test_a_table_that_cannot_be_written_is_named(tmp_path, capsys, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    (tmp_path / "s.toml").write_text(TEXT)
+    monkeypatch.setattr("hammerstein.commands.study._Csv.add", full)
+    assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv") == 2
+    assert f"{tmp_path / 'o.csv'}: cannot be written (no space left on device)" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]
+
+
+def test_a_sweep_of_hours_asks_who_watches(tmp_path, capsys, monkeypatch):
+    (tmp_path / "s.toml").write_text(TEXT.replace("= 8", "= 1048576"))
+    for stream in ("stdin", "stderr"):
+        monkeypatch.setattr(f"sys.{stream}.isatty", lambda: True, raising=False)
+    assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv") == 2
+    assert "start it with --yes" in capsys.readouterr().err
     assert not (tmp_path / "o.csv").exists()

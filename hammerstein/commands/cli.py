@@ -19,15 +19,23 @@ from hammerstein.commands import (
     study as study_commands,
     terminal,
 )
-from hammerstein.commands.crew import Address, compile_here, workers
+from hammerstein.commands.crew import Address, announce, compile_here, workers
 from hammerstein.commands.terminal import complain, hushed, show, tell, tell_json
 from hammerstein.errors import HammersteinError
 from hammerstein.escaping import clean
 from hammerstein.runtime.cache import folder_of_runs
-from hammerstein.runtime.leaving import INTERRUPTED, INTERRUPTS, LEFT, ended_in_time, leave
+from hammerstein.runtime.leaving import (
+    INTERRUPTED,
+    INTERRUPTS,
+    LEFT,
+    dropped_in_silence,
+    ended_in_time,
+    leave,
+    once,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from typer.models import CommandInfo
 
@@ -37,6 +45,7 @@ if TYPE_CHECKING:
     from hammerstein.reporting.folder import TraceFormat, Writer
     from hammerstein.runtime import fanning
     from hammerstein.scenario import Scenario
+    from hammerstein.scenario.assessment import Assessment
 
 app = typer.Typer(
     name="hammerstein",
@@ -156,14 +165,15 @@ def _one_thread_a_job() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; a mistake of the user is one message and an exit code, never a traceback."""
+    say = once(lambda: complain(LEFT))
     try:
         _answer_interrupts()
         terminal.make_ready()
         _one_thread_a_job()
-        with ended_in_time(lambda: complain(LEFT)):
+        with dropped_in_silence(_Interrupted), ended_in_time(say):
             code = _answered(arguments)
     except _Interrupted:
-        complain(LEFT)
+        say()
         code = INTERRUPTED
     sys.exit(code)
 
@@ -204,7 +214,7 @@ def run(
         str | None, typer.Option(metavar="csv|mat", help="Write every wire of every case.")
     ] = None,
     page: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write all claims and figures on one page there.")
+        Path | None, typer.Option(metavar="DIR", help="Write all figures and verdicts on one page there.")
     ] = None,
     interactive: Annotated[
         bool, typer.Option("--interactive", help="Put plots to zoom into on each page.")
@@ -224,7 +234,6 @@ def run(
     from hammerstein.errors import InputError
     from hammerstein.experiment.batch import load_all
     from hammerstein.files import refuse_unwritable
-    from hammerstein.reporting.claims_page import CLAIMS, PAGE
     from hammerstein.reporting.folder import Writer
     from hammerstein.reporting.html.interactive import refuse_without_library
     from hammerstein.reporting.html.overview import OVERVIEW
@@ -237,7 +246,6 @@ def run(
     refuse_unwritable("--out", out)
     if page is not None:
         refuse_unwritable("--page", page)
-        prepare(page, PAGE, [PAGE.sign[0]])
     if traces not in (None, "csv", "mat"):
         raise InputError("--traces", f"{traces!r} is not one of csv, mat")
     scenarios = load_all(paths)
@@ -251,8 +259,8 @@ def run(
     writer.prepare(scenarios)
     if len(scenarios) > 1:
         prepare(out, OVERVIEW, [OVERVIEW.sign[0]])
-    if any(scenario.claims for scenario in scenarios.values()):
-        prepare(out, CLAIMS, [CLAIMS.sign[0]])
+    for assessed in _assessed(scenarios.values(), page):
+        assessed.prepare(out, page)
     outcomes = _run_what_changed(scenarios, writer, jobs, cluster, yes)
     for trouble in dict.fromkeys(outcome.unkept for outcome in outcomes if outcome.unkept):
         complain(trouble)
@@ -262,6 +270,19 @@ def run(
     if open_ and reports:
         _open(_first_page(reports, out))
     _fail_with(outcomes)
+
+
+def _assessed(scenarios: Iterable[Scenario], page: Path | None) -> list[type[Assessment]]:
+    """Kinds of assessment that some scenario has.
+
+    Raises InputError where none could write the page that is wanted.
+    """
+    from hammerstein.errors import InputError
+
+    kinds = list(dict.fromkeys(type(s.assessment) for s in scenarios if s.assessment is not None))
+    if page is not None and not kinds:
+        raise InputError("--page", "no scenario has an [assessment], which would say what stands on the page")
+    return kinds
 
 
 def _show_plan(paths: Sequence[Path], jobs: int) -> None:
@@ -274,21 +295,19 @@ def _show_plan(paths: Sequence[Path], jobs: int) -> None:
 
 
 def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None) -> list[Report]:
-    """Write what stands over several reports: claims, the page of all figures, the overview."""
+    """Write what stands over several reports: what was asked of them, the overview."""
     from hammerstein.commands.tables import kept_aside
-    from hammerstein.reporting.claims_page import write_claims, write_page
     from hammerstein.reporting.html.overview import write_overview
 
     reports = [outcome.report for outcome in outcomes if outcome.report is not None]
-    claimed = [report for report in reports if report.verdicts]
     kept = [place for outcome in outcomes for place in outcome.kept]
+    kinds = _assessed((report.scenario for report in reports), None)
     if len(reports) < len(outcomes):
-        what = ["claims.csv"] * bool(claimed) + ["the page"] * (page is not None)
-        if what:
-            complain(f"{' and '.join(what)} is not written, as not every scenario has a report")
+        if kinds:
+            complain("what stands over all reports is not written, as not every scenario has one")
     else:
-        kept += write_claims(claimed, out) if claimed else ()
-        kept += write_page(reports, out, page) if page is not None else ()
+        for kind in kinds:
+            kept += kind.write(reports, out, page)
     kept += write_overview(reports, out) if len(reports) > 1 else ()
     for place in kept:
         complain(kept_aside(place))
@@ -297,7 +316,7 @@ def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None) -> lis
 
 def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: Path, as_json: bool) -> None:
     """Print the results, and where the reports are."""
-    from hammerstein.commands.tables import claims_table, result_table
+    from hammerstein.commands.tables import result_table, verdict_tables
 
     if as_json:
         errors = [str(outcome.error) for outcome in outcomes if outcome.error]
@@ -305,8 +324,8 @@ def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: P
         return
     if reports:
         show(result_table(reports))
-    if claimed := [report for report in reports if report.verdicts]:
-        show(claims_table(claimed))
+    for table in verdict_tables(reports):
+        show(table)
     if reports:
         tell(f"{len(reports)} of {len(outcomes)} reports written in {out}")
         tell(f"look at {_first_page(reports, out)}")
@@ -362,16 +381,11 @@ def _planned(scenarios: dict[str, Scenario], jobs: fanning.Jobs, yes: bool) -> f
 
     Raises InputError where a person watches and has not said yes.
     """
-    from hammerstein.errors import InputError
     from hammerstein.experiment.plan import jobs_that_fit, plans_of, together
     from hammerstein.runtime.fanning import workers_of
 
     plans, workers_there = plans_of(scenarios), workers_of(jobs)
-    if text := together(plans).announcement(workers_there):
-        watched = sys.stdin.isatty() and sys.stderr.isatty()
-        if watched and not yes and together(plans).is_long(workers_there):
-            raise InputError("plan", f"{text}. Or start it with --yes")
-        complain(text)
+    announce(*together(plans).announcement(workers_there), yes)
     if not isinstance(jobs, int):
         return jobs
     fitting = jobs_that_fit(plans, jobs)
@@ -444,8 +458,10 @@ def check(
 @app.command(epilog=_example("schema > scenario.schema.json"))
 def schema() -> None:
     """Print the JSON Schema of scenario files, for editors."""
+    from hammerstein.plugins import load_plugins
     from hammerstein.scenario import Scenario
 
+    load_plugins()
     tell_json(Scenario.model_json_schema(), indent=1, sort_keys=True)
 
 

@@ -6,17 +6,21 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import BaseModel, ValidationError
 
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited
 from hammerstein.records.array_files import SUFFIXES
-from hammerstein.records.readers import PARQUET
+from hammerstein.records.readers import PARQUET, refuse_missing
+from hammerstein.validation import mistakes_of
 
 Facts = tuple[tuple[str, str], ...]
+T = TypeVar("T", bound=BaseModel)
 MOST_COLUMNS = 40
+MOST_STATEMENTS = 5
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,45 @@ class Contents:
 
     kind: str
     facts: Facts
+
+
+class _Named(BaseModel):
+    name: str
+
+
+class _Verdict(BaseModel):
+    verdict: str
+
+
+class _Asked(BaseModel):
+    question: str
+
+
+class _Report(BaseModel):
+    name: str
+    actuator: str
+    scenario: _Asked
+    rows: tuple[dict[str, Any], ...]
+    verdicts: tuple[_Verdict, ...] = ()
+    statements: tuple[str, ...] = ()
+
+
+class _Baseline(BaseModel):
+    rows: tuple[dict[str, Any], ...]
+
+
+class _Fit(BaseModel):
+    model: str
+    verdict: str
+    records: tuple[str, ...]
+    held_records: tuple[str, ...]
+
+
+class _Comparison(BaseModel):
+    models: tuple[_Named, ...]
+    records: tuple[str, ...]
+    held_records: tuple[str, ...] = ()
+    sentences: tuple[str, ...] = ()
 
 
 def contents_of(path: Path) -> Contents:
@@ -53,14 +96,22 @@ def _json(path: Path) -> Contents:
     if form.startswith("hammerstein-model/"):
         return Contents("model", tuple(_model(path)))
     if form.startswith("hammerstein-report/"):
-        return Contents("report", tuple(_report(found)))
+        return Contents("report", tuple(_report(_read(_Report, found, path))))
     if form.startswith("hammerstein-baseline/"):
-        return Contents("baseline", (("rows", str(len(found.get("rows", ())))),))
+        return Contents("baseline", (("rows", str(len(_read(_Baseline, found, path).rows))),))
     if form.startswith("hammerstein-comparison/"):
-        return Contents("comparison", tuple(_comparison(found)))
+        return Contents("comparison", tuple(_comparison(_read(_Comparison, found, path))))
     if isinstance(found, dict) and "held_records" in found:
-        return Contents("fit report", tuple(_fit(found)))
+        return Contents("fit report", tuple(_fit(_read(_Fit, found, path))))
     raise InputError(str(path), "is no model, report, fit report, comparison or baseline of hammerstein")
+
+
+def _read(form: type[T], found: Any, path: Path) -> T:
+    """What is shown of a file of ours; InputError where it is spoilt."""
+    try:
+        return form.model_validate(found)
+    except ValidationError as error:
+        raise InputError(str(path), mistakes_of(error, form)) from None
 
 
 def _scenario(path: Path) -> Iterator[tuple[str, str]]:
@@ -86,8 +137,8 @@ def _scenario(path: Path) -> Iterator[tuple[str, str]]:
             else "identified: " + _listed(found.model_dump(mode="json", exclude_none=True))
         )
         yield source.label, f"{law}; {where}"
-    if scenario.claims:
-        yield "claims", ", ".join(claim.id for claim in scenario.claims)
+    if scenario.assessment is not None and scenario.assessment.names():
+        yield scenario.assessment.title.lower(), ", ".join(scenario.assessment.names())
     takes = duration(plan.seconds) if plan.seconds > 60.0 else "a minute at most"
     yield "takes", f"{takes} on one processor, {size(plan.bytes)} of memory"
 
@@ -113,30 +164,30 @@ def _model(path: Path) -> Iterator[tuple[str, str]]:
         )
 
 
-def _report(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    yield "name", str(found.get("name"))
-    yield "question", str(found.get("scenario", {}).get("question"))
-    yield "actuator", str(found.get("actuator"))
-    yield "rows", str(len(found.get("rows", ())))
-    claims = found.get("claims", ())
-    if claims:
-        yield "claims", f"{sum(bool(claim.get('agrees')) for claim in claims)} of {len(claims)} met"
-    for number, text in enumerate(found.get("statements", ())[:5], start=1):
-        yield f"statement {number}", str(text)
+def _report(found: _Report) -> Iterator[tuple[str, str]]:
+    yield "name", found.name
+    yield "question", found.scenario.question
+    yield "actuator", found.actuator
+    yield "rows", str(len(found.rows))
+    if found.verdicts:
+        met = sum(verdict.verdict == "met" for verdict in found.verdicts)
+        yield "verdicts", f"{met} of {len(found.verdicts)} met"
+    for number, text in enumerate(found.statements[:MOST_STATEMENTS], start=1):
+        yield f"statement {number}", text
 
 
-def _fit(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    yield "model", str(found.get("model"))
-    yield "verdict", str(found.get("verdict"))
-    yield "records", ", ".join(map(str, found.get("records", ())))
-    yield "held back", ", ".join(map(str, found.get("held_records", ()))) or "none"
+def _fit(found: _Fit) -> Iterator[tuple[str, str]]:
+    yield "model", found.model
+    yield "verdict", found.verdict
+    yield "records", ", ".join(found.records)
+    yield "held back", ", ".join(found.held_records) or "none"
 
 
-def _comparison(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    yield "models", ", ".join(str(one.get("name")) for one in found.get("models", ()))
-    yield "records", ", ".join(map(str, found.get("records", ())))
-    yield "held back", ", ".join(map(str, found.get("held_records", ()))) or "none"
-    yield "recommended", " ".join(map(str, found.get("sentences", ())))
+def _comparison(found: _Comparison) -> Iterator[tuple[str, str]]:
+    yield "models", ", ".join(one.name for one in found.models)
+    yield "records", ", ".join(found.records)
+    yield "held back", ", ".join(found.held_records) or "none"
+    yield "recommended", " ".join(found.sentences)
 
 
 def _table(path: Path) -> Iterator[tuple[str, str]]:
@@ -145,6 +196,7 @@ def _table(path: Path) -> Iterator[tuple[str, str]]:
 
     if path.suffix.lower() in PARQUET:
         raise InputError(str(path), "is a Parquet file; pandas.read_parquet shows its columns")
+    refuse_missing(path)
     layout = find_layout(path)
     columns = read_columns(path, [str(number + 1) for number in range(min(layout.width, MOST_COLUMNS))])
     yield "rows", str(columns.values.shape[1])

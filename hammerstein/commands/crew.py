@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
@@ -43,3 +44,24 @@ def compile_here(cluster: str | None, scenarios: int, jobs: int) -> None:
 
     if cluster is None:
         compile_once(complain, several=scenarios > 1 and jobs > 1)
+
+
+def announce(text: str, seconds: float, yes: bool) -> None:
+    """Tell what takes long.
+
+    Parameters
+    ----------
+    text : what is going to be done
+    seconds : how long it takes
+    yes : whether a person has agreed beforehand
+
+    Raises InputError where it takes more than ten minutes, and a person watches and has not said yes.
+    """
+    from hammerstein.errors import InputError
+    from hammerstein.experiment.plan import LONG_S, TOLD_S
+
+    if seconds <= TOLD_S:
+        return
+    if seconds > LONG_S and not yes and sys.stdin.isatty() and sys.stderr.isatty():
+        raise InputError("plan", f"{text}. Or start it with --yes")
+    complain(text)

@@ -12,6 +12,8 @@ from hammerstein.commands.law_options import (
     Conditioned,
     FilterHz,
     LawGain,
+    Preview,
+    PreviewS,
     Range,
     SofteningV,
     Start,
@@ -35,9 +37,8 @@ def export(
     sample_time: Annotated[
         float | None, typer.Option(metavar="S", help="Time between samples; that of the model's drive.")
     ] = None,
-    preview_s: Annotated[
-        float | None, typer.Option("--preview", metavar="S", help="How far ahead the reference is known.")
-    ] = None,
+    preview_s: PreviewS = None,
+    preview: Preview = None,
     filter_hz: FilterHz = None,
     softening_v: SofteningV = None,
     gain: LawGain = None,
@@ -58,7 +59,8 @@ def export(
         return
     if form not in FORMATS:
         raise InputError("--format", f"{form!r} is not one of {', '.join(FORMATS)}")
-    given = {"preview_s": preview_s, "filter_hz": filter_hz, "softening_v": softening_v, "gain": gain}
+    ahead = preview if preview_s is None else preview_s
+    given = {"preview_s": ahead, "filter_hz": filter_hz, "softening_v": softening_v, "gain": gain}
     options = {name: value for name, value in given.items() if value is not None}
     request = {
         "options": options,
@@ -88,6 +90,7 @@ def _check(folder: Path, as_json: bool) -> None:
 def _write(
     model: str, law: str, out: Path | None, sample_time: float | None, given: dict[str, Any], as_json: bool
 ) -> None:
+    from hammerstein.commands.records import told_by_options
     from hammerstein.commands.tables import kept_aside
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.errors import InputError
@@ -100,9 +103,10 @@ def _write(
         raise InputError("--out", "name the folder for the code")
     refuse_unwritable("--out", out)
     prepare(out, EXPORT, ALWAYS)
-    request, loaded = request_of(model, law, sample_time, **given)
-    compile_once(complain)
-    written = write_export(request, loaded, out)
+    with told_by_options("compensate"):
+        request, loaded = request_of(model, law, sample_time, **given)
+        compile_once(complain)
+        written = write_export(request, loaded, out)
     for place in written.kept:
         complain(kept_aside(place))
     if as_json:

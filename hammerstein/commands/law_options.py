@@ -8,6 +8,10 @@ import typer
 
 FilterHz = Annotated[float | None, typer.Option(help="Bandwidth of the reference filter.")]
 SofteningV = Annotated[float | None, typer.Option(help="Voltage that spreads the jump.")]
+PreviewS = Annotated[
+    float | None, typer.Option("--preview-s", metavar="S", help="How far ahead the reference is known.")
+]
+Preview = Annotated[float | None, typer.Option("--preview", hidden=True)]  # as it was called before
 LawGain = Annotated[str | None, typer.Option(help="Of inverse_multiplicative: auto or identity.")]
 Range = Annotated[
     str | None,

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,6 +18,8 @@ from hammerstein.commands.law_options import (
     Conditioned,
     FilterHz,
     LawGain,
+    Preview,
+    PreviewS,
     Range,
     SofteningV,
     Start,
@@ -49,12 +51,19 @@ from hammerstein.commands.terminal import complain, hushed, show, tell, tell_jso
 from hammerstein.escaping import clean
 
 if TYPE_CHECKING:
-    from hammerstein.compensators.drive_file import Terms
     from hammerstein.files import Content
     from hammerstein.records.gains import Gain
     from hammerstein.records.record import Record
 
-_OPTIONS = {"sensor_bandwidth_hz": "sensor-bandwidth", "thresholds_v": "thresholds"}
+_ALONE = ("start", "range")
+"""Options whose own values make a message of their own."""
+_OPTIONS = {
+    "sample_time_s": "sample-time",
+    "range_v": "range",
+    "start_v": "start",
+    "sensor_bandwidth_hz": "sensor-bandwidth",
+    "thresholds_v": "thresholds",
+}
 MOST_NAMED = 3
 """Records whose names make up that of a folder."""
 MOST_LOOPS = 8
@@ -87,6 +96,12 @@ def _columns(words: str) -> list[str]:
     return [word.strip() for word in words.split(",") if word.strip()]
 
 
+def _option_of(where: str) -> str:
+    """Option that gave a setting; nothing where the mistake is of them together."""
+    name = where.partition("[")[0]
+    return f"--{_OPTIONS.get(name, name.replace('_', '-'))}" * bool(name)
+
+
 @contextmanager
 def told_by_options(source: str) -> Iterator[None]:
     """Let the mistakes in what a function was told name the options that told it."""
@@ -95,12 +110,11 @@ def told_by_options(source: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
+        if error.source in _ALONE:
+            raise InputError(f"--{error.source}", error.mistakes) from None
         if error.source != source:
             raise
-        mistakes = [
-            m._replace(where=_OPTIONS.get(m.where, m.where.replace("_", "-"))) for m in error.mistakes
-        ]
-        named = [m._replace(where=f"--{m.where}" * bool(m.where)) for m in mistakes]
+        named = [m._replace(where=_option_of(m.where)) for m in error.mistakes]
         raise InputError("options", named) from None
 
 
@@ -328,90 +342,14 @@ class Spinner:
             self.status.update(Text(clean(what)))
 
 
-class _Table(NamedTuple):
-    """What a person asks of a wave table; no device: the period as a drive file."""
-
-    device: str | None
-    scale: str | None
-    points: int | None
-
-
-def _write_cycle(
-    model: str,
-    path: Path,
-    law: str,
-    options: dict[str, Any],
-    terms: Terms,
-    out: Path,
-    asked: _Table,
-    as_json: bool,
-) -> None:
-    """Write one settled period, as a drive file or as a wave table."""
-    from hammerstein.compensators.cycle import cycle_of, rms
-    from hammerstein.compensators.wave_table import DEVICES, wave_table
-    from hammerstein.errors import InputError
-    from hammerstein.files import write_atomic
-
-    if asked.device is not None and asked.device not in DEVICES:
-        raise InputError("--table", f"{asked.device!r} is not one of {', '.join(DEVICES)}")
-    scale = volts("--table-scale", asked.scale)
-    if scale is not None and (len(scale) > 2 or scale[0] == 0.0):
-        raise InputError("--table-scale", "is FACTOR or FACTOR,OFFSET, the factor not 0")
-    found = cycle_of(model, path, law, options, terms)
-    said, errors = found.statements(), [rms(found.error_um)]
-    text = found.to_csv()
-    if asked.device is not None:
-        pair = None if scale is None else (scale[0], scale[1] if len(scale) == 2 else 0.0)
-        table = wave_table(found, asked.device, pair, asked.points)
-        said, errors, text = table.statements(), list(table.errors_um), table.text()
-    write_atomic(out, text)
-    if as_json:
-        tell_json({"drive": str(out), "rms_um": errors, "statements": said})
-        return
-    for words in said:
-        tell(words)
-    tell(f"one period in {out}")
-
-
-def _write_lesson(
-    model: str,
-    path: Path,
-    law: str,
-    options: dict[str, Any],
-    terms: Terms,
-    out: Path,
-    trial: tuple[Path, Path],
-    unsure: str,
-    as_json: bool,
-) -> None:
-    """Write the next drive of a periodic path, from a trial."""
-    from hammerstein.errors import InputError
-    from hammerstein.files import write_atomic
-    from hammerstein.learning.files import learn_from_files
-    from hammerstein.learning.unsure import Unsure
-
-    deviations = volts("--unsure", unsure) or ()
-    if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):
-        raise InputError("--unsure", f"{unsure!r} are not two relative deviations, such as 0.05,0.01")
-    found, taught = learn_from_files(model, path, law, options, trial, Unsure(*deviations), terms)
-    write_atomic(out, found.to_csv())
-    said = [taught.statement(), *found.statements()]
-    if as_json:
-        figures = {"error_rms_um": taught.error_rms_um, "noise_um": taught.noise_um}
-        tell_json({"drive": str(out), "finished": taught.finished, **figures, "statements": said})
-        return
-    for words in said:
-        tell(words)
-    tell(f"next period in {out}")
-
-
 def compensate(
     model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
     reference: Annotated[Path, typer.Argument(help="CSV: time_s, then one column an axis, in um.")],
     law: Annotated[str, typer.Option(help="As in a scenario.")] = "hammerstein_inverse",
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where the voltages go.")] = Path("drive.csv"),
     filter_hz: FilterHz = None,
-    preview_s: Annotated[float | None, typer.Option(help="How far ahead the reference is known.")] = None,
+    preview_s: PreviewS = None,
+    preview: Preview = None,
     softening_v: SofteningV = None,
     gain: LawGain = None,
     range_v: Range = None,
@@ -443,6 +381,7 @@ def compensate(
     as_json: AsJson = False,
 ) -> None:
     """Turn a reference into the voltages to send, with the predicted response."""
+    from hammerstein.commands.periods import Period, Table, write_cycle, write_lesson
     from hammerstein.commands.tables import compensation_table
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.compensators.drive_file import CONTENT, Terms, compensate as compensated
@@ -451,21 +390,22 @@ def compensate(
 
     if gain not in (None, "auto", "identity"):
         raise InputError("--gain", f"must be auto or identity, not {gain!r}; a matrix goes into a scenario")
-    options = {"filter_hz": filter_hz, "preview_s": preview_s, "softening_v": softening_v, "gain": gain}
+    ahead = preview if preview_s is None else preview_s
+    options = {"filter_hz": filter_hz, "preview_s": ahead, "softening_v": softening_v, "gain": gain}
     refuse_output(out, [Path(model), reference], CONTENT)
     compile_once(complain)
     ends, begins = volts("--range", range_v), volts("--start", start)
     terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
     with told_by_options("compensate"):
+        wanted = Table(table, table_scale, table_points)
+        wanted.check()
+        period = Period(model, reference, law, options, terms, out, wanted, as_json)
         if learn is not None:
-            _write_lesson(model, reference, law, options, terms, out, learn, unsure, as_json)
+            write_lesson(period, learn, unsure)
             return
         if cycle or table is not None:
-            wanted = _Table(table, table_scale, table_points)
-            _write_cycle(model, reference, law, options, terms, out, wanted, as_json)
+            write_cycle(period)
             return
-        if table_scale is not None or table_points is not None:
-            raise InputError("--table-scale, --table-points", "belong to --table")
         found = compensated(model, reference, law, options, terms)
     write_atomic(out, found.to_csv())
     if as_json:

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
-from hammerstein.commands.crew import Address, workers
+from hammerstein.commands.crew import Address, announce, workers
 from hammerstein.commands.terminal import complain, tell
 
 if TYPE_CHECKING:
     from hammerstein.experiment.study import Sampled
     from hammerstein.scenario import Scenario
+    from hammerstein.scenario.study import Study
 
 PARQUET = (".parquet", ".pq")
 LINES_AT_ONCE = 1000  # of a Parquet file
@@ -30,14 +31,16 @@ def sweep(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print how many runs there are, and the time; run nothing.")
     ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Start also what takes more than ten minutes.")] = False,
 ) -> None:
     """Run a scenario with many values of its keys, as lists or as samples; write one table of all rows.
 
     Rows are written as they come: memory does not grow with their number. What was run is kept, and a sweep
     that was interrupted goes on there.
     """
+    from hammerstein.errors import InputError
     from hammerstein.experiment.batch import load_all
-    from hammerstein.experiment.study import sampled
+    from hammerstein.experiment.study import sampled, study_of
     from hammerstein.files import Content, refuse_overwriting, refuse_unwritable
     from hammerstein.runtime import store as kept_results
     from hammerstein.runtime.fanning import workers_of
@@ -46,43 +49,41 @@ def sweep(
     refuse_overwriting(
         "--out", out, Content("table of a sweep", "PAR1" if out.suffix in PARQUET else "sample,")
     )
-    ((name, scenario),) = load_all([path]).items()
+    if path.is_dir():
+        raise InputError(str(path), "is a folder; give the file of one scenario")
+    ((_, scenario),) = load_all([path]).items()
+    study = study_of(scenario, str(path))
     if dry_run:
-        complain(_announced(scenario, jobs, always=True))
+        complain(_announced(scenario, study, jobs)[0])
         return
     store, useless = kept_results.opened(fresh)
     if useless:
         complain(useless)
     failed = 0
     with workers(jobs, cluster) as crew, _written(out) as table:
-        if text := _announced(scenario, workers_of(crew), always=False):
-            complain(text)
+        announce(*_announced(scenario, study, workers_of(crew)), yes)
         if store is not None:
             store = store.computed(getattr(crew, "elsewhere", ""))
-        for one in sampled(scenario, name, crew, None, store):
+        for one in sampled(scenario, str(path), crew, None, store):
             failed += bool(one.error)
             table.add(one)
     if store is not None and store.problem:
         complain(store.problem)
-    count = scenario.study.count() if scenario.study is not None else 0
     if failed:
-        complain(f"{failed} of {count} runs were not possible; the column error says why")
-    tell(f"{count} runs written in {out}")
+        complain(f"{failed} of {study.count()} runs were not possible; the column error says why")
+    tell(f"{study.count()} runs written in {out}")
 
 
-def _announced(scenario: Scenario, jobs: int, always: bool) -> str:
-    """How many runs there are and how long they take, where that is long or asked for."""
-    from hammerstein.experiment.plan import TOLD_S, duration, plan_of, size
+def _announced(scenario: Scenario, study: Study, jobs: int) -> tuple[str, float]:
+    """How many runs there are and how long they take, in words and in seconds."""
+    from hammerstein.experiment.plan import duration, plan_of, size
 
-    if scenario.study is None:
-        return ""
-    one, count = plan_of(scenario.model_copy(update={"uncertainty": None})), scenario.study.count()
+    one, count = plan_of(scenario.model_copy(update={"uncertainty": None})), study.count()
     seconds = count * one.seconds / jobs
-    if not always and seconds <= TOLD_S:
-        return ""
     return (
-        f"{count} runs of {scenario.study.how} values, at most {duration(seconds)} with {jobs} jobs, "
-        f"{size(jobs * one.bytes)} of memory"
+        f"{count} runs of {study.how} values, at most {duration(seconds)} with {jobs} jobs, "
+        f"{size(jobs * one.bytes)} of memory",
+        seconds,
     )
 
 
@@ -96,18 +97,23 @@ class _Table(Protocol):
 @contextlib.contextmanager
 def _written(out: Path) -> Iterator[_Table]:
     """A table that takes its name when it is whole."""
-    from hammerstein.files import UNFINISHED, begun, ended
+    from hammerstein.errors import InputError
+    from hammerstein.files import UNFINISHED, begun, ended, reason_of
 
     part = out.with_name(f".{out.name}{UNFINISHED}")
-    out.parent.mkdir(parents=True, exist_ok=True)
     begun(part, part.unlink)
     try:
+        out.parent.mkdir(parents=True, exist_ok=True)
         table = _Parquet(part) if out.suffix in PARQUET else _Csv(part)
         with contextlib.closing(table):
             yield table
         part.replace(out)
+    except OSError as error:
+        what = f"cannot be written ({reason_of(error)}); choose another place"
+        raise InputError(str(out), what) from None
     finally:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
         ended(part)
 
 

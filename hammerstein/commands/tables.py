@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,6 @@ from hammerstein.experiment.report import Report
 from hammerstein.experiment.selection import is_direct
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
-from hammerstein.reporting.claims_page import Line
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -101,16 +100,16 @@ def actuator_table(models: Iterable[HammersteinModel]) -> Table:
     return table
 
 
-def claims_table(reports: Sequence[Report]) -> Table:
-    """One line a claim: the paper, what every actuator answers, the verdict and its reason."""
-    columns = ("claim", "statement", "reason", "paper", "simulated", "ratio", "wanted", "verdict")
-    table = _table("Claims", columns)
-    for report in reports:
-        for line in (Line.of(verdict) for verdict in report.verdicts):
-            simulated = "\n".join(f"{name} {value}" for name, value in line.simulated)
-            row = (line.id, line.statement, line.reason, line.paper, simulated, line.ratio, line.wanted)
-            table.add_row(*row, line.verdict)
-    return table
+def verdict_tables(reports: Sequence[Report]) -> Iterator[Table]:
+    """One line a verdict, in a table for each kind of assessment."""
+    asked = {type(a): a.title for report in reports if (a := report.scenario.assessment) is not None}
+    for kind, title in asked.items():
+        found = [v for report in reports if type(report.scenario.assessment) is kind for v in report.verdicts]
+        if found:
+            table = _table(title, list(found[0].cells()))
+            for verdict in found:
+                table.add_row(*verdict.cells().values())
+            yield table
 
 
 def compensation_table(found: Compensation) -> Table:

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.actuators import DEFAULT
 from hammerstein.compiled import CHECKED, told_before_compiling
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.workers import Processes
 
-MODEL, RANGE_V, SAMPLE_TIME_S, SAMPLES = "duo_bimorph", 10.0, 50e-6, 800
+RANGE_V, SAMPLE_TIME_S, SAMPLES = 10.0, 50e-6, 800
 
 
 def compile_once(say: Callable[[str], None], several: bool = False) -> None:
@@ -83,7 +84,7 @@ def _use_inverse() -> None:
     """The exact inverse takes as long to compile as all the other loops together."""
     from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 
-    law = HammersteinInverseLaw(HammersteinModel.load(MODEL), RANGE_V, SAMPLE_TIME_S, filter_hz=2000.0)
+    law = HammersteinInverseLaw(HammersteinModel.load(DEFAULT), RANGE_V, SAMPLE_TIME_S, filter_hz=2000.0)
     law.drive_for(_path())
 
 
@@ -99,9 +100,9 @@ def _use_the_others() -> None:
     scenario = Scenario.model_validate(
         {
             "question": "Does it run?",
-            "actuator": MODEL,
+            "actuator": DEFAULT,
             "reference": {"kind": "sine", "amplitude_um": 10.0, "frequency_hz": 50.0},
-            "compensators": [{"label": law, "law": law, "model": MODEL} for law in laws],
+            "compensators": [{"label": law, "law": law, "model": DEFAULT} for law in laws],
         }
     )
     setup = prepare(scenario)

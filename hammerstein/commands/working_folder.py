@@ -12,15 +12,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.actuators import DEFAULT
 from hammerstein.errors import InputError
-from hammerstein.files import begun, ended, reason_of
+from hammerstein.files import begun, ended, reason_of, remove_empty
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
 PACKAGE = Path(__file__).parents[1]
 STARTER = PACKAGE / "starter"
-ACTUATOR, SAMPLE_TIME_S, AMPLITUDE_V = "duo_bimorph", 50e-6, 10.0
+SAMPLE_TIME_S, AMPLITUDE_V = 50e-6, 10.0
 SINE_SAMPLES, MULTISINE_SAMPLES = 1200, 3000
 COLUMNS = ("u_x", "u_y"), ("x", "y")
 CI = ".github/workflows/hammerstein.yml"
@@ -59,8 +60,8 @@ def paper_folder(target: Path) -> None:
     Raises InputError as ``own_folder`` does.
     """
     scenarios, baselines = (
-        _shipped("paper", "*.toml", "scenarios"),
-        _shipped("paper_baseline", "*.json", "reports/baseline"),
+        _shipped("paper/scenarios", "*.toml", "scenarios"),
+        _shipped("paper/baseline", "*.json", "reports/baseline"),
     )
     with _made(target) as room:
         for file in scenarios:
@@ -97,15 +98,31 @@ def _made(target: Path) -> Iterator[Path]:
 def _move(room: Path, target: Path) -> None:
     files = [path.relative_to(room) for path in sorted(room.rglob("*")) if path.is_file()]
     refuse_existing(target, files)
-    for file in files:
-        place = target / file
-        place.parent.mkdir(parents=True, exist_ok=True)
-        os.rename(room / file, place)
+    moved: list[Path] = []
+    folders = sorted({place for file in files for place in (target / file).parents}, reverse=True)
+    made = [place for place in folders if not place.exists()]
+    try:
+        for file in files:
+            place = target / file
+            place.parent.mkdir(parents=True, exist_ok=True)
+            os.rename(room / file, place)
+            moved.append(place)
+    except OSError as error:
+        for place in moved:
+            place.unlink()
+        remove_empty(made)
+        what = f"cannot be written ({reason_of(error)}); choose another folder"
+        raise InputError(str(target), what) from None
 
 
 def refuse_existing(target: Path, files: list[Path]) -> None:
-    """Refuse a folder that holds one of these files: nothing is ever written over; InputError names them."""
+    """Refuse a folder that holds one of these files: nothing is ever written over; InputError names them.
+
+    A file or a link where a folder is to be stands in the way, too.
+    """
+    folders = {place for file in files for place in file.parents if place != Path(".")}
     there = [file.as_posix() for file in files if os.path.lexists(target / file)]
+    there += sorted(f.as_posix() for f in folders if (target / f).is_symlink() or (target / f).is_file())
     if there:
         listed = ", ".join(there[:5]) + (f" and {len(there) - 5} more" if len(there) > 5 else "")
         raise InputError(
@@ -116,6 +133,7 @@ def refuse_existing(target: Path, files: list[Path]) -> None:
 def refuse_started(target: Path) -> None:
     """Refuse, before the work, what ``own_folder`` would refuse after it; InputError."""
     names = ["README.md", "circle.toml", "path.csv", "record_x.csv", "record_y.csv", "stage.json", CI]
+    names += ["stage_fit/fit.json", "reports/circle/report.json", "reports/baseline/circle.json"]
     refuse_existing(target, [Path(name) for name in names])
 
 
@@ -139,7 +157,7 @@ def _write_record(room: Path, axis: int) -> Path:
     ]
     u = np.zeros((2, SINE_SAMPLES + MULTISINE_SAMPLES))
     u[axis] = np.concatenate(parts)
-    actuator = HammersteinModel.load(ACTUATOR)
+    actuator = HammersteinModel.load(DEFAULT)
     response = actuator.simulate(u, SAMPLE_TIME_S, instruments=actuator.instruments, seed=axis)
     inputs, outputs = COLUMNS
     table = {"time_s": SAMPLE_TIME_S * np.arange(u.shape[1])}

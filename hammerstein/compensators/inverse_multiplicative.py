@@ -184,18 +184,24 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         return FeedbackState(plays, np.array(data["memory_v"], dtype=np.float64))
 
     def _respond(self, reference_um: Array, start: FeedbackState) -> tuple[Array, FeedbackState]:
-        wanted_v = self._from_rest(reference_um)
+        wanted_um = self._from_rest(reference_um)
         if isinstance(self.hysteresis, PrandtlIshlinskii):
-            return self._compiled(self.hysteresis, wanted_v, start)
-        low, high = self.range.counted
-        plays, memory, drive = start.plays, start.memory_v, np.empty_like(wanted_v)
-        for t, ahead in enumerate((self.gain_v_per_um @ wanted_v).T):
+            return self._compiled(self.hysteresis, wanted_um, start)
+        return self._stepwise(wanted_um, start)
+
+    def _stepwise(self, wanted_um: Array, start: FeedbackState) -> tuple[Array, FeedbackState]:
+        """Run the loop over the samples around a block of any kind."""
+        from hammerstein.compensators.kernels import asked_for, feed_back
+
+        plays, memory, drive = start.plays, start.memory_v.copy(), np.empty_like(wanted_um)
+        for t in range(wanted_um.shape[1]):
             begun = plays  # only the last pass is sent; where the others leave a trace each begins there
             for _ in range(self.iterations):
-                drive[:, t] = np.clip(ahead + memory, low, high)
-                v, plays = self.hysteresis.step(drive[:, t], plays if self.hysteresis.wipes_out else begun)
-                left = drive[:, t] - self.gain_v_per_um @ v
-                memory = self.pole * memory + (1.0 - self.pole) * left
+                u = np.empty(self.n_inputs)
+                asked_for(self.gain_v_per_um, wanted_um, t, memory, *self._limits, u)
+                v, plays = self.hysteresis.step(u, plays if self.hysteresis.wipes_out else begun)
+                feed_back(self.gain_v_per_um, self.pole, u, v, memory)
+            drive[:, t] = u
         return drive, FeedbackState(plays, memory)
 
     def _compiled(

@@ -28,6 +28,26 @@ def respond_gain(reference, gain, base, low, high, first, stop, drive):  # type:
 
 
 @compiled()
+def asked_for(gain, reference, t, memory, low, high, u):  # type: ignore[no-untyped-def]
+    """Put U = K Y_r + f of sample t into u (m,), within the range."""
+    for k in range(gain.shape[0]):
+        wanted = memory[k]
+        for o in range(gain.shape[1]):
+            wanted += gain[k, o] * reference[o, at(t)]
+        u[k] = min(max(wanted, low[k]), high[k])
+
+
+@compiled()
+def feed_back(gain, pole, u, v, memory):  # type: ignore[no-untyped-def]
+    """Move f (m,) on by a pass, after voltages u (m,) that put out v (p,)."""
+    for k in range(gain.shape[0]):
+        left = u[k]
+        for o in range(gain.shape[1]):
+            left -= gain[k, o] * v[o]
+        memory[k] = pole * memory[k] + (1.0 - pole) * left
+
+
+@compiled()
 def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
     reference,
     gain,
@@ -61,19 +81,11 @@ def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
     u = np.empty(m)
     for t in range(first, stop):
         for _ in range(iterations):
-            for k in range(m):
-                wanted = memory[k]
-                for o in range(p):
-                    wanted += gain[k, o] * reference[o, at(t)]
-                u[k] = min(max(wanted, low[k]), high[k])
+            asked_for(gain, reference, t, memory, low, high, u)
             v[:] = 0.0
             for k in range(m):
                 move(k, u[k], r, slope, moment, count, end, x, d, below, v)
-            for k in range(m):
-                left = u[k]
-                for o in range(p):
-                    left -= gain[k, o] * v[o]
-                memory[k] = pole * memory[k] + (1.0 - pole) * left
+            feed_back(gain, pole, u, v, memory)
         for k in range(m):
             drive[k, at(t)] = u[k]
 

@@ -17,7 +17,6 @@ from hammerstein.experiment.recording import Target, recorded, targets_of
 from hammerstein.experiment.report import Prediction, Trace
 from hammerstein.experiment.settling import advice, settled
 from hammerstein.metrics import METRICS, LoopFigures, Measured, Metric, Row, loop_figures
-from hammerstein.scenario.claims import Claim
 from hammerstein.signals import OneFrequency
 from hammerstein.simulation import Response
 
@@ -75,8 +74,9 @@ def _refuse_still(setup: SetUp, case: Case, response: Response) -> None:
         return
     drive = setup.plant.instruments.drive
     low, high = drive.limits(len(response.drive_v))[:, case.axis or 0]
+    still_v = response.drive_v[case.axis or 0, -1] + 0.0  # no -0
     raise SimulationError(
-        f"the drive stands still at {response.drive_v[case.axis or 0, -1]:.4g} V throughout: its converter "
+        f"the drive stands still at {still_v:.4g} V throughout: its converter "
         f"has steps of {drive.resolution_v:.3g} V and a range of {low:g} to {high:g} V. Use a larger "
         "amplitude, or an offset within the range"
     )
@@ -141,16 +141,15 @@ def _key(setup: SetUp, case: Case) -> dict[str, Any]:
     }
 
 
-def needed_by(setup: SetUp, case: Case, claims: Sequence[Claim]) -> bool:
-    """Whether some claim selects a row of a case."""
+def empty_rows_of(setup: SetUp, case: Case) -> list[Row]:
+    """The rows that a case will give, as yet without figures."""
     labels = [source.label for source in setup.scenario.models] or [""]
     key = _key(setup, case)
-    rows = [
+    return [
         Row(compensator=label, measured_axis=axis, **key)
         for label in ([case.label] if case.label else labels)
         for axis in setup.plant.model.outputs
     ]
-    return any(claim.selects(row) for claim in claims for row in rows)
 
 
 def _whole_cycle(setup: SetUp, case: Case, sample_time_s: float) -> int | None:

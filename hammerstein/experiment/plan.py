@@ -82,20 +82,15 @@ class Plan:
             f"{largest.what}, with {size(largest.bytes)}. Lower {largest.keys}"
         )
 
-    def announcement(self, jobs: int) -> str:
-        """Say how long it takes where that is long; empty where it is not."""
+    def announcement(self, jobs: int) -> tuple[str, float]:
+        """Say how long it takes, in words and in seconds, and what shortens it."""
         seconds = self.seconds / max(jobs, 1)
-        if not seconds > TOLD_S:
-            return ""
-        longest = max(self.parts, key=lambda part: part.seconds)
+        longest = max(self.parts, key=lambda part: part.seconds, default=Part("nothing", 0.0, 0.0, "nothing"))
         return (
             f"this takes about {duration(seconds)}; the longest part is {longest.what} "
-            f"({duration(longest.seconds)} on one processor). To shorten it, lower {longest.keys}"
+            f"({duration(longest.seconds)} on one processor). To shorten it, lower {longest.keys}",
+            seconds,
         )
-
-    def is_long(self, jobs: int) -> bool:
-        """Whether a person who watches must say yes first."""
-        return self.seconds / max(jobs, 1) > LONG_S
 
 
 def plans_of(scenarios: Mapping[str, Scenario]) -> list[Plan]:
@@ -173,7 +168,7 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
         work += others * axes * total * sum(_work(c, plant.sample_time_s) for c in tested)
     models = len(scenario.models)
     seconds = samples * SECONDS_A_SAMPLE * (1 + models) + cases * SECONDS_A_CASE + work
-    seconds *= 1 + len(scenario.claims_also_on)
+    seconds *= 1 + (0 if scenario.assessment is None else scenario.assessment.runs)
     every = scenario.measure.record_every or 1
     whole = any(isinstance(c, HammersteinInverse | Feedback | Learned) for c in scenario.compensators)
     at_once = longest if every == 1 or whole else min(longest, STRETCH)

@@ -14,7 +14,7 @@ from hammerstein.escaping import cell
 from hammerstein.instruments import Instruments
 from hammerstein.metrics import Row
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.claims import Verdict
+from hammerstein.scenario.assessment import Verdict
 from hammerstein.signals import Excitation, Reference
 from hammerstein.simulation import Response
 
@@ -100,7 +100,7 @@ class Report:
 
     rows : figures, one row for each case and measured axis
     statements : what a reader must know of convergence, saturation and settling
-    verdicts : the scenario's claims and what was found
+    verdicts : what was found of what the scenario's assessment asks
     bands : spread over the draws of an uncertain actuator; empty without uncertainty
     sensitivities : which uncertain parameter that spread is due to; empty if not asked for
     traces : measured windows; they are not written into the report file
@@ -122,8 +122,8 @@ class Report:
     traces: tuple[Trace, ...] = ()
 
     def __repr__(self) -> str:
-        claims = f", {len(self.verdicts)} claims" if self.verdicts else ""
-        counts = f"{len(self.rows)} rows, {len(self.traces)} traces{claims}"
+        verdicts = f", {len(self.verdicts)} verdicts" if self.verdicts else ""
+        counts = f"{len(self.rows)} rows, {len(self.traces)} traces{verdicts}"
         return f"Report({self.name!r} on {self.actuator}: {counts})"
 
     def without_traces(self) -> Report:
@@ -150,7 +150,7 @@ class Report:
             "scenario_digest": self.digest,
             "model_digest": self.model_digest,
             "statements": list(self.statements),
-            "claims": [verdict.as_dict() for verdict in self.verdicts],
+            "verdicts": [verdict.as_dict() for verdict in self.verdicts],
             "bands": [_known(band) for band in self.bands],
             "sensitivities": [_known(found) for found in self.sensitivities],
             "rows": [row.key() | dict(row.figures) for row in self.rows],

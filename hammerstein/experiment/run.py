@@ -5,10 +5,9 @@ reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.experiment.causes import changes_of, rows_needed, with_passes
 from hammerstein.experiment.kept import KeptCases
 from hammerstein.experiment.measure import statements_of
 from hammerstein.experiment.plan import Plan, identification_parts, plan_of
@@ -17,12 +16,10 @@ from hammerstein.experiment.report import Report
 from hammerstein.experiment.sensitivity import sensitivities_of
 from hammerstein.experiment.uncertainty_bands import bands_of
 from hammerstein.metrics import Row
-from hammerstein.model import HammersteinModel
 from hammerstein.runtime.fanning import Jobs
 from hammerstein.runtime.store import Store
-from hammerstein.scenario import Scenario, scenario_of
-from hammerstein.scenario.claims import verdicts
-from hammerstein.scenario.scenario import AlsoOn, ScenarioSource
+from hammerstein.scenario import scenario_of
+from hammerstein.scenario.scenario import ScenarioSource
 from hammerstein.simulation import Response
 
 
@@ -151,8 +148,7 @@ def run(
     results = kept.results(cases, jobs, progress)
     rows = tuple(row for result in results for row in result.rows)
     _refuse_not_finite(rows)
-    answers: dict[str, Sequence[Row]] = {setup.plant.model.name: rows}
-    answers |= _other_answers(scenario, name, store)
+    asked = scenario.assessment
     traces = tuple(result.trace for result in results)
     return Report(
         name=name,
@@ -165,11 +161,7 @@ def run(
         axes=setup.plant.model.outputs,
         rows=rows,
         statements=statements_of(setup, results),
-        verdicts=verdicts(
-            scenario.claims,
-            answers,
-            lambda claim: tuple(changes_of(scenario, setup.plant.model, claim, store)),
-        ),
+        verdicts=() if asked is None else asked.judge(scenario, name, setup.plant.model, rows, store),
         bands=bands_of(kept, cases, jobs, progress),
         sensitivities=sensitivities_of(kept, cases, jobs, progress),
         traces=traces,
@@ -184,14 +176,3 @@ def _refuse_not_finite(rows: Iterable[Row]) -> None:
                 f"{figure} of {row.measured_axis} is {getattr(row, figure)} at {row.frequency_hz:g} Hz with "
                 f"{row.compensator or 'this drive'}: nothing follows. Use another amplitude or frequency"
             )
-
-
-def _other_answers(scenario: Scenario, name: str, store: Store | None) -> dict[str, Sequence[Row]]:
-    """What the claims need of the same experiment on the other actuators that they are put to."""
-    answers: dict[str, Sequence[Row]] = {}
-    for other in scenario.claims_also_on if scenario.claims else ():
-        also = AlsoOn(actuator=other) if isinstance(other, str) else other
-        model = HammersteinModel.load(also.actuator)
-        told = scenario if isinstance(other, str) else with_passes(scenario, also.passes) or scenario
-        answers[model.name] = rows_needed(told, scenario.claims, name, model, store)
-    return answers

@@ -21,9 +21,11 @@ from hammerstein.metrics import Row
 from hammerstein.runtime.fanning import Jobs, given, in_order, on_workers
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario import Scenario
+from hammerstein.scenario.study import Study
 from hammerstein.validation import mistakes_of
 
-_STEP = re.compile(r"([A-Za-z_]\w*)(?:\[(\d+)\])?")
+_STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([1-9]\d*)\])?")
+_LAST = re.compile(r"[A-Za-z_]\w*")
 
 
 @dataclass(frozen=True)
@@ -61,10 +63,10 @@ def sampled(
     ------
     InputError : there is no study, or a key is no number of the scenario
     """
-    study = scenario.study
-    if study is None:
-        raise InputError(name, "has no table [study] that says which values to run")
+    study = study_of(scenario, name)
     whole = {key for key in study.values if _is_whole(scenario, name, key, study.values[key][0])}
+    if study.samples is None:
+        _refuse_fractions(study, whole, name)
     count, keys = study.count(), dict[int, str]()
 
     def begun(number: int, values: Mapping[str, float]) -> Callable[[], Sampled] | Future[Sampled]:
@@ -89,6 +91,27 @@ def sampled(
         if progress:
             progress(f"sampling{on_workers(jobs)}", one.number, count)
         yield one
+
+
+def study_of(scenario: Scenario, name: str) -> Study:
+    """Give the study of a scenario; InputError where there is none."""
+    if scenario.study is None:
+        raise InputError(name, "has no table [study] that says which values to run")
+    return scenario.study
+
+
+def _refuse_fractions(study: Study, whole: set[str], name: str) -> None:
+    """Refuse listed values that a key would round; those between two limits are drawn, and rounded."""
+    listed = {
+        key: [v for v in values if v != round(v)] for key, values in study.values.items() if key in whole
+    }
+    mistakes = [
+        Mistake(f"study.values: {key}", f"takes whole numbers alone, not {found[0]:g}")
+        for key, found in listed.items()
+        if found
+    ]
+    if mistakes:
+        raise InputError(name, mistakes)
 
 
 def _rounded(values: Mapping[str, float], whole: set[str]) -> dict[str, float]:
@@ -132,7 +155,7 @@ def varied(scenario: Scenario, values: Mapping[str, float], name: str = "scenari
     >>> varied(scenario, {"drive.amplitude_v": 5.0}).signal.model_dump()["amplitude_v"]
     5.0
     """
-    unused = {"study", "uncertainty", "claims", "claims_also_on", "tolerances"}
+    unused = {"study", "uncertainty", "assessment", "tolerances"}
     content = scenario.model_dump(exclude_unset=True, exclude=unused)
     content = json.loads(json.dumps(content))
     for key, value in values.items():
@@ -154,7 +177,7 @@ def _put(content: Any, key: str, value: float, name: str) -> None:
             if found is None:
                 raise KeyError(step)
             place = place.setdefault(found[1], {}) if found[2] is None else place[found[1]][int(found[2]) - 1]
-        if isinstance(place.get(last), str | list | dict | bool):
+        if not _LAST.fullmatch(last) or isinstance(place.get(last), str | list | dict | bool):
             raise KeyError(last)
         place[last] = value
     except (KeyError, IndexError, TypeError, AttributeError):

@@ -14,10 +14,14 @@ from hammerstein.errors import InputError
 from hammerstein.hysteresis import (
     Asymmetric,
     AsymmetricState,
+    BoucWen,
+    BoucWenState,
     PlayState,
     PrandtlIshlinskii,
     RateDependent,
     RateState,
+    bouc_wen_kernels,
+    rate_dependent_kernels,
 )
 
 
@@ -129,18 +133,9 @@ def _(hysteresis: Asymmetric, state: AsymmetricState) -> CPart:
 
 @c_block_of.register
 def _(hysteresis: RateDependent, state: RateState) -> CPart:
-    """Every play by itself, for its threshold moves from sample to sample.
-
-    Raises InputError where the growth flattens: that takes a logarithm, and there is no libm.
-    """
+    """Every play by itself, for its threshold moves from sample to sample."""
     bank = hysteresis.bank
-    if bank.lam.any():
-        raise InputError(
-            "export",
-            "thresholds whose growth flattens (lambda_s_per_v above 0) need a logarithm, which the code has "
-            "not; identify with lambda_s_per_v = 0",
-        )
-    return CPart(
+    return _flattening(bank.lam) + CPart(
         sizes=(
             Size("ROWS", hysteresis.n_outputs, "outputs of the hysteresis"),
             Size("N", bank.r.shape[1], "plays of an input, at most"),
@@ -148,7 +143,7 @@ def _(hysteresis: RateDependent, state: RateState) -> CPart:
         tables=(
             Table("PERIOD", hysteresis.grid_s, "Sample time [s]."),
             Table("pole", hysteresis.poles, "Pole of the low-pass through which each rate is seen."),
-            Table("threshold", bank.r, "Thresholds at rest [V]: input, play."),
+            Table("at_rest", bank.r, "Thresholds at rest [V]: input, play."),
             Table("growth", bank.b, "Volts a threshold grows for each V/s [s]: input, play."),
             Table("weight", bank.w, "Weights [um/V]: input, play, output."),
         ),
@@ -159,6 +154,47 @@ def _(hysteresis: RateDependent, state: RateState) -> CPart:
             "hysteresis": "rate_dependent",
             "helpers": ("least", "most"),
         },
+    )
+
+
+def _flattening(lam: Any) -> CPart:
+    """The logarithm by which growth flattens, where it does: one of our own, for there is no libm."""
+    if not lam.any():
+        return CPart(values={"flattens": False})
+    return CPart(
+        sizes=(
+            Size("DOUBLINGS", rate_dependent_kernels.DOUBLINGS, "that a logarithm takes out"),
+            Size("TERMS", len(rate_dependent_kernels.SERIES), "of its series"),
+        ),
+        tables=(
+            Table("flattening", lam, "Where the growth of an input flattens [s/V]; 0: it does not."),
+            Table("ROOT_TWO", rate_dependent_kernels.ROOT_TWO, "Square root of 2."),
+            Table("LOG_TWO", rate_dependent_kernels.LOG_TWO, "Logarithm of 2."),
+            Table("term", rate_dependent_kernels.SERIES, "Series of the logarithm, the highest power first."),
+        ),
+        values={"flattens": True},
+    )
+
+
+@c_block_of.register
+def _(hysteresis: BoucWen, state: BoucWenState) -> CPart:
+    """Hysteretic part of each pair, moved in steps whose number has a bound."""
+    direct, hysteretic, load, unload = hysteresis.bank
+    return CPart(
+        sizes=(
+            Size("ROWS", hysteresis.n_outputs, "outputs of the hysteresis"),
+            Size("STEPS", bouc_wen_kernels.MOST_STEPS, "of one movement at most"),
+        ),
+        tables=(
+            Table("LONGEST", bouc_wen_kernels.LONGEST, "Largest step, in parts of the relaxation."),
+            Table("FORGOTTEN", bouc_wen_kernels.FORGOTTEN, "Movement after which z is at its limit."),
+            Table("direct", direct, "Slope once z has come to its limit [um/V]: output, input."),
+            Table("hysteretic", hysteretic, "What z takes off [um/V]: output, input."),
+            Table("load", load, "How fast z relaxes while it grows [1/V]: output, input."),
+            Table("unload", unload, "The same while it falls [1/V]: output, input."),
+        ),
+        start={"lag": state.z_v.T, "here": state.last_v},
+        values={"hysteresis": "bouc_wen", "helpers": ("least",)},
     )
 
 
@@ -174,14 +210,12 @@ def _segment_above(
 
 
 @singledispatch
-def c_moving_block_of(hysteresis: object, state: object) -> CPart:
-    """The same block inside a law that decides each sample from the one before (``play_kernels.move``).
+def c_moving_block_of(hysteresis: Any, state: Any) -> CPart:
+    """The same block inside a law that decides each sample from the one before.
 
-    Raises
-    ------
-    InputError : there are no templates for this kind
+    That is ``c_block_of``, where a kind has no other form for it.
     """
-    raise _no_code(hysteresis)
+    return c_block_of(hysteresis, state)
 
 
 @c_moving_block_of.register
@@ -203,7 +237,7 @@ def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
         }
         for k in range(hysteresis.n_inputs)
     ]
-    return _grid(hysteresis, rows) + CPart(start={"plays": plays})
+    return _grid(hysteresis, rows) + CPart(start={"plays": plays}, values={"hysteresis": "moves"})
 
 
 def _grid(hysteresis: PrandtlIshlinskii, segments: int) -> CPart:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
 from hammerstein.compensators.exact import kernel as exact_kernel, pieces
 from hammerstein.compensators.exact.inverse import ExactInverseLaw, StaticInverse
+from hammerstein.compensators.exact.rate_dependent import RateDependentInverseLaw
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.compensators.kernels import STILL_V
 from hammerstein.compensators.no_compensation import NoCompensationLaw
@@ -89,6 +90,7 @@ def _(law: InverseMultiplicativeLaw) -> CPart:
             *_counted(law.range),
         ),
         start={"held": start.memory_v},
+        values={"begins_again": law.iterations > 1 and not law.hysteresis.wipes_out},
     )
     return c_moving_block_of(law.hysteresis, start.plays) + own + _range(law.range) + _origin(law.origin_um)
 
@@ -107,8 +109,9 @@ def _(law: DecoupledInverseLaw) -> CPart:
     return c_block_of(law.inverse, start.plays) + own + _range(law.range) + _origin(law.origin_um)
 
 
-@c_law_of.register
-def _(law: ExactInverseLaw) -> CPart:
+@c_law_of.register(ExactInverseLaw)
+@c_law_of.register(RateDependentInverseLaw)
+def _(law: StaticInverse[Any]) -> CPart:
     return c_inverse_of(law, law.rest()) + _range(law.range) + _origin(law.origin_um)
 
 
@@ -137,22 +140,61 @@ def _(law: ExactInverseLaw, start: Any) -> CPart:
             Size("PIECES", exact_kernel.most_pieces(table), "pieces after which a walk is given up"),
         ),
         tables=(
-            Table("FARTHEST", np.inf, "Where a piece ends that has no end."),
-            Table("STILL", float(about[0, pieces.STILL]), "A step below this is no movement [V]."),
-            Table("SINGULAR", pieces.SINGULAR, "Pivot, relative, at which a matrix is singular."),
-            Table("POOR", pieces.POOR, "Condition from which the aim must be corrected."),
+            *_walk_tables(about, m),
             Table("threshold", bank.r, "Thresholds behind the smallest plays [V]: input, operator."),
             Table("slope", sums[0], "Summed weights of the first j operators [um/V]: input, j, row."),
             Table("moment", sums[1], "The same sums of weight times threshold [um]: input, j, row."),
-            Table("play", about[:, pieces.PLAY], "Smallest threshold of each input [V]."),
-            Table("low", about[:, pieces.LOW], "Least q that falls [V]."),
-            Table("high", about[:, pieces.HIGH], "Largest q that rises [V]."),
-            Table("soft", about[:, pieces.SOFT], "Movement over which the jump at a turn is spread [V]."),
-            Table("pull", about[:, pieces.GAIN : pieces.GAIN + m], "What an input moves each row [um/V]."),
         ),
         start={"hand": [_hand(start, k) for k in range(m)]},
-        values={"segments": segments, "held": held.tolist()},
+        values={"inverse": "walk", "moving_zones": False, "segments": segments, "held": held.tolist()},
     ) + _zones(law.square.lines, segments)
+
+
+@c_inverse_of.register
+def _(law: RateDependentInverseLaw, start: Any) -> CPart:
+    """The same walk over the zones of each sample: one play of threshold and weight 0, dead-zones beside."""
+    m, table = law.n_inputs, law.design_table()
+    about = table[pieces.HERE, :, pieces.ABOUT]
+    events = 2 * law.hysteresis.bank.r.shape[1]
+    hand = [
+        {"count": 1, "stack": [{"end": 1, "x": u, "d": 1.0, "below": np.zeros(m)}], "wanted": u, "ramp": 1.0}
+        for u in start.drive_v.tolist()
+    ]
+    own = CPart(
+        sizes=(
+            Size("PIECES", exact_kernel.most_pieces(table), "pieces after which a walk is given up"),
+            Size("EVENTS", events, "voltages at which a play of an input is let go or taken up"),
+            Size("ZONES", events + 1, "zones that an input can have"),
+            Size("DEPTHS", events + 2, "pieces that a walk of an input can have passed"),
+        ),
+        tables=(
+            *_walk_tables(about, m),
+            Table("threshold", np.zeros((m, 2)), "That of the one play of each input [V]."),
+            Table("slope", np.zeros((m, 2, m)), "Its weight [um/V]."),
+            Table("moment", np.zeros((m, 2, m)), "Its weight times threshold [um]."),
+        ),
+        start={"hand": hand},
+        values={
+            **{"inverse": "rate_walk", "moving_zones": True, "zones": True, "n_zones": events + 1},
+            **{"segments": 1, "depths": events + 2},
+        },
+    )
+    return c_block_of(law.hysteresis, start.model) + own
+
+
+def _walk_tables(about: Array, m: int) -> tuple[Table, ...]:
+    """What every walk knows of its inputs."""
+    return (
+        Table("FARTHEST", np.inf, "Where a piece ends that has no end."),
+        Table("STILL", float(about[0, pieces.STILL]), "A step below this is no movement [V]."),
+        Table("SINGULAR", pieces.SINGULAR, "Pivot, relative, at which a matrix is singular."),
+        Table("POOR", pieces.POOR, "Condition from which the aim must be corrected."),
+        Table("play", about[:, pieces.PLAY], "Smallest threshold of each input [V]."),
+        Table("low", about[:, pieces.LOW], "Least q that falls [V]."),
+        Table("high", about[:, pieces.HIGH], "Largest q that rises [V]."),
+        Table("soft", about[:, pieces.SOFT], "Movement over which the jump at a turn is spread [V]."),
+        Table("pull", about[:, pieces.GAIN : pieces.GAIN + m], "What an input moves each row [um/V]."),
+    )
 
 
 def _zones(lines: ZoneLines, segments: int) -> CPart:

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from hammerstein.blocks import Law
 from hammerstein.escaping import clean
+from hammerstein.export.beside import Beside
 from hammerstein.export.c_blocks import CPart, Table
 from hammerstein.export.c_laws import c_law_of
 from hammerstein.export.compiling import FLAGS, Library, Shape
 from hammerstein.export.forward import ForwardModel
+from hammerstein.export.golden import adverse
 from hammerstein.export.literals import identifier, in_single_precision, initializer
 from hammerstein.export.measured import Measured
 from hammerstein.export.operations import Code, Cost
@@ -74,6 +76,15 @@ class CCode:
     @cached_property
     def _parsed(self) -> Code:
         return Code(self.name, self.header(), self.source(None))
+
+    @property
+    def model_on_grid(self) -> HammersteinModel:
+        """The model on the law's sample grid, as one that knows the rate must be."""
+        return self.model.on_grid(self.request.sample_time_s)
+
+    def adverse(self, samples: int) -> Array:
+        """Signal (axis, sample) in which the dearest step is looked for, see ``golden.adverse``."""
+        return adverse(self.block, self.model_on_grid, samples)
 
     def counting(self) -> str:
         """Give the same code in one file, counting its operations."""
@@ -248,10 +259,17 @@ def environment() -> Any:
     """Templates of the export."""
     import jinja2
 
-    return jinja2.Environment(
+    found = jinja2.Environment(
         loader=jinja2.PackageLoader("hammerstein.export"),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+
+    @jinja2.pass_context
+    def beside(context: Any, part: Beside, macro: str) -> str:
+        return part.text(macro, found, context.get_all())
+
+    found.globals["beside"] = beside
+    return found

@@ -17,7 +17,7 @@ from hammerstein.errors import InputError, ToleranceError
 from hammerstein.export.code import CCode, environment
 from hammerstein.export.compiling import compiler
 from hammerstein.export.fmu import BUILD, DESCRIPTION, UNIT, fmu_context, fmu_of
-from hammerstein.export.golden import SAMPLES, adverse, entering
+from hammerstein.export.golden import SAMPLES, entering
 from hammerstein.export.measured import Measured
 from hammerstein.export.request import Request
 from hammerstein.files import read_limited
@@ -56,7 +56,7 @@ def files_of(code: CCode, measured: Measured | None = None) -> dict[str, str]:
     InputError : there is no C code for it, or single precision without a C compiler
     """
     request, model = code.request, code.model
-    signal = entering(code.block, model.on_grid(request.sample_time_s), SAMPLES)
+    signal = entering(code.block, code.model_on_grid, SAMPLES)
     answer = code.block.respond(signal)[0]
     found = measured if measured is not None else measure(code, signal, answer)
     template = environment().get_template
@@ -99,9 +99,7 @@ def measure(code: CCode, signal: Array, answer: Array) -> Measured:
             )
         return Measured()
     with code.library(counting=True) as library:
-        most = library.respond(adverse(code.block, code.model.on_grid(code.request.sample_time_s), SEARCHED))[
-            1
-        ]
+        most = library.respond(code.adverse(SEARCHED))[1]
         lost = np.abs(library.respond(signal)[0] - answer)
     loss = {}
     if code.request.float32:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hammerstein.blocks import Law
 from hammerstein.compensators.drive_file import Terms, allowed_range, compensator_of, refuse_flagged
@@ -13,6 +13,7 @@ from hammerstein.errors import InputError
 from hammerstein.export.forward import ForwardModel
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Offset, Plain, SampleTime
+from hammerstein.validation import mistakes_of
 
 FORMAT = "hammerstein-export/1"
 MODEL = "model"
@@ -66,8 +67,14 @@ class Request(BaseModel):
 def request_of(
     path: str, law: str, sample_time_s: float | None, **given: object
 ) -> tuple[Request, HammersteinModel]:
-    """Request for a model file or a packaged actuator; its drive's sample time if none is given."""
+    """Request for a model file or a packaged actuator; its drive's sample time if none is given.
+
+    Raises InputError where a number is beyond what it may be.
+    """
     model = HammersteinModel.load(path)
     time_s = sample_time_s if sample_time_s is not None else model.instruments.drive.sample_time_s
     fields = {"source": Path(path).name, "law": law, "sample_time_s": time_s, **given}
-    return Request.model_validate(fields), model
+    try:
+        return Request.model_validate(fields), model
+    except ValidationError as error:
+        raise InputError("compensate", mistakes_of(error, Request)) from None

@@ -8,6 +8,9 @@ LONGEST = 0.015625
 """Largest step in parts of the voltage in which z relaxes; a longer movement is made of several."""
 FORGOTTEN = 64.0
 """Movement in these parts after which z stands at its limit to the last bit."""
+MOST_STEPS = 8192
+"""Steps of one movement at most: FORGOTTEN / LONGEST while z grows; while it falls fewer, unless it stands
+still at a limit, where more of them change nothing."""
 
 
 @compiled()
@@ -19,7 +22,9 @@ def moved(z, du, load, unload):  # type: ignore[no-untyped-def]
     """
     sign = 1.0 if du > 0.0 else -1.0
     left = abs(du)
-    while left > 0.0:
+    for _ in range(MOST_STEPS):
+        if left <= 0.0:
+            break
         falls = sign * z < 0.0
         if not falls and load * left > FORGOTTEN:
             return sign / load

@@ -23,6 +23,9 @@ SWEEP_SAMPLES = 200
 SLOPES_KEPT = 8
 """Of so many slopes along a loop one is looked at."""
 
+SLOW_S = 1e6
+"""Sample time on which a voltage that is swept has no rate [s]."""
+
 
 class Memory(Protocol):
     """What a block remembers between two samples; JSON keeps it to the last bit."""

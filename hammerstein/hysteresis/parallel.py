@@ -13,13 +13,10 @@ from pydantic import Field
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.asymmetric import AsymmetricFile
 from hammerstein.hysteresis.bouc_wen import BoucWenFile
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
+from hammerstein.hysteresis.kind import SLOW_S, Hysteresis, HysteresisFile
 from hammerstein.hysteresis.pair import Array, WeightCovariance
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiFile
 from hammerstein.hysteresis.rate_dependent import RateDependentFile
-
-SLOW_S = 1e6
-"""Sample time on which a voltage that is swept has no rate [s]."""
 
 
 @dataclass(frozen=True, eq=False)

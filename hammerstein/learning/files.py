@@ -13,7 +13,7 @@ from hammerstein.axis_names import column
 from hammerstein.compensators.cycle import Cycle, design_of
 from hammerstein.compensators.drive_file import Terms, read_path
 from hammerstein.errors import InputError
-from hammerstein.learning.lesson import Lesson, lesson
+from hammerstein.learning.lesson import MEASURED, Lesson, lesson
 from hammerstein.learning.unsure import Unsure
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import read_signal
@@ -48,7 +48,12 @@ def learn_from_files(
     if resampled:
         raise InputError(str(trial[1]), f"is not sampled every {time_s:g} s, as the drive is; record it so")
     bandwidth = design.model.instruments.sensor.bandwidth_hz
-    found = lesson(design.model, design.law, design.reference_um, drive, measured, unsure, bandwidth)
+    try:
+        found = lesson(design.model, design.law, design.reference_um, drive, measured, unsure, bandwidth)
+    except InputError as error:
+        if error.source != MEASURED:
+            raise
+        raise InputError(str(trial[1]), error.mistakes) from None
     return design.cycle(found.drive_v, terms), found
 
 

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 SIGNIFICANT = 3.0  # standard deviations of the noise: what an error must exceed to be learnt
 LEAST_PERIODS = 3
+MEASURED = "measured"
+"""What the readings of a trial are called in messages, as long as they are no file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +123,7 @@ def _mean_period(measured_um: Array, samples: int) -> tuple[Array, Array]:
     periods = measured_um.shape[1] // samples
     if measured_um.shape[1] % samples or periods < LEAST_PERIODS:
         raise InputError(
-            "measured",
+            MEASURED,
             f"has {measured_um.shape[1]} samples; give whole periods of {samples}, {LEAST_PERIODS} or more, "
             "recorded when the path had settled",
         )

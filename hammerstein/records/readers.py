@@ -70,7 +70,7 @@ def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
     InputError : a missing, empty or unreadable file, unknown columns (with the names that exist)
     """
     path = Path(path)
-    _refuse_missing(path)
+    refuse_missing(path)
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
         values = array_columns(path, wanted)
@@ -132,18 +132,19 @@ def read_array(path: str | Path, variable: str | None = None) -> Array:
     InputError : a missing or unreadable file, an unknown variable (with the names that exist)
     """
     path = Path(path)
-    _refuse_missing(path)
+    refuse_missing(path)
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(str(path), f"is no file of arrays; give one of {', '.join(SUFFIXES)}")
     return whole_array(path, variable or "")
 
 
-def _refuse_missing(path: Path) -> None:
+def refuse_missing(path: Path) -> None:
+    """Refuse what is no file with something in it that may be read: a pipe would be waited for."""
     try:
         if not path.is_file():
-            what = (
-                "is a folder; give a file" if path.is_dir() else "does not exist; check its name and folder"
-            )
+            what = "does not exist; check its name and folder"
+            if path.exists():
+                what = "is a folder; give a file" if path.is_dir() else "is no ordinary file; give one"
             raise InputError(str(path), what)
         if path.stat().st_size == 0:
             raise InputError(str(path), "is empty (0 bytes); record it again")

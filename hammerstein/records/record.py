@@ -281,10 +281,11 @@ def _refuse_arguments(
             Mistake("rate or time", "give one of them: the rate in Hz (--rate) or a column (--time)")
         )
     if rate_hz is not None and not RATE_HZ.holds(rate_hz):
-        mistakes.append(Mistake("rate", f"is {rate_hz:g} Hz; it {RATE_HZ.words()}"))
+        mistakes.append(Mistake("rate (--rate)", f"is {rate_hz:g} Hz; it {RATE_HZ.words()}"))
     for name, scale in (("input scale", input_scale), ("output scale", output_scale)):
         if scale is not None and (not SCALE.holds(scale) or scale == 0):
-            mistakes.append(Mistake(name, f"is {scale:g}; it {SCALE.words()}, and not 0"))
+            option = f"{name} (--{name.replace(' ', '-')})"
+            mistakes.append(Mistake(option, f"is {scale:g}; it {SCALE.words()}, and not 0"))
     if mistakes:
         raise InputError("records", mistakes)
 

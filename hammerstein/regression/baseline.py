@@ -19,7 +19,6 @@ from hammerstein.validation import mistakes_of
 
 FORMAT = "hammerstein-baseline/1"
 CONTENT = Content("baseline", sign="hammerstein-baseline/")
-CLAIMED = "value"  # the number of a claim
 
 Key = tuple[tuple[str, str | float], ...]
 """What tells one row from the others: names and values, in order of the names."""
@@ -107,7 +106,7 @@ class Baseline:
 
 
 def numbers_of(report: Report) -> Numbers:
-    """All numbers of a report: its rows with their bands, and what the actuators answer to its claims.
+    """All numbers of a report: its rows with their bands, and the numbers of its verdicts.
 
     Raises InputError where two rows cannot be told apart.
     """
@@ -116,13 +115,8 @@ def numbers_of(report: Report) -> Numbers:
         numbers = bands.setdefault(key_of({name: getattr(band, name) for name in KEY}), {})
         numbers |= {f"{band.metric}.{part}": getattr(band, f"{part}_um") for part in ("p5", "median", "p95")}
     rows = [(row.key(), dict(row.figures) | bands.get(key_of(row.key()), {})) for row in report.rows]
-    claims = [
-        ({"claim": verdict.id, "actuator": answer.actuator}, {CLAIMED: answer.value})
-        for verdict in report.verdicts
-        for answer in verdict.answers
-        if math.isfinite(answer.value)  # an actuator that has no such row answers nothing
-    ]
-    return _by_key([*rows, *claims], report.name)
+    judged = (found for verdict in report.verdicts for found in verdict.numbers())
+    return _by_key([*rows, *judged], report.name)
 
 
 def key_of(names: Mapping[str, str | float | None]) -> Key:

@@ -15,7 +15,6 @@ from hammerstein.instruments import Instruments
 from hammerstein.metrics import Row
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.claims import Answer, Change, Verdict
 from hammerstein.storage.manifest import Manifest, digest_of
 
 
@@ -69,6 +68,7 @@ def _document(report: Report) -> dict[str, Any]:
 
 
 def _report(document: Mapping[str, Any], name: str, scenario: Scenario) -> Report:
+    asked = scenario.assessment
     return Report(
         name=name,
         scenario=scenario,
@@ -80,13 +80,7 @@ def _report(document: Mapping[str, Any], name: str, scenario: Scenario) -> Repor
         axes=tuple(document["axes"]),
         rows=tuple(Row(**row) for row in document["rows"]),
         statements=tuple(document["statements"]),
-        verdicts=tuple(_verdict(verdict) for verdict in document["verdicts"]),
+        verdicts=tuple(asked.verdict_of(found) for found in document["verdicts"]) if asked else (),
         bands=tuple(Band(**band) for band in document["bands"]),
         sensitivities=tuple(Sensitivity(**found) for found in document["sensitivities"]),
     )
-
-
-def _verdict(document: Mapping[str, Any]) -> Verdict:
-    answers = tuple(Answer(**answer) for answer in document["answers"])
-    changes = tuple(Change(**change) for change in document["changes"])
-    return Verdict(**{**document, "answers": answers, "changes": changes})

@@ -72,10 +72,6 @@ CAPTIONS = {
 }
 
 MOST_STATEMENTS = 15
-PAPER = (
-    "Multivariable classical Prandtl-Ishlinskii hysteresis modeling and compensation and sensorless control "
-    "of a nonlinear 2-dof piezoactuator"
-)
 
 # What tells the rows of rms.csv apart; each figure of merit says itself what it is.
 KEYS = {
@@ -116,7 +112,8 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
         setting=list(setting_of(report)),
         sources=[source_of(s) for s in (*report.scenario.compensators, *report.scenario.models)],
         glossary=glossary_of(report),
-        paper=PAPER,
+        asked=report.scenario.assessment,
+        judged=[verdict.cells() for verdict in report.verdicts],
     )
     return re.sub(r"\n{3,}", "\n\n", page)
 

@@ -143,20 +143,22 @@ def _worst_bands(bands: Sequence[Band], quote: Quote) -> Iterator[str]:
 def _compared(report: Report, quote: Quote) -> Iterator[str]:
     """Sentences on every merit, of the reading and of the true position.
 
-    The paper tells what the sensor reads, so that a scenario of a figure of it begins with the reading.
+    The true position comes first, or the reading, where that is what the scenario's assessment is about.
     """
+    asked = report.scenario.assessment
+    reading_first = asked is not None and asked.reading_first
     target = "reference" if report.scenario.reference is not None else "prediction"
     contest = Contest.of(report, quote)
     if is_path(report):
         prefix, words = ("euclidean_", "distance") if len(report.axes) > 1 else ("", "error")
         reading = Merit(f"{prefix}max_um", f"worst {words} of the reading from the {target}")
         true = Merit(f"{prefix}max_true_um", f"worst {words} of the true position from the {target}")
-        for merit in (reading, true) if report.scenario.paper_figure else (true, reading):
+        for merit in (reading, true) if reading_first else (true, reading):
             yield from _sentences(report.rows, merit, contest)
         return
     direct = [row for row in report.rows if is_direct(report, row)]
     crossed = [row for row in report.rows if not is_direct(report, row)]
-    if not report.scenario.paper_figure:
+    if not reading_first:
         yield from _sentences(
             direct, Merit("rms_true_um", "rms error of the true position (direct transfers)"), contest
         )
@@ -208,7 +210,7 @@ def listed(texts: Sequence[str]) -> str:
 
 
 def _share(condition: Condition, value: float, merit: Merit) -> str:
-    """The worst distance as a part of the path's size, as the paper gives it."""
+    """The worst distance as a part of the path's size."""
     if not condition.amplitude or condition.unit != "um" or "max" not in merit.name:
         return ""
     return f" ({100.0 * value / condition.amplitude:.2g} %)"

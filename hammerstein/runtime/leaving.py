@@ -8,6 +8,7 @@ when the main thread does not do it.
 
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -33,6 +34,48 @@ def leave(*_: object) -> None:
         os.write(2, LEFT.encode() + b"\n")
     finally:
         os._exit(INTERRUPTED)
+
+
+def once(act: Callable[[], None]) -> Callable[[], None]:
+    """Give the same act, which only the first caller does; others wait for its end, but not for ever."""
+    import threading
+
+    lock, done = threading.Lock(), threading.Event()
+
+    def act_once() -> None:
+        if lock.acquire(timeout=PATIENCE_S):
+            try:
+                if not done.is_set():
+                    act()
+                done.set()
+            finally:
+                lock.release()
+
+    return act_once
+
+
+@contextmanager
+def dropped_in_silence(kind: type[BaseException]) -> Iterator[None]:
+    """Let nothing be said of exceptions of a kind that Python drops.
+
+    A signal may come in a destructor, or in a callback: the import system has one for every module. What is
+    raised there goes nowhere, and a traceback is printed.
+    """
+    unraisable, uncaught = sys.unraisablehook, sys.excepthook
+
+    def of_python(dropped: Any) -> None:
+        if not issubclass(dropped.exc_type, kind):
+            unraisable(dropped)
+
+    def of_compiled_code(raised: type[BaseException], *rest: Any) -> None:
+        if not issubclass(raised, kind):
+            uncaught(raised, *rest)
+
+    sys.unraisablehook, sys.excepthook = of_python, of_compiled_code
+    try:
+        yield
+    finally:
+        sys.unraisablehook, sys.excepthook = unraisable, uncaught
 
 
 @contextmanager

@@ -22,7 +22,7 @@ LIBRARIES = (
 )
 NUMERICAL = ("numpy", "scipy", "numba", "control", "pydantic")
 SOURCES = ("*.py", "*.json", "*.jinja", "*.css", "*.js")
-SHIPPED = ("paper", "paper_baseline")
+SHIPPED = ("paper/baseline", "paper/scenarios")
 """Folders of an installed package that a checkout has elsewhere; nothing computes with them."""
 
 
@@ -49,7 +49,7 @@ def sources() -> str:
     """Hash of the package's sources and of what plugs in."""
     digest = hashlib.sha256("\n".join(_plugged_in()).encode())
     files = [path for kind in SOURCES for path in PACKAGE.rglob(kind)]
-    for path in sorted(path for path in files if path.relative_to(PACKAGE).parts[0] not in SHIPPED):
+    for path in sorted(path for path in files if path.parent.relative_to(PACKAGE).as_posix() not in SHIPPED):
         digest.update(f"\n{path.relative_to(PACKAGE)}\n".encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -77,7 +77,7 @@ def processor() -> str:
 
 def _plugged_in() -> Iterable[str]:
     """Installed versions, and sources of what plugs in; nothing where nothing does."""
-    entries = entry_points(group="hammerstein.blocks")
+    entries = [e for e in entry_points(group="hammerstein.blocks") if not e.value.startswith("hammerstein.")]
     if not entries:
         return
     yield from sorted(f"{found.name} {found.version}" for found in metadata.distributions())

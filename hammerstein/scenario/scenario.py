@@ -8,11 +8,13 @@ import json
 import math
 import tomllib
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from hammerstein.actuators import DEFAULT
 from hammerstein.compensators import COMPENSATORS
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited
@@ -24,14 +26,14 @@ from hammerstein.quantities import (
     FileName,
     Frequency,
     NoCycles,
-    Passes,
     Seed,
     Size,
     Tolerated,
     Trial,
     Wait,
 )
-from hammerstein.scenario.claims import Claim, MetricName, NumberName
+from hammerstein.scenario.assessment import ASSESSMENTS, Assessment
+from hammerstein.scenario.names import MetricName, NumberName
 from hammerstein.scenario.source import ModelSource
 from hammerstein.scenario.study import Study
 from hammerstein.scenario.tested import Tested
@@ -95,6 +97,8 @@ SWEPT = tuple(name for name in Sweep.model_fields if name != "combine")
 """Keys that a sweep may give values for."""
 OF_COMPENSATORS = ("trial",)
 """Those of them that are options of compensators, not keys of a signal."""
+WORDS = frozenset({"question", "tolerances", "assessment", "study"})
+"""Keys of a scenario that change none of its numbers."""
 
 
 class Measure(BaseModel):
@@ -119,23 +123,13 @@ class Tolerance(BaseModel):
     absolute: Tolerated = 1e-6
 
 
-class AlsoOn(BaseModel):
-    """Another actuator that answers the claims, with so many passes of the paper's law in a sample."""
-
-    model_config = _STRICT
-
-    actuator: FileName
-    passes: Passes = 1
-
-
 class Scenario(BaseModel):
     """One experiment: an actuator, a signal, and what is compared."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     question: Annotated[str, Field(min_length=1)]
-    paper_figure: str | None = Field(default=None, description='the figure it answers, such as "Fig. 9"')
-    actuator: FileName = Field(default="duo_bimorph", description="packaged actuator or model file")
+    actuator: FileName = Field(default=DEFAULT, description="packaged actuator or model file")
     seed: Seed = 1
     instruments: Instruments = Field(
         default=Instruments(), description="what is given here replaces the actuator's own"
@@ -154,9 +148,8 @@ class Scenario(BaseModel):
         default=None, description="figure of merit that answers the question; it is told and drawn first"
     )
     tolerances: dict[NumberName, Tolerance] = {}
-    claims: tuple[Claim, ...] = ()
-    claims_also_on: tuple[FileName | AlsoOn, ...] = Field(
-        default=(), description="other actuators that answer the claims, for comparison"
+    assessment: Annotated[Assessment, ASSESSMENTS.field()] | None = Field(
+        default=None, description="what its numbers should be; each kind plugs in"
     )
 
     @model_validator(mode="after")
@@ -243,19 +236,18 @@ class Scenario(BaseModel):
 
     def files(self) -> list[Path]:
         """Every file that the scenario names, as far as it exists."""
-        others = (other if isinstance(other, str) else other.actuator for other in self.claims_also_on)
+        others = self.assessment.actuators() if self.assessment is not None else ()
         return self._files() + [Path(name) for name in others if Path(name).is_file()]
 
     def digest(self) -> str:
         """Short hash of everything in the scenario that changes its numbers, what its files hold included."""
-        words = {"question", "paper_figure", "tolerances", "claims", "claims_also_on", "study"}
-        content = {key: value for key, value in self.portable().items() if key not in words}
+        content = {key: value for key, value in self.portable().items() if key not in WORDS}
         content |= {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in self._files()}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
-SIGNALS.used_by(Scenario)
-COMPENSATORS.used_by(Scenario)
+for _family in (SIGNALS, COMPENSATORS, ASSESSMENTS):
+    _family.used_by(Scenario)
 
 ScenarioSource = Scenario | str | Path | Mapping[str, Any]
 """A scenario as it is, its file, or what a file would hold."""
@@ -339,15 +331,15 @@ def _unknown_models(data: Mapping[str, Any], folder: Path) -> Iterator[Mistake]:
 
 def _named_models(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Places in a scenario that name an actuator or a model, whatever else is wrong with it."""
-    yield "actuator", data.get("actuator")
-    also = data.get("claims_also_on")
-    for i, name in enumerate(also if isinstance(also, list) else [], start=1):
-        yield f"claims_also_on[{i}]", name
-    for table in ("compensators", "models"):
-        entries = data.get(table)
-        for i, entry in enumerate(entries if isinstance(entries, list) else [], start=1):
-            if isinstance(entry, dict):
-                yield f"{table}[{i}].model", entry.get("model")
+    for key, value in data.items():
+        if key in ("actuator", "model"):
+            yield key, value
+        elif isinstance(value, Mapping):
+            yield from ((f"{key}.{where}", name) for where, name in _named_models(value))
+        elif isinstance(value, list):
+            for i, entry in enumerate(value, start=1):
+                if isinstance(entry, Mapping):
+                    yield from ((f"{key}[{i}].{where}", name) for where, name in _named_models(entry))
 
 
 def _split(mistakes: list[Mistake]) -> list[Mistake]:
@@ -356,10 +348,9 @@ def _split(mistakes: list[Mistake]) -> list[Mistake]:
 
 def _relative_to(scenario: Scenario, folder: Path) -> Scenario:
     """Make the paths of files relative to the scenario's folder."""
-    changes: dict[str, Any] = {
-        "actuator": _resolved(scenario.actuator, folder),
-        "claims_also_on": tuple(_also_on(other, folder) for other in scenario.claims_also_on),
-    }
+    changes: dict[str, Any] = {"actuator": _resolved(scenario.actuator, folder)}
+    if scenario.assessment is not None:
+        changes["assessment"] = scenario.assessment.with_actuators(partial(_resolved, folder=folder))
     for name in ("compensators", "models"):
         sources = getattr(scenario, name)
         changes[name] = tuple(
@@ -371,12 +362,6 @@ def _relative_to(scenario: Scenario, folder: Path) -> Scenario:
         if isinstance(signal, FromFile):
             changes[name] = signal.model_copy(update={"path": str(folder / signal.path)})
     return scenario.model_copy(update=changes)
-
-
-def _also_on(other: str | AlsoOn, folder: Path) -> str | AlsoOn:
-    if isinstance(other, str):
-        return _resolved(other, folder)
-    return other.model_copy(update={"actuator": _resolved(other.actuator, folder)})
 
 
 def _resolved(name: str, folder: Path) -> str:

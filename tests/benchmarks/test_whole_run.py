@@ -85,9 +85,15 @@ def waited(bench, what, seconds, allowed):
 
 
 def test_help_comes_at_once(bench):
-    python("-m", "hammerstein", "--help")
-    quickest = min(python("-m", "hammerstein", "--help")[0] for _ in range(3))
-    assert waited(bench, "hammerstein --help", quickest, 0.3) <= BUSY
+    """Against a Python that loads one library, for a busy machine slows both."""
+    helped, numpy_alone = ("-m", "hammerstein", "--help"), ("-c", "import numpy")
+    pairs = [(python(*helped)[0], python(*numpy_alone)[0]) for _ in range(6)][1:]
+    ours, other = (min(times) for times in zip(*pairs, strict=True))
+    waited(bench, "hammerstein --help", ours, 0.3)
+    row = Row(
+        RUN, "hammerstein --help", "python -c 'import numpy'", ours, other, "s", ours / other, "<=", 2.0
+    )
+    assert bench.table.add(row).acceptable
 
 
 def test_all_shipped_scenarios(bench, tmp_path):
@@ -121,8 +127,8 @@ def test_least_squares_on_a_long_record(bench, published):
     record = Record(u, published.hysteresis.respond(u)[0] + noise, SAMPLE_TIME_S)
     settings = Settings(operators=15, partition="time", dynamics="none", creep_modes=0, error_curve=False)
     identify([record.part(0, 20_000)], settings)
-    start = time.perf_counter()
+    start = time.process_time()
     _, fit = identify([record], settings)
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     assert max(fit.fit["static_hysteresis"].rms_um) < 0.08
     assert waited(bench, f"identify, 2 x 2, 15 operators, {bench.samples:,} samples", seconds, 5.0) <= BUSY

@@ -23,7 +23,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from . import campaign, options, strategies
 from .workers import SLOW_S, in_a_process
 
-KINDS = ("scenarios", "models", "records", "paths", "baselines", "files", "options")
+KINDS = ("scenarios", "models", "records", "paths", "baselines", "files", "results", "options")
 PIECE = 500
 """Cases of one process: what leaks is not carried on for ever."""
 Do = Callable[[Callable[[], int]], None]
@@ -97,9 +97,8 @@ def pieces(kind: str, folder: Path) -> Callable[[int, int, Do], None]:
     if kind in made:
         strategy, case = made[kind]
         return partial(_made, strategy(), case, folder)
-    return partial(
-        {"records": _records, "paths": _paths, "baselines": _baselines, "files": _files}[kind], folder
-    )
+    mutated = {"records": _records, "paths": _paths, "baselines": _baselines, "files": _files}
+    return partial({**mutated, "results": _results}[kind], folder)
 
 
 def _made(
@@ -113,7 +112,7 @@ def _records(folder: Path, count: int, number: int, do: Do) -> None:
     for i in range(count):
         name, data, columns = draw.choice(seeds)
         damaged, name = campaign.mutated(data, draw), name.replace("seed", "case")
-        do(partial(campaign.record_case, damaged, name, columns, folder, fitted=i % 5 == 0))
+        do(partial(campaign.record_case, damaged, name, columns, folder, fitted=i % 10 == 0))
 
 
 def _paths(folder: Path, count: int, number: int, do: Do) -> None:
@@ -136,6 +135,13 @@ def _files(folder: Path, count: int, number: int, do: Do) -> None:
         name, data = draw.choice(shipped)
         case = campaign.file_case if name.endswith(".toml") else campaign.model_file_case
         do(partial(case, campaign.mutated(data, draw), folder))
+
+
+def _results(folder: Path, count: int, number: int, do: Do) -> None:
+    draw, made = random.Random(number), campaign.results(folder)
+    for _ in range(count):
+        name, data = draw.choice(made)
+        do(partial(campaign.shown_case, campaign.mutated(data, draw), name, folder))
 
 
 def main() -> int:

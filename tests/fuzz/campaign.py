@@ -20,7 +20,7 @@ import pandas as pd
 from hammerstein.commands.cli import main
 from hammerstein.errors import HammersteinError
 from hammerstein.experiment.plan import plan_of
-from hammerstein.scenario import load_scenario
+from hammerstein.scenario import Scenario, load_scenario
 
 CODES = {0, 1, 2, 3, 4}
 LONGEST_S, LARGEST = 2.0, 3e8
@@ -101,11 +101,13 @@ def file_case(data: bytes, folder: Path, *others: str) -> int:
     path = folder / "case.toml"
     path.write_bytes(data)
     try:
-        plan = plan_of(load_scenario(path))
+        plan = plan_of(scenario := load_scenario(path))
     except HammersteinError:
         plan = None
     if plan is not None and (plan.seconds > LONGEST_S or plan.bytes > LARGEST):
         return -1
+    if plan is not None and _is_studied(scenario):
+        return study_case(path, folder)
     code = named(
         "run", call("run", path, "--no-figures", "--out", folder / "out", "--jobs", 1), "case", *others
     )
@@ -113,6 +115,46 @@ def file_case(data: bytes, folder: Path, *others: str) -> int:
         for written in ("report.json", "rms.csv"):
             refuse_not_finite(folder / "out/case" / written)
     return code
+
+
+def _is_studied(scenario: Scenario) -> bool:
+    """Whether it has a study of a few runs."""
+    return scenario.study is not None and scenario.study.count() < 10
+
+
+def study_case(path: Path, folder: Path) -> int:
+    """Run a scenario with the values of its study; what is not finite stands in no cell."""
+    rows = folder / "rows.csv"
+    rows.unlink(missing_ok=True)
+    code = named("sweep", call("sweep", path, "--out", rows, "--fresh"), "case")
+    if code == 0:
+        refuse_not_finite(rows)
+    return code
+
+
+def shown_case(data: bytes, name: str, folder: Path) -> int:
+    """Show what the bytes of a file hold."""
+    path = folder / name
+    path.write_bytes(data)
+    outcome = call("show", path, "--json")
+    if not outcome[0]:
+        _refuse_json(outcome[2])
+    return named("show", outcome, name)
+
+
+def results(folder: Path) -> list[tuple[str, bytes]]:
+    """Files that the program writes and shows: a report, a comparison, a fit report, a drive file."""
+    (folder / "small.toml").write_text(toml(SMALL))
+    (folder / "path.csv").write_bytes(path_bytes())
+    call("run", folder / "small.toml", "--no-figures", "--out", folder / "shown", "--jobs", 1)
+    call("compensate", "duo_bimorph", folder / "path.csv", "--out", folder / "drive.csv")
+    record = next(data for name, data, _ in records(folder) if name == "seed.csv")
+    (folder / "loop.csv").write_bytes(record)
+    words = ["--inputs", "u", "--outputs", "y", "--rate", 1000, "--no-figures", "--dynamics", "none"]
+    call("identify", folder / "loop.csv", *words, "--out", folder / "own.json", "--operators", 5)
+    call("compare", folder / "loop.csv", *words, "--out", folder / "compared", "--jobs", 1, "--operators", 5)
+    made = ["shown/small/report.json", "drive.csv", "own_fit/fit.json", "compared/compare.json", "own.json"]
+    return [(Path(name).name, (folder / name).read_bytes()) for name in made]
 
 
 def model_case(content: Any, folder: Path) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,14 @@ from hypothesis import strategies as st
 from typer.main import get_command
 
 from hammerstein.commands.cli import app
+from hammerstein.escaping import clean
 
 from . import campaign
 
 FILES = ("small.toml", "drive.toml", "round ü.toml", "loop.csv", "two.csv", "units.txt", "loop.npy",
          "loop.mat", "path.csv", "model.json", "base.json", "empty.csv", "noise.bin", "scenarios", "folder",
-         "missing.toml", "a\x1bb", "link.toml", "nowhere/x.toml", "n" * 300, "")  # fmt: skip
+         "missing.toml", "a\x1bb", "link.toml", "nowhere/x.toml", "n" * 300, "", "study.toml",
+         "report.json", "volts.csv", "code")  # fmt: skip
 USUAL_FILES = {
     "run": ("small.toml", "drive.toml", "round ü.toml", "scenarios"),
     "check": ("small.toml", "drive.toml", "scenarios"),
@@ -24,7 +27,15 @@ USUAL_FILES = {
     "identify": ("loop.csv", "two.csv", "loop.mat"),
     "model": ("duo_bimorph", "model.json", "duo_bimorph_creep"),
     "reference": ("path.csv",),
+    "compare": ("loop.csv", "two.csv"),
+    "sweep": ("study.toml", "study.toml", "small.toml"),
+    "drive": ("volts.csv", "two.csv", "path.csv"),
+    "folder": ("new", "folder", "link", "scenarios"),
+    "show": FILES,
+    "topic": ("start", "kinds", "nothing"),
 }
+SELDOM = {"init": 0.9, "compare": 0.7, "identify": 0.3}
+"""Part of the command lines that take another command instead: these take seconds."""
 NUMBERS = ("1", "0", "-1", "5", "10", "20000", "1000", "0.5", "1e-9", "1e9", "1e308", "nan", "inf", "-inf",
            "", "x", "1,5", "0x10", "99999999999999999999", "٣")  # fmt: skip
 WORDS = ("u", "y", "u,y", "u_x,u_y", "x,y", "t", "1", "2", "1,2", "0", "auto", "none", "time", "voltage",
@@ -34,9 +45,21 @@ WORDS = ("u", "y", "u,y", "u_x,u_y", "x,y", "t", "1", "2", "1,2", "0", "auto", "
          "=1+1", "loop.csv", "--json", "w" * 5000)  # fmt: skip
 NEEDED = {"--inputs": ("u", "u", "1"), "--outputs": ("y", "y", "2"), "--rate": ("1000",), "--out": ("out",),
           "--jobs": ("1",)}  # fmt: skip
+OUT_FILES = {
+    "identify": ("model2.json",),
+    "compensate": ("drive.csv",),
+    "play": ("played.csv",),
+    "sweep": ("rows.csv", "rows.parquet"),
+}
 OUT_OF_FILES = {
     "--out": ("out", "r", "small.toml", "folder", "model.json", "nowhere/deep", "link", "drive.csv")
 }
+
+
+STUDY = """
+[study]
+values = { "reference.amplitude_um" = [5, 10] }
+"""
 
 
 def commands() -> dict[str, Any]:
@@ -55,6 +78,8 @@ def command_lines() -> st.SearchStrategy[list[str]]:
         if chance.random() < 0.02:
             return [chance.choice((*WORDS, "--version", "-h", "--", "-"))]
         name = chance.choice(list(known))
+        if chance.random() < SELDOM.get(name, 0.0):
+            name = chance.choice([other for other in known if other not in SELDOM])
         line = [name]
         for parameter in known[name].params:
             form = _option if hasattr(parameter, "is_flag") else _argument
@@ -64,7 +89,8 @@ def command_lines() -> st.SearchStrategy[list[str]]:
         if chance.random() < 0.05 and len(line) > 1:
             del line[chance.randrange(1, len(line))]
         # No more than one process: what the campaign tries is the words, and processes cost seconds.
-        return [*line, "--jobs", "1"] if name in ("run", "check", "plot") and "--jobs" not in line else line
+        several = any("--jobs" in p.opts for p in known[name].params) and "--jobs" not in line
+        return [*line, "--jobs", "1"] if several else line
 
     return draw()
 
@@ -84,9 +110,11 @@ def _option(parameter: Any, command: str, chance: Any) -> list[str]:
         )
     if parameter.is_flag:
         return [name]
+    if parameter.nargs == 2:  # a trial
+        return [name, *(chance.choice(("volts.csv", "volts.csv", *FILES)) for _ in range(2))]
     if needed and chance.random() < 0.85:
-        if name == "--out" and command in ("identify", "compensate"):
-            return [name, chance.choice(("model2.json", "drive.csv"))]
+        if name == "--out" and command in OUT_FILES:
+            return [name, chance.choice(OUT_FILES[command])]
         return [name, chance.choice(NEEDED[name])]
     if name == "--jobs":
         return [name, chance.choice(("0", "-1", "x", "1"))]
@@ -117,6 +145,10 @@ def furnish(folder: Path) -> Path:
     (place / "two.csv").write_text("\n".join(wide) + "\n")
     (place / "path.csv").write_bytes(campaign.path_bytes())
     shipped = dict(campaign.shipped())
+    (place / "study.toml").write_text(small + STUDY)
+    lines = campaign.path_bytes().decode().splitlines()
+    (place / "volts.csv").write_text("\n".join(["time_s,u_x,u_y", *lines[1:]]) + "\n")
+    (place / "report.json").write_text(json.dumps({"format": "hammerstein-report/1", "rows": 3}))
     (place / "model.json").write_bytes(shipped["duo_bimorph_static.json"])
     (place / "base.json").write_bytes(shipped["static_inverse.json"])
     (place / "empty.csv").write_bytes(b"")
@@ -145,6 +177,7 @@ def names_of(line: list[str]) -> list[str]:
     files = [
         name
         for word in given
-        for name in ((word, f'"{Path(word).stem}"') if word in FILES else (f"{word}: ",))
+        for name in ((clean(word), f'"{Path(word).stem}"') if word in FILES else (f"{word}: ", repr(word)))
     ]
-    return [*options, *files, "Missing argument", "No such", "Got unexpected", "'' ", ".: "]
+    of_typer = ["Missing argument", "Missing command", "No such", "Got unexpected"]
+    return [*options, *files, *of_typer, "'' ", ".: "]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from copy import deepcopy
 from typing import Any
 
 from hypothesis import strategies as st
@@ -38,7 +39,7 @@ def _whole(content: dict[str, Any]) -> dict[str, Any]:
     signal = content.get("drive" if in_volts else "reference")
     if not isinstance(signal, dict) or signal.get("kind") == "file":
         signal = {"kind": "sine", "frequency_hz": 50.0, "amplitude_v" if in_volts else "amplitude_um": 5.0}
-    replaced = ("drive", "reference", "compensators", "models", "sweep", "claims", "claims_also_on")
+    replaced = ("drive", "reference", "compensators", "models", "sweep", "assessment")
     kept = {name: value for name, value in content.items() if name not in replaced}
     kept["drive" if in_volts else "reference"] = signal
     if str(content.get("actuator")) not in packaged_actuators():
@@ -76,7 +77,7 @@ def _value(
     node: dict[str, Any], definitions: dict[str, Any], chance: Any, hostility: float, depth: int
 ) -> Any:
     if chance.random() < hostility:
-        return chance.choice(HOSTILE)
+        return deepcopy(chance.choice(HOSTILE))
     if "$ref" in node:
         return _value(definitions[node["$ref"].rpartition("/")[2]], definitions, chance, hostility, depth)
     alternatives = [*node.get("anyOf", ()), *node.get("oneOf", ())]
@@ -158,7 +159,7 @@ def _alter(content: Any, chance: Any) -> None:
         value = chance.choice([chance.choice(EDGES), scaled])
         table[key] = round(value) if isinstance(old, int) and chance.random() < 0.9 else value
     else:
-        table[key] = chance.choice(HOSTILE)
+        table[key] = deepcopy(chance.choice(HOSTILE))
 
 
 def _place(content: Any, chance: Any) -> tuple[Any, Any]:
@@ -185,6 +186,8 @@ def good_scenarios() -> list[dict[str, Any]]:
         {"law": "feedback", "proportional": [0.1, 0.1], "integral_per_s": [50.0, 50.0], **source},
         {"law": "exact_inverse", "identification": {"frequency_hz": 50.0, "amplitude_v": 9.0, "operators": 10,
          "settle_cycles": 3, "measured_cycles": 4, "sample_time_s": 5e-5}},
+        {"law": "learned", "inverse": "hammerstein_inverse", "filter_hz": 1000.0, "weights": 0.05,
+         "resonance": 0.01, "trial": 2, **source},
     ]  # fmt: skip
     drive = {"resolution_v": 3e-4, "range_v": 10.0, "sample_time_s": 5e-5}
     sensor = {"range_um": 250.0, "resolution_um": 0.04, "bandwidth_hz": 2000.0, "noise_um": 0.04}
@@ -218,17 +221,38 @@ def good_scenarios() -> list[dict[str, Any]]:
                                   "noise": 0.1}})  # fmt: skip
     found.append({"question": "?", "reference": sine, "sweep": {"frequency_hz": [40.0, 50.0]},
                   "compensators": [{"label": "a", **laws[0], "only_at_hz": [40.0]}],
-                  "claims": [{"id": "c", "statement": "s", "paper": 1.0, "factor": 2.0, "quantity": {
-                      "metric": "rms_um", "from_hz": 10.0, "to_hz": 60.0, "of": "spread"},
-                      "agreement": {"within": 0.1, "at_most": 5.0}}]})  # fmt: skip
+                  "assessment": {"kind": "paper", "figure": "Fig. 1", "claims": [
+                      {"id": "c", "statement": "s", "paper": 1.0, "factor": 2.0, "quantity": {
+                          "metric": "rms_um", "from_hz": 10.0, "to_hz": 60.0, "of": "spread"},
+                          "agreement": {"within": 0.1, "at_most": 5.0}}]}})  # fmt: skip
+    for actuator in ("asymmetric_stack", "rate_dependent_stack"):
+        found.append({"question": "?", "actuator": actuator, "drive": {"kind": "sine", "amplitude_v": 5.0,
+                      "frequency_hz": 50.0}, "models": [{"label": "a", "model": actuator}],
+                      "measure": {"settle_cycles": 1, "settle_s": 0.0, "record_every": 3},
+                      "tolerances": {"rms_um": {"relative": 0.1}}, "answered_by": "rms_um"})  # fmt: skip
+    found.append({"question": "?", "reference": sine, "compensators": [{"label": "a", **laws[4]}],
+                  "study": {"how": "random", "samples": 3, "seed": 2, "values": {
+                      "reference.amplitude_um": [5.0, 10.0], "instruments.sensor.noise_um": [0.0, 0.1],
+                      "compensators[1].softening_v": [0.05, 0.2]}}})  # fmt: skip
+    found.append({"question": "?", "reference": sine, "compensators": [{"label": "a", **laws[5]}],
+                  "study": {"how": "zip", "values": {"seed": [1, 2], "measure.settle_cycles": [0, 1]}},
+                  "sweep": {"combine": "zip", "frequency_hz": [40.0, 50.0],
+                            "amplitude_um": [5.0, 8.0]}})  # fmt: skip
     return found
 
 
 def good_models() -> list[dict[str, Any]]:
-    """Model files of every kind of dynamics."""
+    """Model files of every kind of hysteresis and of dynamics."""
     found = [json.loads(HammersteinModel.load(name).to_json()) for name in packaged_actuators()]
     linear = json.loads(HammersteinModel.load("duo_bimorph_static").to_json())
     linear["dynamics"] = {"kind": "state_space", "A": [[0.5, 0.1], [0.0, 0.3]], "B": [[1.0, 0.0], [0.0, 1.0]],
                           "C": [[0.5, 0.0], [0.0, 0.7]], "D": [[0.0, 0.0], [0.0, 0.0]], "sample_time_s": 5e-5,
                           "input_delay_s": 1e-4}  # fmt: skip
-    return [*found, linear]
+    own = {"direct_um_per_v": 6.0, "hysteretic_um_per_v": 2.0, "beta_per_v": 0.3, "gamma_per_v": 0.1}
+    cross = {"direct_um_per_v": 0.1, "hysteretic_um_per_v": -0.05, "beta_per_v": 0.2, "gamma_per_v": 0.0}
+    block = {"kind": "bouc_wen", "pairs": [[own, cross], [cross, own]]}
+    volts = {"working_point_v": [50.0, 0.0], "lowest_v": [0.0, -10.0], "highest_v": [100.0, 10.0],
+             "poling": ["positive", "both"]}  # fmt: skip
+    wen = found[0] | {"hysteresis": block, "amplitude_v": 50.0, "voltages": volts}
+    beside = linear | {"hysteresis": {"kind": "parallel", "parts": [block, linear["hysteresis"]]}}
+    return [*found, linear, wen, beside]

@@ -91,6 +91,10 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         table[at.HERE, :, at.HAND, at.COUNT] = table[at.HERE, :, at.HAND, at.RAMP] = 1.0
         return table
 
+    def design_table(self) -> Array:
+        """Table of ``pieces`` as it is before a run."""
+        return self._table.copy()
+
     def statement(self) -> str:
         """Say whether there is an inverse, and how far it is from ringing."""
         gain = float(self.hysteresis.loop_gain().max())

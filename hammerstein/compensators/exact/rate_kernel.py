@@ -88,7 +88,7 @@ def respond_exact_rate(  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def _zones_of(w, k, n, plays, reach, weights, events, owner, bend):  # type: ignore[no-untyped-def]
-    """Put the map of one sample of input k into its zones: from zone to zone a play is let go or taken up."""
+    """Put the map of one sample of input k into its zones: at their ends a play is let go or taken up."""
     rows, count = weights.shape[2], 0
     for i in range(n):
         if reach[k, i] > 0.0:  # a play of threshold 0 never stands still

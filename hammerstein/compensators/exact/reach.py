@@ -15,6 +15,7 @@ from hammerstein.compensators.exact.inverse import exact_inverse_of
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.dynamics import discretise
 from hammerstein.errors import SimulationError
+from hammerstein.hysteresis.kind import SLOW_S
 from hammerstein.model import HammersteinModel
 
 STROKE_SAMPLES = 50
@@ -72,6 +73,7 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
     (array([[-58.,  58.]]), array([[  2., 118.]]))
     """
     limits = DriveRange.of(range_v, model)
+    model = model.on_grid(SLOW_S)  # how far it gets when nothing hurries
     p = model.hysteresis.n_outputs
     if not np.isfinite(limits.span_v).all():
         nowhere = np.tile([-np.inf, np.inf], (p, 1))

@@ -10,10 +10,8 @@ import numpy as np
 
 from hammerstein.experiment.report import Report
 from hammerstein.runtime.store import Kept, Store, key_of
+from hammerstein.scenario.scenario import WORDS
 from hammerstein.simulation import WIRES
-
-WORDS_NOT_DRAWN = {"question", "paper_figure", "tolerances", "claims", "claims_also_on"}
-"""Keys of a scenario that no figure shows."""
 
 
 def drawn(report: Report, store: Store | None = None) -> Iterator[tuple[str, bytes]]:
@@ -77,9 +75,9 @@ def _key(shown: str, name: str) -> str:
 def digest_of_shown(report: Report) -> str:
     """Hash of everything in a report that a figure may show."""
     content = json.loads(report.to_json())
-    for name in ("statements", "claims", "name"):
+    for name in ("statements", "verdicts", "name"):
         del content[name]
-    content["scenario"] = {k: v for k, v in content["scenario"].items() if k not in WORDS_NOT_DRAWN}
+    content["scenario"] = {k: v for k, v in content["scenario"].items() if k not in WORDS}
     content["axes"] = [report.inputs, report.axes]
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
     for trace in report.traces:

@@ -36,7 +36,7 @@ class Card:
     worst: tuple[tuple[str, str], ...]
     more: int
     met: int
-    claims: int
+    asked: int
 
 
 def write_overview(reports: Sequence[Report], out: Path) -> tuple[Path, ...]:
@@ -63,7 +63,7 @@ def _card(report: Report, out: Path) -> Card:
         worst=tuple(worst[:MOST_SHOWN]),
         more=max(0, len(worst) - MOST_SHOWN),
         met=sum(verdict.agrees for verdict in report.verdicts),
-        claims=len(report.verdicts),
+        asked=len(report.verdicts),
     )
 
 

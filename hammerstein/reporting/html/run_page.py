@@ -9,7 +9,6 @@ from markupsafe import Markup
 
 from hammerstein.escaping import clean
 from hammerstein.experiment.report import Report
-from hammerstein.reporting.claims_page import Line
 from hammerstein.reporting.html.interactive import Interactive
 from hammerstein.reporting.html.markup import MOST_DRAWING_BYTES, link_to, rendered
 from hammerstein.reporting.html.vector import Drawn, pictures
@@ -40,9 +39,10 @@ def run_page(report: Report, files: Mapping[str, bytes], interactive: Interactiv
     """
     figures = list(_figures(report, files, MOST_DRAWING_BYTES // (2 if interactive else 1)))
     statements = report.statements[:MOST_STATEMENTS]
+    asked = report.scenario.assessment
     here = {
         "Explore": bool(interactive),
-        "Claims": bool(report.verdicts),
+        **({asked.title: True} if asked is not None and report.verdicts else {}),
         "Figures": bool(figures),
         "Numbers": True,
         "Keep in mind": bool(statements),
@@ -56,7 +56,7 @@ def run_page(report: Report, files: Mapping[str, bytes], interactive: Interactiv
         facts=list(_facts(report)),
         met=sum(verdict.agrees for verdict in report.verdicts),
         parts=[name for name, there in here.items() if there],
-        claims=[Line.of(verdict) for verdict in report.verdicts],
+        asked=asked,
         figures=figures,
         statements=statements,
         tables=_tables(report),

@@ -21,8 +21,10 @@ from pathlib import Path
 
 from hammerstein.actuators.readings import READINGS, actuator_of
 from hammerstein.errors import HammersteinError
-from hammerstein.experiment.causes import adjusted, rows_needed
 from hammerstein.model import HammersteinModel
+from hammerstein.paper import Paper
+from hammerstein.paper.causes import adjusted, rows_needed
+from hammerstein.paper.claims import Claim
 from hammerstein.scenario import Scenario, load_scenario
 
 os.environ["HAMMERSTEIN_CACHE"] = ""  # thousands of models, each wanted once
@@ -69,6 +71,11 @@ def scenarios() -> tuple[Scenario, ...]:
     return tuple(load_scenario(SCENARIOS / f"{name}.toml") for name in NAMES)
 
 
+def asked(scenario: Scenario) -> list[Claim]:
+    """Its claims."""
+    return list(scenario.assessment.claims) if isinstance(scenario.assessment, Paper) else []
+
+
 def grid(dampings: Iterable[float]) -> list[Reading]:
     """Every combination with these dampings."""
     plants = [(None, 0.0), *itertools.product(READINGS, dampings)]
@@ -89,7 +96,7 @@ def answers(reading: Reading) -> dict[str, tuple[float, bool]]:
     found = {}
     for scenario in scenarios():
         # one amplitude of the path for each claim: that of its own radius
-        for claims in [[c] for c in scenario.claims] if reading.at_path else [list(scenario.claims)]:
+        for claims in [[c] for c in asked(scenario)] if reading.at_path else [asked(scenario)]:
             try:
                 told = adjusted(scenario, model, claims[0], reading.passes, reading.at_path)
                 rows = rows_needed(told, claims, "reading", model)
@@ -103,7 +110,7 @@ def answers(reading: Reading) -> dict[str, tuple[float, bool]]:
 
 def counted(found: dict[str, tuple[float, bool]]) -> int:
     """Claims met, of those that count."""
-    calibrated = {c.id for scenario in scenarios() for c in scenario.claims if c.calibrated}
+    calibrated = {c.id for scenario in scenarios() for c in asked(scenario) if c.calibrated}
     return sum(agrees for name, (_, agrees) in found.items() if name not in calibrated | UNCOUNTED)
 
 
@@ -125,7 +132,7 @@ def main() -> None:
 
 def write(table: dict[Reading, dict[str, tuple[float, bool]]]) -> None:
     """The page and the table."""
-    names = list(dict.fromkeys(c.id for scenario in scenarios() for c in scenario.claims))
+    names = list(dict.fromkeys(c.id for scenario in scenarios() for c in asked(scenario)))
     order = sorted(table, key=lambda r: (-counted(table[r]), str(r)))
     with (HERE / "readings.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")

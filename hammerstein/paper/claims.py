@@ -1,42 +1,20 @@
-"""Claims of a publication, answered by the rows of a run."""
+"""Claims of a publication: each a statement, its figure, and the rows of a run that answer it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Callable, Iterable, Sequence
+from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
-from pydantic_core import PydanticKnownError
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from hammerstein.errors import InputError
-from hammerstein.metrics import KEY, METRICS, Row
+from hammerstein.metrics import KEY, Row
 from hammerstein.quantities import Agreed, Figure, Frequency, Size, Trial
+from hammerstein.scenario.names import MetricName
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 
-
-def _known(name: str) -> str:
-    if name not in METRICS:
-        raise PydanticKnownError("literal_error", {"expected": ", ".join(map(repr, METRICS))})
-    return name
-
-
-def _known_or_claim(name: str) -> str:
-    return name if name == CLAIMED else _known(name)
-
-
-def _named(schema: dict[str, Any]) -> None:
-    schema["enum"] = list(METRICS)
-
-
-MetricName = Annotated[str, AfterValidator(_known), Field(json_schema_extra=_named)]
-"""Name of a figure of merit, those of plug-ins included."""
-CLAIMED = "value"  # the number of a claim
-NumberName = Annotated[str, AfterValidator(_known_or_claim)]
-"""Name of a number of a report: a figure of merit, or the value of a claim."""
 
 _REDUCE: dict[str, Callable[[Sequence[float]], float]] = {
     "max": max,
@@ -50,16 +28,6 @@ FactorName = Literal[
     "sensor", "dynamics", "passes", "sample_time", "identification_amplitude", "identification_frequency"
 ]
 """A part of the chain that can be changed alone, to find the cause of a figure."""
-
-CAUSES: dict[FactorName, str] = {
-    "sensor": "the sensor, in identification and judgement",
-    "dynamics": "the dynamics",
-    "passes": "the law's one pass a sample",
-    "sample_time": "the sample time",
-    "identification_amplitude": "the amplitude of identification",
-    "identification_frequency": "the frequency of identification",
-}
-NO_CAUSE = 0.9  # of the distance from agreement; a factor that leaves more of it explains nothing
 
 
 class Quantity(BaseModel):
@@ -195,128 +163,3 @@ class Claim(BaseModel):
 def _place(row: Row) -> tuple[object, ...]:
     """What tells a row from the others of its compensator."""
     return tuple(getattr(row, name) for name in KEY if name != "compensator")
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What one actuator answers to a claim."""
-
-    actuator: str
-    value: float
-    agrees: bool
-
-    def as_dict(self) -> dict[str, object]:
-        """Give plain JSON; a value that does not exist is left out."""
-        return {k: v for k, v in asdict(self).items() if k != "value" or math.isfinite(self.value)}
-
-
-@dataclass(frozen=True)
-class Change:
-    """What a claim's figure becomes when one factor of the chain is changed and nothing else.
-
-    factor : its name; words : what was done, such as ``with an ideal sensor``; value : the figure then
-    """
-
-    factor: FactorName
-    words: str
-    value: float
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """A claim and what the simulated actuators answer; the first is the scenario's own."""
-
-    id: str
-    statement: str
-    paper: float | None
-    unit: str
-    wanted: str
-    answers: tuple[Answer, ...]
-    reason: str
-    calibrated: bool = False
-    changes: tuple[Change, ...] = ()
-
-    @property
-    def ratio(self) -> float | None:
-        """Simulated over paper, for the scenario's own actuator."""
-        return self.answers[0].value / self.paper if self.paper else None
-
-    @property
-    def agrees(self) -> bool:
-        """Whether the scenario's own actuator agrees."""
-        return self.answers[0].agrees
-
-    def as_dict(self) -> dict[str, object]:
-        """Give plain JSON; a figure that does not exist is left out."""
-        content = {k: v for k, v in asdict(self).items() if v is not None}
-        content["answers"] = [
-            {k: v for k, v in asdict(a).items() if k != "value" or math.isfinite(a.value)}
-            for a in self.answers
-        ]
-        content["changes"] = [asdict(change) for change in self.changes if math.isfinite(change.value)]
-        return content | {"verdict": "met" if self.agrees else "not met"}
-
-
-def verdicts(
-    claims: Sequence[Claim],
-    rows_by_actuator: Mapping[str, Sequence[Row]],
-    changes_of: Callable[[Claim], Sequence[Change]] = lambda claim: (),
-) -> tuple[Verdict, ...]:
-    """Answer every claim with the rows of every actuator; the first actuator is the scenario's own.
-
-    Parameters
-    ----------
-    claims : what is claimed
-    rows_by_actuator : rows of each actuator
-    changes_of : what the figure of a claim that is not met becomes, one factor changed at a time
-
-    Raises InputError where a claim selects no row.
-    """
-    found = []
-    for claim in claims:
-        answers = []
-        for actuator, rows in rows_by_actuator.items():
-            value = claim.value(rows)
-            answers.append(Answer(actuator, value, claim.agreement.holds(value, claim.paper)))
-        if math.isnan(answers[0].value):
-            raise InputError(f"claim {claim.id}", "selects no row that has this metric; look into rms.csv")
-        changes = () if answers[0].agrees or claim.calibrated else tuple(changes_of(claim))
-        said = [_cut(claim, next(iter(rows_by_actuator.values())))]
-        if not answers[0].agrees:
-            said += [_cause(claim, answers[0].value, changes), claim.note]
-        found.append(
-            Verdict(
-                claim.id,
-                claim.statement,
-                claim.paper,
-                claim.unit,
-                claim.agreement.words(),
-                tuple(answers),
-                ". ".join(text for text in said if text),
-                claim.calibrated,
-                changes,
-            )
-        )
-    return tuple(found)
-
-
-def _cut(claim: Claim, rows: Sequence[Row]) -> str:
-    """Say that the drive's range cut the voltage in the rows of a claim."""
-    cut = max((row.saturated_samples or 0 for row in rows if claim.selects(row)), default=0)
-    return f"the reference exceeds the range: the drive cut {cut:g} samples" if cut else ""
-
-
-def _cause(claim: Claim, value: float, changes: Sequence[Change]) -> str:
-    """The factor that brings the figure nearest to agreement, of several the one that moves it most."""
-    known = [change for change in changes if math.isfinite(change.value)]
-    if not known:
-        return ""
-    gaps = {change: claim.agreement.gap(change.value, claim.paper) for change in known}
-    first, *others = sorted(known, key=lambda change: (gaps[change], -abs(change.value - value)))
-    own = claim.agreement.gap(value, claim.paper)
-    rest = "; ".join(f"{change.words} {change.value:.3g}" for change in others)
-    if gaps[first] > NO_CAUSE * own:
-        return f"no single factor: {value:.3g}; {first.words} {first.value:.3g}; {rest}".rstrip("; ")
-    enough = "" if gaps[first] == 0.0 else ", not enough alone"
-    text = f"{CAUSES[first.factor]}{enough}: {value:.3g}, {first.words} {first.value:.3g}"
-    return f"{text} (one at a time: {rest})" if rest else text

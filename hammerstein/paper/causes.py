@@ -10,14 +10,15 @@ from typing import Any
 from hammerstein.compensators import InverseMultiplicative
 from hammerstein.errors import HammersteinError
 from hammerstein.experiment.kept import KeptCases
-from hammerstein.experiment.measure import needed_by
+from hammerstein.experiment.measure import empty_rows_of
 from hammerstein.experiment.prepare import prepare
 from hammerstein.instruments import Drive, Instruments
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
+from hammerstein.paper.claims import Claim, FactorName
+from hammerstein.paper.verdicts import Change
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.claims import Change, Claim, FactorName
 from hammerstein.scenario.source import ClosedFormSpec, ModelSource
 
 PASSES = 16
@@ -85,7 +86,11 @@ def rows_needed(
 ) -> list[Row]:
     """Rows that the claims select, from the cases alone that have them."""
     setup = prepare(scenario, name, model=model, fresh=store is not None and store.fresh)
-    cases = [case for case in setup.cases() if needed_by(setup, case, claims)]
+    cases = [
+        case
+        for case in setup.cases()
+        if any(claim.selects(row) for row in empty_rows_of(setup, case) for claim in claims)
+    ]
     kept = KeptCases(setup, store)
     return [row for result in kept.results(cases) for row in result.rows]
 

@@ -12,7 +12,8 @@ from pathlib import Path
 from hammerstein.escaping import cell, code, markdown
 from hammerstein.experiment.report import Report
 from hammerstein.model import HammersteinModel, packaged_actuators
-from hammerstein.scenario.claims import Answer, Verdict
+from hammerstein.paper.assessment import Paper
+from hammerstein.paper.verdicts import Answer, ClaimVerdict
 from hammerstein.storage.manifest import Manifest, Owner
 from hammerstein.storage.staging import Stage, staged
 
@@ -20,32 +21,15 @@ CLAIMS = Owner("claims", sign=("claims.csv", "id,scenario,statement,paper,unit,"
 PAGE = Owner("page", sign=("README.md", "# The paper, simulated"))
 
 
-@dataclass(frozen=True)
-class Line:
-    """One claim as text, for a terminal or a page."""
+def claimed(report: Report) -> list[ClaimVerdict]:
+    """What a report says to claims."""
+    return [verdict for verdict in report.verdicts if isinstance(verdict, ClaimVerdict)]
 
-    id: str
-    statement: str
-    paper: str
-    simulated: tuple[tuple[str, str], ...]
-    ratio: str
-    wanted: str
-    verdict: str
-    reason: str
 
-    @classmethod
-    def of(cls, verdict: Verdict) -> Line:
-        """Give the text of a verdict."""
-        return cls(
-            id=verdict.id,
-            statement=verdict.statement,
-            paper="" if verdict.paper is None else f"{verdict.paper:g} {verdict.unit}".strip(),
-            simulated=tuple((answer.actuator, f"{answer.value:.3g}") for answer in verdict.answers),
-            ratio="" if verdict.ratio is None else f"{verdict.ratio:.2f}",
-            wanted=verdict.wanted,
-            verdict="met" if verdict.agrees else "not met",
-            reason=verdict.reason,
-        )
+def printed_at(report: Report) -> str:
+    """The figure of the paper that a report answers; empty if none."""
+    assessment = report.scenario.assessment
+    return assessment.figure if isinstance(assessment, Paper) else ""
 
 
 def claims_csv(reports: Sequence[Report]) -> str:
@@ -65,7 +49,7 @@ def claims_csv(reports: Sequence[Report]) -> str:
             "reason": verdict.reason,
         }
         for report in reports
-        for verdict in report.verdicts
+        for verdict in claimed(report)
         for answer in verdict.answers
     ]
     text = io.StringIO()
@@ -76,10 +60,12 @@ def claims_csv(reports: Sequence[Report]) -> str:
 
 
 def write_claims(reports: Sequence[Report], out: Path) -> tuple[Path, ...]:
-    """Write ``claims.csv``; give the place of one that a person had changed and that was kept.
+    """Write ``claims.csv``, if there are any; give the place of one that a person had changed.
 
     Raises InputError if it cannot be written.
     """
+    if not any(map(claimed, reports)):
+        return ()
     with staged(out, CLAIMS) as stage:
         stage.write(CLAIMS.sign[0], claims_csv(reports))
     return stage.kept
@@ -102,9 +88,9 @@ def write_page(reports: Sequence[Report], out: Path, page: Path) -> tuple[Path, 
 
 def _in_order(report: Report) -> tuple[bool, list[int], str]:
     """Figures in the order of their numbers; what has no number first, what is not in the paper last."""
-    words = "".join(c if c.isdigit() else " " for c in (report.scenario.paper_figure or "").split(",")[0])
-    numbers = [int(word) for word in words.split()][:1]
-    return report.scenario.paper_figure is None, numbers, report.name
+    figure = printed_at(report)
+    words = "".join(c if c.isdigit() else " " for c in figure.split(",")[0])
+    return not figure, [int(word) for word in words.split()][:1], report.name
 
 
 def _copied(report: Report, out: Path, stage: Stage) -> list[str]:
@@ -120,7 +106,7 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
-        loader=PackageLoader("hammerstein"),
+        loader=PackageLoader("hammerstein.paper"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -128,13 +114,14 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
         autoescape=False,  # Markdown, which has its own filter
     )
     environment.filters |= {"md": markdown, "code": code}
-    verdicts = [verdict for report in reports for verdict in report.verdicts]
+    verdicts = [verdict for report in reports for verdict in claimed(report)]
     actuators = list(dict.fromkeys(answer.actuator for verdict in verdicts for answer in verdict.answers))
     counted = [verdict for verdict in verdicts if not verdict.calibrated]
-    return environment.get_template("paper.md.jinja").render(
+    return environment.get_template("page.md.jinja").render(
         reports=reports,
         figures=figures,
-        lines={report.name: [Line.of(verdict) for verdict in report.verdicts] for report in reports},
+        places={report.name: printed_at(report) for report in reports},
+        verdicts={report.name: claimed(report) for report in reports},
         readings=[Met.of(name, counted) for name in actuators],
         tables=[_table(group, actuators) for group in (counted, [v for v in verdicts if v.calibrated])],
         unmet=[v.id for v in counted if not any(answer.agrees for answer in v.answers)],
@@ -152,7 +139,7 @@ class Met:
     asked: int
 
     @classmethod
-    def of(cls, actuator: str, verdicts: Sequence[Verdict]) -> Met:
+    def of(cls, actuator: str, verdicts: Sequence[ClaimVerdict]) -> Met:
         """Count the claims of one actuator."""
         asked = [(v.id, a.agrees) for v in verdicts for a in v.answers if a.actuator == actuator]
         met = tuple(name for name, agrees in asked if agrees)
@@ -167,18 +154,17 @@ def _reading(actuator: str) -> str:
     return str(told.get("bandwidth", "")) if isinstance(told, dict) else ""
 
 
-def _table(verdicts: Sequence[Verdict], actuators: Sequence[str]) -> list[tuple[str, ...]]:
+def _table(verdicts: Sequence[ClaimVerdict], actuators: Sequence[str]) -> list[tuple[str, ...]]:
     """Cells of each claim: what every actuator answers, in brackets where it does not agree."""
     rows = []
     for verdict in verdicts:
-        line = Line.of(verdict)
         found = {answer.actuator: answer for answer in verdict.answers}
         cells = [_cell(found.get(name)) for name in actuators]
-        rows.append((line.id, line.statement, line.paper, line.wanted, *cells))
+        rows.append((verdict.id, verdict.statement, verdict.printed, verdict.wanted, *cells))
     return rows
 
 
 def _cell(answer: Answer | None) -> str:
     if answer is None or not math.isfinite(answer.value):
         return ""
-    return f"{answer.value:.3g}" if answer.agrees else f"({answer.value:.3g})"
+    return answer.text() if answer.agrees else f"({answer.text()})"

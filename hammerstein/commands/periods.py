@@ -1,0 +1,109 @@
+"""Periods of a periodic path: written as a drive file or a wave table, and learnt from a trial."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from hammerstein.commands.law_options import volts
+from hammerstein.commands.terminal import tell, tell_json
+
+if TYPE_CHECKING:
+    from hammerstein.compensators.cycle import Cycle
+    from hammerstein.compensators.drive_file import Terms
+
+
+class Table(NamedTuple):
+    """What a person asks of a wave table; no device: the period as a drive file."""
+
+    device: str | None
+    scale: str | None
+    points: int | None
+
+    def check(self) -> None:
+        """Raise InputError for words that are none, before anything is computed."""
+        from hammerstein.compensators.wave_table import DEVICES
+        from hammerstein.errors import InputError
+
+        if self.device is None and (self.scale is not None or self.points is not None):
+            raise InputError("--table-scale, --table-points", "belong to --table")
+        if self.device is not None and self.device not in DEVICES:
+            raise InputError("--table", f"{self.device!r} is not one of {', '.join(DEVICES)}")
+        scale = self.factors()
+        if scale is not None and (scale[0] == 0.0 or not all(map(math.isfinite, scale))):
+            raise InputError("--table-scale", "is FACTOR or FACTOR,OFFSET: finite, the factor not 0")
+
+    def factors(self) -> tuple[float, float] | None:
+        """Factor and offset from volts to the numbers of the table."""
+        from hammerstein.errors import InputError
+
+        scale = volts("--table-scale", self.scale)
+        if scale is None:
+            return None
+        if len(scale) > 2:
+            raise InputError("--table-scale", "is FACTOR or FACTOR,OFFSET")
+        return scale[0], scale[1] if len(scale) == 2 else 0.0
+
+    def form(self, found: Cycle) -> tuple[list[str], list[float], str]:
+        """What must be known of a period, its errors [um], and the text of its file."""
+        from hammerstein.compensators.cycle import rms
+        from hammerstein.compensators.wave_table import wave_table
+
+        if self.device is None:
+            return found.statements(), [rms(found.error_um)], found.to_csv()
+        table = wave_table(found, self.device, self.factors(), self.points)
+        return table.statements(), list(table.errors_um), table.text()
+
+
+class Period(NamedTuple):
+    """What a person asks of the period of a path, and where it goes."""
+
+    model: str
+    path: Path
+    law: str
+    options: dict[str, Any]
+    terms: Terms
+    out: Path
+    table: Table
+    as_json: bool
+
+
+def write_cycle(asked: Period) -> None:
+    """Write one settled period, as a drive file or as a wave table."""
+    from hammerstein.compensators.cycle import cycle_of
+    from hammerstein.files import write_atomic
+
+    found = cycle_of(asked.model, asked.path, asked.law, asked.options, asked.terms)
+    said, errors, text = asked.table.form(found)
+    write_atomic(asked.out, text)
+    _tell(asked, {"rms_um": errors}, said, "one period")
+
+
+def write_lesson(asked: Period, trial: tuple[Path, Path], unsure: str) -> None:
+    """Write the next period of a periodic path, from a trial."""
+    from hammerstein.errors import InputError
+    from hammerstein.files import write_atomic
+    from hammerstein.learning.files import learn_from_files
+    from hammerstein.learning.unsure import Unsure
+
+    deviations = volts("--unsure", unsure) or ()
+    if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):
+        raise InputError("--unsure", f"{unsure!r} are not two relative deviations, such as 0.05,0.01")
+    found, taught = learn_from_files(
+        asked.model, asked.path, asked.law, asked.options, trial, Unsure(*deviations), asked.terms
+    )
+    about, errors, text = asked.table.form(found)
+    write_atomic(asked.out, text)
+    figures = {"error_rms_um": taught.error_rms_um, "noise_um": taught.noise_um, "rms_um": errors}
+    said = [taught.statement(), *about]
+    _tell(asked, {"finished": taught.finished, **figures}, said, "next period")
+
+
+def _tell(asked: Period, figures: dict[str, Any], said: list[str], what: str) -> None:
+    if asked.as_json:
+        tell_json({"drive": str(asked.out), **figures, "statements": said})
+        return
+    for words in said:
+        tell(words)
+    tell(f"{what} in {asked.out}")

@@ -1,0 +1,9 @@
+"""The one paper: its claims, what is said of them, and the page of all its figures.
+
+A kind of assessment like those of others: nothing in the package imports this room, which the entry point
+``paper`` of the group ``hammerstein.blocks`` names.
+"""
+
+from hammerstein.paper.assessment import Paper
+
+__all__ = ["Paper"]

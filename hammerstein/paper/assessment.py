@@ -1,0 +1,115 @@
+"""What the paper prints of a scenario: the figure, its claims, and the actuators that answer them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from hammerstein.metrics import Row
+from hammerstein.model import HammersteinModel
+from hammerstein.paper.claims import Claim
+from hammerstein.paper.verdicts import CLAIMED, Answer, Change, ClaimVerdict, verdicts
+from hammerstein.plugins import register
+from hammerstein.quantities import FileName, Passes
+from hammerstein.runtime.store import Store
+from hammerstein.scenario.assessment import Assessment
+
+if TYPE_CHECKING:
+    from hammerstein.experiment.report import Report
+    from hammerstein.scenario import Scenario
+
+PAPER = (
+    "Multivariable classical Prandtl-Ishlinskii hysteresis modeling and compensation and sensorless control "
+    "of a nonlinear 2-dof piezoactuator"
+)
+
+
+class AlsoOn(BaseModel):
+    """Another actuator that answers the claims, with so many passes of the paper's law in a sample."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    actuator: FileName = Field(description="packaged actuator or model file")
+    passes: Passes | None = Field(default=None, description="those of the scenario, if not given")
+
+
+@register
+class Paper(Assessment):
+    """What the paper says, and what counts as agreement."""
+
+    kind: Literal["paper"]
+    title: ClassVar[str] = "Claims of the paper"
+    number_names: ClassVar[tuple[str, ...]] = (CLAIMED,)
+    reading_first: ClassVar[bool] = True  # as the paper's figures show it
+
+    figure: str = Field(default="", description='the figure that the scenario answers, such as "Fig. 9"')
+    claims: tuple[Claim, ...] = ()
+    also_on: tuple[AlsoOn, ...] = Field(
+        default=(), description="other actuators that answer the claims, for comparison"
+    )
+
+    @property
+    def runs(self) -> int:
+        """One on every other actuator."""
+        return len(self.also_on)
+
+    def names(self) -> tuple[str, ...]:
+        """Name of every claim."""
+        return tuple(claim.id for claim in self.claims)
+
+    def place(self) -> str:
+        """The figure."""
+        return f"in the paper: {self.figure}" if self.figure else ""
+
+    def source(self) -> str:
+        """Title of the paper."""
+        return PAPER
+
+    def actuators(self) -> tuple[str, ...]:
+        """The other actuators."""
+        return tuple(other.actuator for other in self.also_on)
+
+    def with_actuators(self, resolved: Callable[[str], str]) -> Self:
+        """Give the same with the places of model files as ``resolved`` says."""
+        others = (o.model_copy(update={"actuator": resolved(o.actuator)}) for o in self.also_on)
+        return self.model_copy(update={"also_on": tuple(others)})
+
+    def judge(
+        self, scenario: Scenario, name: str, model: HammersteinModel, rows: Sequence[Row], store: Store | None
+    ) -> tuple[ClaimVerdict, ...]:
+        """Answer every claim on every actuator, with the cause where the scenario's own does not agree."""
+        from hammerstein.paper.causes import changes_of, rows_needed, with_passes
+
+        answers = {model.name: rows}
+        for other in self.also_on if self.claims else ():
+            found = HammersteinModel.load(other.actuator)
+            told = (None if other.passes is None else with_passes(scenario, other.passes)) or scenario
+            answers[found.name] = rows_needed(told, self.claims, name, found, store)
+        return verdicts(self.claims, answers, lambda claim: tuple(changes_of(scenario, model, claim, store)))
+
+    def verdict_of(self, content: Mapping[str, Any]) -> ClaimVerdict:
+        """A verdict from the fields that were kept of it."""
+        answers = tuple(Answer(**answer) for answer in content["answers"])
+        changes = tuple(Change(**change) for change in content["changes"])
+        return ClaimVerdict(**{**content, "answers": answers, "changes": changes})
+
+    @classmethod
+    def prepare(cls, out: Path, page: Path | None) -> None:
+        """Refuse folders that hold other people's files under these names."""
+        from hammerstein.paper.page import CLAIMS, PAGE
+        from hammerstein.storage.staging import prepare
+
+        prepare(out, CLAIMS, [CLAIMS.sign[0]])
+        if page is not None:
+            prepare(page, PAGE, [PAGE.sign[0]])
+
+    @classmethod
+    def write(cls, reports: Sequence[Report], out: Path, page: Path | None) -> tuple[Path, ...]:
+        """Write ``claims.csv`` beside the reports and, where it is wanted, the page of all figures."""
+        from hammerstein.paper.page import write_claims, write_page
+
+        kept = write_claims(reports, out)
+        return kept if page is None else kept + write_page(reports, out, page)

@@ -1,0 +1,177 @@
+"""What simulated actuators answer to claims, and what is the cause where they do not agree."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+from hammerstein.errors import InputError
+from hammerstein.metrics import Row
+from hammerstein.paper.claims import Claim, FactorName
+from hammerstein.scenario.assessment import Verdict
+
+CLAIMED = "value"  # the number of a claim
+CAUSES: dict[FactorName, str] = {
+    "sensor": "the sensor, in identification and judgement",
+    "dynamics": "the dynamics",
+    "passes": "the law's one pass a sample",
+    "sample_time": "the sample time",
+    "identification_amplitude": "the amplitude of identification",
+    "identification_frequency": "the frequency of identification",
+}
+NO_CAUSE = 0.9  # of the distance from agreement; a factor that leaves more of it explains nothing
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one actuator answers to a claim."""
+
+    actuator: str
+    value: float
+    agrees: bool
+
+    def text(self) -> str:
+        """The value in three digits."""
+        return f"{self.value:.3g}"
+
+    def as_dict(self) -> dict[str, object]:
+        """Give plain JSON; a value that does not exist is left out."""
+        return {k: v for k, v in asdict(self).items() if k != "value" or math.isfinite(self.value)}
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a claim's figure becomes when one factor of the chain is changed and nothing else.
+
+    factor : its name; words : what was done, such as ``with an ideal sensor``; value : the figure then
+    """
+
+    factor: FactorName
+    words: str
+    value: float
+
+
+@dataclass(frozen=True)
+class ClaimVerdict(Verdict):
+    """A claim and what the simulated actuators answer; the first is the scenario's own."""
+
+    statement: str
+    paper: float | None
+    unit: str
+    wanted: str
+    answers: tuple[Answer, ...]
+    reason: str
+    calibrated: bool = False
+    changes: tuple[Change, ...] = ()
+
+    @property
+    def ratio(self) -> float | None:
+        """Simulated over paper, for the scenario's own actuator."""
+        return self.answers[0].value / self.paper if self.paper else None
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the scenario's own actuator agrees."""
+        return self.answers[0].agrees
+
+    @property
+    def word(self) -> str:
+        """The verdict in words."""
+        return "met" if self.agrees else "not met"
+
+    @property
+    def printed(self) -> str:
+        """The paper's figure with its unit; empty if it prints none."""
+        return "" if self.paper is None else f"{self.paper:g} {self.unit}".strip()
+
+    def cells(self) -> dict[str, str]:
+        """Its line in a table, by column."""
+        return {
+            "claim": self.id,
+            "statement": self.statement,
+            "reason": self.reason,
+            "paper": self.printed,
+            "simulated": ", ".join(f"{answer.actuator} {answer.text()}" for answer in self.answers),
+            "ratio": "" if self.ratio is None else f"{self.ratio:.2f}",
+            "wanted": self.wanted,
+            "verdict": self.word,
+        }
+
+    def numbers(self) -> Iterator[tuple[Mapping[str, str], Mapping[str, float]]]:
+        """What each actuator answers; one that has no such row answers nothing."""
+        for answer in self.answers:
+            if math.isfinite(answer.value):
+                yield {"claim": self.id, "actuator": answer.actuator}, {CLAIMED: answer.value}
+
+    def as_dict(self) -> dict[str, object]:
+        """Give plain JSON; a figure that does not exist is left out."""
+        content = {k: v for k, v in asdict(self).items() if v is not None}
+        content["answers"] = [answer.as_dict() for answer in self.answers]
+        content["changes"] = [asdict(change) for change in self.changes if math.isfinite(change.value)]
+        return content | {"verdict": self.word}
+
+
+def verdicts(
+    claims: Sequence[Claim],
+    rows_by_actuator: Mapping[str, Sequence[Row]],
+    changes_of: Callable[[Claim], Sequence[Change]] = lambda claim: (),
+) -> tuple[ClaimVerdict, ...]:
+    """Answer every claim with the rows of every actuator; the first actuator is the scenario's own.
+
+    Parameters
+    ----------
+    claims : what is claimed
+    rows_by_actuator : rows of each actuator
+    changes_of : what the figure of a claim that is not met becomes, one factor changed at a time
+
+    Raises InputError where a claim selects no row.
+    """
+    found = []
+    for claim in claims:
+        answers = []
+        for actuator, rows in rows_by_actuator.items():
+            value = claim.value(rows)
+            answers.append(Answer(actuator, value, claim.agreement.holds(value, claim.paper)))
+        if math.isnan(answers[0].value):
+            raise InputError(f"claim {claim.id}", "selects no row that has this metric; look into rms.csv")
+        changes = () if answers[0].agrees or claim.calibrated else tuple(changes_of(claim))
+        said = [_cut(claim, next(iter(rows_by_actuator.values())))]
+        if not answers[0].agrees:
+            said += [_cause(claim, answers[0].value, changes), claim.note]
+        found.append(
+            ClaimVerdict(
+                claim.id,
+                claim.statement,
+                claim.paper,
+                claim.unit,
+                claim.agreement.words(),
+                tuple(answers),
+                ". ".join(text for text in said if text),
+                claim.calibrated,
+                changes,
+            )
+        )
+    return tuple(found)
+
+
+def _cut(claim: Claim, rows: Sequence[Row]) -> str:
+    """Say that the drive's range cut the voltage in the rows of a claim."""
+    cut = max((row.saturated_samples or 0 for row in rows if claim.selects(row)), default=0)
+    return f"the reference exceeds the range: the drive cut {cut:g} samples" if cut else ""
+
+
+def _cause(claim: Claim, value: float, changes: Sequence[Change]) -> str:
+    """The factor that brings the figure nearest to agreement, of several the one that moves it most."""
+    known = [change for change in changes if math.isfinite(change.value)]
+    if not known:
+        return ""
+    gaps = {change: claim.agreement.gap(change.value, claim.paper) for change in known}
+    first, *others = sorted(known, key=lambda change: (gaps[change], -abs(change.value - value)))
+    own = claim.agreement.gap(value, claim.paper)
+    rest = "; ".join(f"{change.words} {change.value:.3g}" for change in others)
+    if gaps[first] > NO_CAUSE * own:
+        return f"no single factor: {value:.3g}; {first.words} {first.value:.3g}; {rest}".rstrip("; ")
+    enough = "" if gaps[first] == 0.0 else ", not enough alone"
+    text = f"{CAUSES[first.factor]}{enough}: {value:.3g}, {first.words} {first.value:.3g}"
+    return f"{text} (one at a time: {rest})" if rest else text

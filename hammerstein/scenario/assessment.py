@@ -1,0 +1,126 @@
+"""What a scenario may carry to have its numbers judged: the figures of a publication, or of a data sheet.
+
+Each kind plugs in (``register``, or the entry point group ``hammerstein.blocks``) and is a table
+``[assessment]`` of a scenario file, told by its ``kind``. Runs, reports and baselines know no kind: they ask
+for what stands here.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+from pydantic import BaseModel, ConfigDict
+
+from hammerstein.metrics import Row
+from hammerstein.model import HammersteinModel
+from hammerstein.plugins import Family
+from hammerstein.runtime.store import Store
+
+if TYPE_CHECKING:
+    from hammerstein.experiment.report import Report
+    from hammerstein.scenario.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Verdict(ABC):
+    """What a run says of one thing that was asked, as plain values."""
+
+    id: str
+
+    @property
+    @abstractmethod
+    def agrees(self) -> bool:
+        """Whether it is as it was wanted."""
+
+    @abstractmethod
+    def cells(self) -> dict[str, str]:
+        """Its line in a table, by column."""
+
+    @abstractmethod
+    def numbers(self) -> Iterator[tuple[Mapping[str, str], Mapping[str, float]]]:
+        """Finite numbers that a baseline guards: what tells each row from others, and its numbers by name."""
+
+    @abstractmethod
+    def as_dict(self) -> dict[str, object]:
+        """Give plain JSON."""
+
+
+class Assessment(BaseModel, ABC):
+    """A table of a scenario that says what its numbers should be, as a frozen value with a tag ``kind``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: str
+    title: ClassVar[str] = "Verdicts"
+    """Heading of the table of verdicts."""
+    number_names: ClassVar[tuple[str, ...]] = ()
+    """Names of the numbers of its verdicts, for which a scenario may give tolerances."""
+    reading_first: ClassVar[bool] = False
+    """Whether errors of the sensor's reading are told before those of the true position."""
+
+    @property
+    def runs(self) -> int:
+        """How many times more the scenario is run for it, at most."""
+        return 0
+
+    def names(self) -> tuple[str, ...]:
+        """What it asks, one name each."""
+        return ()
+
+    def place(self) -> str:
+        """Where what it asks was printed, such as ``in the data sheet: Fig. 3``; empty if nowhere."""
+        return ""
+
+    def source(self) -> str:
+        """What it was printed in; empty if nowhere."""
+        return ""
+
+    def actuators(self) -> tuple[str, ...]:
+        """Packaged actuators and model files that it names."""
+        return ()
+
+    def with_actuators(self, resolved: Callable[[str], str]) -> Self:
+        """Give the same with the places of the model files that it names as ``resolved`` says."""
+        return self
+
+    @abstractmethod
+    def judge(
+        self, scenario: Scenario, name: str, model: HammersteinModel, rows: Sequence[Row], store: Store | None
+    ) -> tuple[Verdict, ...]:
+        """What a run says.
+
+        Parameters
+        ----------
+        scenario, name : what was run, and what its report is called
+        model, rows : the actuator that was simulated, and what was measured
+        store : where the results of further runs are kept and found
+
+        Raises InputError where it asks for what the run does not have.
+        """
+
+    @abstractmethod
+    def verdict_of(self, content: Mapping[str, Any]) -> Verdict:
+        """A verdict from the fields that were kept of it."""
+
+    @classmethod
+    def prepare(cls, out: Path, page: Path | None) -> None:
+        """Refuse folders that cannot take what ``write`` writes; InputError says why."""
+
+    @classmethod
+    def write(cls, reports: Sequence[Report], out: Path, page: Path | None) -> tuple[Path, ...]:
+        """Write what stands over several reports that lie below ``out``; give files that were kept aside.
+
+        Parameters
+        ----------
+        reports : every report of a run, also those without verdicts of this kind
+        out, page : folder of the reports, and of a page with all figures, if one is wanted
+        """
+        return ()
+
+
+ASSESSMENTS: Family[Assessment] = Family(Assessment, "kind")  # type: ignore[type-abstract]
+"""Kinds of assessment; the package's own is that of the paper, and plugs in like those of others."""

@@ -1,0 +1,36 @@
+"""Names of numbers as a scenario may give them: figures of merit, and numbers of verdicts."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticKnownError
+
+from hammerstein.metrics import METRICS
+from hammerstein.scenario.assessment import ASSESSMENTS
+
+
+def _known(name: str) -> str:
+    if name not in METRICS:
+        raise PydanticKnownError("literal_error", {"expected": ", ".join(map(repr, METRICS))})
+    return name
+
+
+def _known_or_of_a_verdict(name: str) -> str:
+    return name if name in numbers_of_verdicts() else _known(name)
+
+
+def _named(schema: dict[str, Any]) -> None:
+    schema["enum"] = list(METRICS)
+
+
+def numbers_of_verdicts() -> list[str]:
+    """Names of the numbers of all kinds of verdict."""
+    return [name for kind in ASSESSMENTS.kinds.values() for name in kind.number_names]
+
+
+MetricName = Annotated[str, AfterValidator(_known), Field(json_schema_extra=_named)]
+"""Name of a figure of merit, those of plug-ins included."""
+NumberName = Annotated[str, AfterValidator(_known_or_of_a_verdict)]
+"""Name of a number of a report: a figure of merit, or a number of a verdict."""
