@@ -345,7 +345,12 @@ class Spinner:
 def compensate(
     model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
     reference: Annotated[Path, typer.Argument(help="CSV: time_s, then one column an axis, in um.")],
-    law: Annotated[str, typer.Option(help="As in a scenario.")] = "hammerstein_inverse",
+    law: Annotated[
+        str,
+        typer.Option(
+            help="hammerstein_inverse, exact_inverse, inverse_multiplicative, decoupled_inverse or none."
+        ),
+    ] = "hammerstein_inverse",
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where the voltages go.")] = Path("drive.csv"),
     filter_hz: FilterHz = None,
     preview_s: PreviewS = None,
