@@ -36,6 +36,8 @@ SETTLED_SHARE = 0.005
 """Part of the height by which a settled cycle may differ from its neighbour, beside the noise."""
 WIDE = 0.6
 """Part of the largest amplitude from which a loop is a wide one."""
+SLOW = 0.05
+"""Part of the time of the longest wide loop that a settled one takes: one of a multisine is chance."""
 SAME_SWING = 0.01
 """Part by which the swings of two cycles of one amplitude may differ."""
 CLEAR = 3.0
@@ -172,7 +174,12 @@ def telling_loops(loops: Sequence[Loop], most: int | None = None) -> list[Loop]:
     kept: set[int] = set()
     for own in pairs.values():
         widest = max(loop.amplitude_v for loop in own)
-        telling = [loop for loop in own if loop.settled or loop.amplitude_v >= WIDE * widest]
+        least = SLOW * max(loop.samples for loop in own if loop.amplitude_v >= WIDE * widest)
+        telling = [
+            loop
+            for loop in own
+            if loop.amplitude_v >= WIDE * widest or (loop.settled and loop.samples >= least)
+        ]
         telling.sort(key=lambda loop: (not loop.settled, -loop.amplitude_v, -loop.start))
         kept |= {id(loop) for loop in telling[:most]}
     return [loop for loop in loops if id(loop) in kept]
