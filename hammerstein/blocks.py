@@ -97,7 +97,7 @@ class Law(ABC, Generic[S]):
 
     def step(self, reference_um: ArrayLike, state: S) -> tuple[Array, S]:
         """Drive (m,) for one sample of reference (p,); equal to ``respond`` to the last bit."""
-        sample = np.asarray(reference_um, dtype=np.float64)
+        sample = np.ascontiguousarray(reference_um, dtype=np.float64)  # of one type: it is compiled once
         found = self._step(sample, state) if sample.shape == (self.n_outputs,) else None
         if found is not None:
             return found

@@ -314,7 +314,17 @@ class ModelFile(BaseModel):
     def model(self) -> HammersteinModel:
         """Give the model this describes."""
         fields: dict[str, Any] = {n: getattr(self, n) for n in type(self).model_fields if n != "format"}
-        return HammersteinModel(**fields | {"hysteresis": self.hysteresis.hysteresis()})
+        return HammersteinModel(**fields | {"hysteresis": self._built()})
+
+    def _built(self) -> Hysteresis[Any]:
+        """Give the hysteresis; the mistakes in it stand below its key."""
+        try:
+            return self.hysteresis.hysteresis()
+        except InputError as error:
+            named = [
+                m._replace(where=".".join(filter(None, ("hysteresis", m.where)))) for m in error.mistakes
+            ]
+            raise InputError(error.source, named) from None
 
     @classmethod
     def of(cls, model: HammersteinModel) -> ModelFile:

@@ -41,6 +41,9 @@ class Stream:
         self.law = law
         self.state = law.rest() if state is None else state
         self._drive = np.empty(law.n_inputs)
+        idle = np.zeros((law.n_outputs, 1))  # compiles what is not yet: no sample waits for that
+        law.step(idle[:, 0], self.state)
+        law.respond(idle, self.state)
 
     def step(self, reference_um: ArrayLike) -> Array:
         """Voltages (m,) to send now for one sample of reference (p,); the same array in every step.

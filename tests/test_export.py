@@ -16,6 +16,7 @@ from hammerstein.errors import InputError, InternalError, SimulationError, Toler
 from hammerstein.export.compiling import FLAGS, compiler
 from hammerstein.export.folder import REQUEST_FILE, check_export, files_of, write_export
 from hammerstein.export.operations import Code
+from hammerstein.export.worst import dearest
 
 MILLION = 1_000_000
 
@@ -138,8 +139,9 @@ def test_no_signal_costs_more_than_the_bound(name, record_property):
             assert operations <= code.cost.operations
 
         search()
+        told, _ = dearest(lambda signal: library.respond(signal)[1], scale)
     record_property("worst step", worst[0])
-    assert worst[0] > 0
+    assert 0.9 * worst[0] < told <= code.cost.operations  # what an export reports is no smaller story
 
 
 @needs_compiler

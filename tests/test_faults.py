@@ -14,7 +14,8 @@ import pytest
 
 from hammerstein.errors import LostProcessError
 from hammerstein.runtime.fanning import in_order
-from hammerstein.runtime.workers import Processes
+from hammerstein.runtime.processes import loaded_beforehand
+from hammerstein.runtime.workers import Processes, signal_name
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of this kind are POSIX")
 
@@ -169,6 +170,17 @@ def test_a_task_that_ends_its_process_is_tried_twice_and_does_not_stop_the_other
         futures.pop(2).result()
     assert [future.result() for future in futures] == [*"abdefg"]
     assert sorted(log.read_text()) == sorted("abccdefg")
+
+
+def test_a_signal_without_a_name_is_told_by_its_number():
+    assert (signal_name(signal.SIGKILL), signal_name(1000)) == ("SIGKILL", "signal 1000")
+
+
+def test_nothing_that_does_not_survive_a_fork_is_loaded_before_one(monkeypatch):
+    """On macOS NumPy tries the system's linear algebra when it is loaded; a fork loses its threads."""
+    assert "scipy.signal" in loaded_beforehand()
+    monkeypatch.setattr("sys.platform", "darwin")
+    assert loaded_beforehand() == []
 
 
 @pytest.mark.long

@@ -53,7 +53,9 @@ class Instance:
 
 def test_the_unit_is_valid(unit):
     code, path = unit
-    assert fmpy.read_model_description(str(path), validate=True).fmiVersion == "3.0"
+    about = fmpy.read_model_description(str(path), validate=True)
+    assert about.fmiVersion == "3.0"
+    assert {v.name[-2:]: v.unit for v in about.modelVariables[1:]} == {"um": "um", "_v": "V"}
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
     assert {f"sources/{code.name}.c", "sources/fmu.c", "sources/buildDescription.xml"} <= set(names)

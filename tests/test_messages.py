@@ -174,9 +174,41 @@ def test_a_mistake_in_an_option_names_the_option(tmp_path, capsys, csv):
         (options, ("--sensor-bandwidth", "must be")),
         (["--operators", "x"], ("--operators", "'x' is neither a number nor auto")),
         (["--thresholds", "x"], ("--thresholds", "'x' are no voltages")),
+        (["--thresholds", "3,1"], ("--thresholds", "each larger than the one before")),
+        (["--thresholds", "0,nan"], ("--thresholds", "must be 0 to 1e6")),
     ):
         with pytest.raises(SystemExit) as caught:
             main(["identify", str(csv()), *columns, *more])
         said = capsys.readouterr().err
         assert caught.value.code == 2
         assert all(words in said for words in told)
+
+
+PAIR = {"direct_um_per_v": 5.0, "hysteretic_um_per_v": 1.0, "beta_per_v": 0.3, "gamma_per_v": 0.1}
+PLAYS = {"thresholds_v": [0.0, 1.0], "growth_s": [0.0], "bandwidth_hz": 100.0}
+
+
+@pytest.mark.parametrize(
+    ("hysteresis", "told"),
+    [
+        (
+            {"kind": "bouc_wen", "pairs": [[PAIR, PAIR | {"beta_per_v": -1.0}]] * 2},
+            "hysteresis.pairs[1][2]  beta",
+        ),
+        ({"kind": "bouc_wen", "pairs": [[]]}, "hysteresis  must have a row for each output"),
+        (
+            {"kind": "rate_dependent", "inputs": [PLAYS, PLAYS], "weights_um_per_v": [[[1.0]]]},
+            "hysteresis.inputs[2]  growth_s has shape",
+        ),
+        (
+            {"kind": "parallel", "parts": [{"kind": "bouc_wen", "pairs": [[PAIR] * n] * 2} for n in (1, 2)]},
+            "hysteresis  needs two parts or more with the same inputs and outputs",
+        ),
+    ],
+)
+def test_what_cannot_be_built_of_a_kind_names_its_place(hysteresis, told):
+    model = json.loads(HammersteinModel.load("duo_bimorph_static").to_json()) | {"hysteresis": hysteresis}
+    with pytest.raises(InputError) as refused:
+        HammersteinModel.from_json(json.dumps(model), "m.json")
+    assert told in str(refused.value)
+    assert str(refused.value).startswith("m.json")

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 import theory
 
-from hammerstein.compensators.exact.inverse import ExactInverse, ExactInverseLaw
+from hammerstein.compensators.exact.inverse import ExactInverse, ExactInverseLaw, exact_inverse_of
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
+from hammerstein.driving import DriveRange
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii, RateDependent, RatePlays
+from hammerstein.hysteresis import Pair, Parallel, PrandtlIshlinskii, RateDependent, RatePlays
 from hammerstein.hysteresis.rate_dependent_kernels import log_of_one_and
 from hammerstein.model import HammersteinModel
 
@@ -172,6 +174,23 @@ def test_the_inverse_is_stable_exactly_where_its_loop_gain_is_below_one(growth_s
     drive = law.respond(ramp)[0][0]
     late = np.abs(np.diff(drive[-400:]) - 0.25 / 1.001).max()
     assert (late < 1e-3) == stable
+
+
+@pytest.mark.parametrize("build", ["exact", "passes", "parallel"])
+def test_a_start_is_where_slow_voltages_led_not_jumps(build):
+    """Conditioned before the start: the position from which a law counts is that of a slow drive there."""
+    model = model_of(block() if build != "parallel" else Parallel((block(), block())))
+    limits = DriveRange.of((-9.0, 10.0), model, start_v=[3.0, -2.0], conditioned=True)
+    ends = limits.history()
+    ways = zip(ends.T[:-1], ends.T[1:], strict=True)
+    slow = np.concatenate([np.linspace(begin, end, 40_000) for begin, end in ways]).T
+    wanted = model.hysteresis.on_grid(T).respond(slow)[0][:, -1]
+    if build == "exact":
+        law = exact_inverse_of(model.hysteresis, model, limits)
+    else:
+        law = InverseMultiplicativeLaw(model, limits, T, iterations=8)
+    np.testing.assert_allclose(law.origin_um, wanted, atol=0.05)
+    np.testing.assert_allclose(law.respond(np.zeros((2, 50)))[0][:, -1], [3.0, -2.0], atol=0.05)
 
 
 def test_the_range_is_kept_and_left_again():

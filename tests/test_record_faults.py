@@ -1,7 +1,10 @@
 """Each fault of a record is named as what it is, with rows, and none of the others is suspected."""
 
 import re
+from dataclasses import replace
 
+import made_up
+import numpy as np
 import pytest
 import record_faults as made
 from record_cases import plain
@@ -96,3 +99,21 @@ def test_a_fault_is_named_with_its_rows_and_none_of_the_others(fault, name, rows
     said = diagnosis(us, ys)
     assert suspicions(said) == {name}, said
     assert re.search(rows, said, re.DOTALL), said
+
+
+def test_creep_that_the_model_has_is_not_told_as_drift():
+    """A short record of a creeping axis has a trend, whatever plays and delayed voltages explain."""
+    stage = made_up.stage(
+        3, resonances_hz=None, plays=9, rate_hz=2e3, noise_um=2e-3, creep=((0.07, 0.08),), loop=0.1
+    )
+    stage = replace(
+        stage, thresholds_v=stage.thresholds_v[:1], weights_um_per_v=stage.weights_um_per_v[:1, :1]
+    )
+    u = made_up.triangles(stage, 0, cycles=4, hz=4.0)
+    record = Record(u, stage.record(u, np.random.default_rng(0)), 5e-4, source="short.csv")
+    settings = plain(operators=20, delay_samples=0)
+    _, without = identify([record], settings)
+    assert suspicions("\n".join(without.flags)) == {"drift"}
+    _, fit = identify([record], replace(settings, dynamics="lag", creep_modes=1))
+    assert fit.axes[0].axis.creep[0].gain == pytest.approx(0.07, rel=0.2)
+    assert suspicions("\n".join(fit.flags)) == set()

@@ -43,6 +43,18 @@ def test_a_stream_goes_on_from_a_state(law):
     assert (hammerstein.stream(law, kept).block(reference[:, 300:]) == wanted[:, 300:]).all()
 
 
+def test_no_sample_waits_for_a_compilation():
+    """All is compiled when the stream begins, and whatever form a sample has it is the same code."""
+    model = hammerstein.HammersteinModel.load("duo_bimorph_static")
+    law = hammerstein.ExactInverse().design(model, range_v=10.0, sample_time_s=T)
+    loop, path = hammerstein.stream(law), _path(6)
+    known = len(law._compiled_step.signatures)
+    assert known > 0
+    for sample in (path[:, 0], path.T[1], path[:, 2].tolist(), path[:, 3].astype(np.float32)):
+        loop.step(sample)
+    assert len(law._compiled_step.signatures) == known
+
+
 def test_a_step_leaves_no_garbage(law):
     """Nothing for the collector, and no block of memory more, after many steps."""
     loop, rows = hammerstein.stream(law), np.ascontiguousarray(_path(5000).T)

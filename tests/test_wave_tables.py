@@ -148,12 +148,31 @@ def test_creep_that_never_settles_is_said(tmp_path):
         cycle_of(str(tmp_path / "stage.json"), tmp_path / "p.csv", "hammerstein_inverse", {})
 
 
+def test_a_table_is_written_again_over_itself_and_over_nothing_else(tmp_path, capsys):
+    path, out = _path(tmp_path, 800), tmp_path / "table.txt"
+    asked = ("compensate", "duo_bimorph", path, "--table", "pi", "--table-scale", "1", "--out", out)
+    assert _call(*asked) == 0
+    first = out.read_text()
+    assert first.startswith("# Wave table of Physik Instrumente: 800 points")
+    assert "resampled" not in first  # each sample is a point
+    assert _call(*asked) == 0
+    assert out.read_text() == first
+    assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", out) == 2
+    assert "is no drive file" in capsys.readouterr().err
+    drive = tmp_path / "drive.csv"
+    assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", drive) == 0
+    assert _call(*asked[:-1], drive) == 2
+    assert "is no wave table" in capsys.readouterr().err
+
+
 def test_the_command_refuses_half_a_request(tmp_path, capsys):
     path = _path(tmp_path, 800)
     out = tmp_path / "drive.csv"
     assert _call("compensate", "duo_bimorph", path, "--table-scale", "1", "--out", out) == 2
     assert _call("compensate", "duo_bimorph", path, "--table", "wav", "--out", out) == 2
-    assert _call("compensate", "duo_bimorph", path, "--table", "pi", "--table-scale", "0", "--out", out) == 2
+    for scale in ("0", "nan", "1,2,3"):
+        asked = ("--table", "pi", "--table-scale", scale, "--out", out)
+        assert _call("compensate", "duo_bimorph", path, *asked) == 2
     assert not out.exists()
     assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", out) == 0
     assert re.search("One settled period of 0.04 s", capsys.readouterr().out)

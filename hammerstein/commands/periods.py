@@ -12,6 +12,7 @@ from hammerstein.commands.terminal import tell, tell_json
 if TYPE_CHECKING:
     from hammerstein.compensators.cycle import Cycle
     from hammerstein.compensators.drive_file import Terms
+    from hammerstein.files import Content
 
 
 class Table(NamedTuple):
@@ -33,6 +34,12 @@ class Table(NamedTuple):
         scale = self.factors()
         if scale is not None and (scale[0] == 0.0 or not all(map(math.isfinite, scale))):
             raise InputError("--table-scale", "is FACTOR or FACTOR,OFFSET: finite, the factor not 0")
+
+    def content(self) -> Content:
+        """What the file will hold."""
+        from hammerstein.compensators import drive_file, wave_table
+
+        return drive_file.CONTENT if self.device is None else wave_table.CONTENT
 
     def factors(self) -> tuple[float, float] | None:
         """Factor and offset from volts to the numbers of the table."""

@@ -389,7 +389,7 @@ def compensate(
     from hammerstein.commands.periods import Period, Table, write_cycle, write_lesson
     from hammerstein.commands.tables import compensation_table
     from hammerstein.commands.warm_up import compile_once
-    from hammerstein.compensators.drive_file import CONTENT, Terms, compensate as compensated
+    from hammerstein.compensators.drive_file import Terms, compensate as compensated
     from hammerstein.errors import InputError
     from hammerstein.files import write_atomic
 
@@ -397,13 +397,13 @@ def compensate(
         raise InputError("--gain", f"must be auto or identity, not {gain!r}; a matrix goes into a scenario")
     ahead = preview if preview_s is None else preview_s
     options = {"filter_hz": filter_hz, "preview_s": ahead, "softening_v": softening_v, "gain": gain}
-    refuse_output(out, [Path(model), reference], CONTENT)
+    wanted = Table(table, table_scale, table_points)
+    wanted.check()
+    refuse_output(out, [Path(model), reference, *(learn or ())], wanted.content())
     compile_once(complain)
     ends, begins = volts("--range", range_v), volts("--start", start)
     terms = Terms(ends, begins, conditioned, clip, beyond_records, accept_flagged)
     with told_by_options("compensate"):
-        wanted = Table(table, table_scale, table_points)
-        wanted.check()
         period = Period(model, reference, law, options, terms, out, wanted, as_json)
         if learn is not None:
             write_lesson(period, learn, unsure)

@@ -231,12 +231,12 @@ def player(
 ) -> Callable[[Array], tuple[Array, float]]:
     """What ``played`` gives for voltages (m, N), for any number of them."""
     here, block = model.on_grid(sample_time_s), discretise(model.dynamics, sample_time_s)
-    before, memory = here.hysteresis.respond(limits.history())
+    before, memory = here.hysteresis.standing(limits.history())
 
     def play(drive_v: Array) -> tuple[Array, float]:
         samples = drive_v.shape[1]
         v, _ = here.static_response(np.tile(drive_v, (1, PLAYED_PERIODS)), memory)
-        position, _ = block.respond(v - before[:, -1:])
+        position, _ = block.respond(v - before[:, None])
         last, one_before = position[:, -samples:], position[:, -2 * samples : -samples]
         return last.copy(), float(np.abs(last - one_before).max())
 

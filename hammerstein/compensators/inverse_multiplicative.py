@@ -155,10 +155,10 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
     def _at_start(self) -> tuple[FeedbackState, Array]:
         """State where the actuator stands, whose next pass gives the start voltage, and the position."""
         history = self.range.history()
-        v, plays = self.hysteresis.respond(history)
+        v, plays = self.hysteresis.standing(history)
         if history.shape[1] == 1:
-            return FeedbackState(self.hysteresis.rest(), np.zeros(self.n_inputs)), v[:, -1].copy()
-        return FeedbackState(plays, history[:, -1] - self.gain_v_per_um @ v[:, -1]), v[:, -1].copy()
+            return FeedbackState(self.hysteresis.rest(), np.zeros(self.n_inputs)), v
+        return FeedbackState(plays, history[:, -1] - self.gain_v_per_um @ v), v
 
     def statement(self) -> str:
         """Say whether the iteration inside converges, with the numbers."""

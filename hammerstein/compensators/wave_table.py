@@ -22,8 +22,13 @@ from hammerstein.axis_names import column
 from hammerstein.compensators.cycle import Cycle, held_least, rms
 from hammerstein.errors import InputError
 from hammerstein.escaping import clean
+from hammerstein.files import Content
 
 Array = NDArray[np.float64]
+
+
+SIGN = "Number in the table"
+CONTENT = Content("wave table", sign=SIGN)
 
 
 @dataclass(frozen=True)
@@ -82,11 +87,11 @@ class WaveTable:
         own, held, written = self.errors_um
         device = DEVICES[self.device]
         said = [
-            f"{device.what.capitalize()}: {self.points} points of {self.point_s:.6g} s, one column an input. "
-            f"Number in the table = {self.scale[0]:g} x V + {self.scale[1]:g}.",
+            f"{device.what[0].upper()}{device.what[1:]}: {self.points} points of {self.point_s:.6g} s, "
+            f"one column an input. {SIGN} = {self.scale[0]:g} x V + {self.scale[1]:g}.",
             f"Error of the played path, rms: {own:.4g} um with every sample, {held:.4g} um with points held "
-            f"for {self.point_s:.6g} s, {written:.4g} um as it is written. It was resampled so that the "
-            "second is least.",
+            f"for {self.point_s:.6g} s, {written:.4g} um as it is written."
+            + (" It was resampled so that the second is least." if self.hold > 1 else ""),
             *self.cycle.statements(),
             "No device was at hand to try it on: compare what it plays with the prediction first.",
         ]

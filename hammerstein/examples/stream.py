@@ -79,7 +79,6 @@ def main(seconds: float = SECONDS) -> None:
     law = hammerstein.ExactInverse().design(model, range_v=10.0, sample_time_s=SAMPLE_TIME_S)
     reference = circle(round(seconds / SAMPLE_TIME_S))
     device, loop = SimulatedDevice(model, reference.shape[1]), hammerstein.stream(law)
-    loop.law.step(reference[:, 0], loop.state)  # the first call compiles
     work, late = follow(loop, reference, device)
     for line in (*histogram("time a step", work), *histogram("late after its time", late)):
         print(line)

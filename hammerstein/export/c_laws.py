@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
 from hammerstein.compensators.exact import kernel as exact_kernel, pieces
-from hammerstein.compensators.exact.inverse import ExactInverseLaw, StaticInverse
+from hammerstein.compensators.exact.inverse import ExactInverseLaw, StaticInverse, Tables
 from hammerstein.compensators.exact.rate_dependent import RateDependentInverseLaw
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.compensators.kernels import STILL_V
@@ -129,18 +129,17 @@ def c_inverse_of(law: StaticInverse[Any], start: Any) -> CPart:
 @c_inverse_of.register
 def _(law: ExactInverseLaw, start: Any) -> CPart:
     """The walk over the pieces: the table of ``exact.pieces`` by its names."""
-    m, bank, table = law.n_inputs, law.square.plays.bank, law.design_table()
-    about = table[pieces.HERE, :, pieces.ABOUT]
+    m, bank, design = law.n_inputs, law.square.plays.bank, law.design_tables()
     segments = bank.r.shape[1] + 2
-    held = table[pieces.HERE, law.n_outputs :, pieces.NOW, pieces.Y]
-    sums = [table[pieces.GRID, :, : segments - 1, at : at + m] for at in (pieces.SLOPE, pieces.SLOPE + m)]
+    held = design.here["y"][law.n_outputs :]
+    sums = [design.w[pieces.GRID, :, : segments - 1, at : at + m] for at in (pieces.SLOPE, pieces.SLOPE + m)]
     return CPart(
         sizes=(
             Size("SEGMENTS", segments, "segments that an input can have"),
-            Size("PIECES", exact_kernel.most_pieces(table), "pieces after which a walk is given up"),
+            Size("PIECES", exact_kernel.most_pieces(design.w), "pieces after which a walk is given up"),
         ),
         tables=(
-            *_walk_tables(about, m),
+            *_walk_tables(design, m),
             Table("threshold", bank.r, "Thresholds behind the smallest plays [V]: input, operator."),
             Table("slope", sums[0], "Summed weights of the first j operators [um/V]: input, j, row."),
             Table("moment", sums[1], "The same sums of weight times threshold [um]: input, j, row."),
@@ -153,8 +152,7 @@ def _(law: ExactInverseLaw, start: Any) -> CPart:
 @c_inverse_of.register
 def _(law: RateDependentInverseLaw, start: Any) -> CPart:
     """The same walk over the zones of each sample: one play of threshold and weight 0, dead-zones beside."""
-    m, table = law.n_inputs, law.design_table()
-    about = table[pieces.HERE, :, pieces.ABOUT]
+    m, design = law.n_inputs, law.design_tables()
     events = 2 * law.hysteresis.bank.r.shape[1]
     hand = [
         {"count": 1, "stack": [{"end": 1, "x": u, "d": 1.0, "below": np.zeros(m)}], "wanted": u, "ramp": 1.0}
@@ -162,13 +160,13 @@ def _(law: RateDependentInverseLaw, start: Any) -> CPart:
     ]
     own = CPart(
         sizes=(
-            Size("PIECES", exact_kernel.most_pieces(table), "pieces after which a walk is given up"),
+            Size("PIECES", exact_kernel.most_pieces(design.w), "pieces after which a walk is given up"),
             Size("EVENTS", events, "voltages at which a play of an input is let go or taken up"),
             Size("ZONES", events + 1, "zones that an input can have"),
             Size("DEPTHS", events + 2, "pieces that a walk of an input can have passed"),
         ),
         tables=(
-            *_walk_tables(about, m),
+            *_walk_tables(design, m),
             Table("threshold", np.zeros((m, 2)), "That of the one play of each input [V]."),
             Table("slope", np.zeros((m, 2, m)), "Its weight [um/V]."),
             Table("moment", np.zeros((m, 2, m)), "Its weight times threshold [um]."),
@@ -182,18 +180,19 @@ def _(law: RateDependentInverseLaw, start: Any) -> CPart:
     return c_block_of(law.hysteresis, start.model) + own
 
 
-def _walk_tables(about: Array, m: int) -> tuple[Table, ...]:
+def _walk_tables(design: Tables, m: int) -> tuple[Table, ...]:
     """What every walk knows of its inputs."""
+    here = design.here
     return (
         Table("FARTHEST", np.inf, "Where a piece ends that has no end."),
-        Table("STILL", float(about[0, pieces.STILL]), "A step below this is no movement [V]."),
+        Table("STILL", float(here["still"][0]), "A step below this is no movement [V]."),
         Table("SINGULAR", pieces.SINGULAR, "Pivot, relative, at which a matrix is singular."),
         Table("POOR", pieces.POOR, "Condition from which the aim must be corrected."),
-        Table("play", about[:, pieces.PLAY], "Smallest threshold of each input [V]."),
-        Table("low", about[:, pieces.LOW], "Least q that falls [V]."),
-        Table("high", about[:, pieces.HIGH], "Largest q that rises [V]."),
-        Table("soft", about[:, pieces.SOFT], "Movement over which the jump at a turn is spread [V]."),
-        Table("pull", about[:, pieces.GAIN : pieces.GAIN + m], "What an input moves each row [um/V]."),
+        Table("play", here["play"], "Smallest threshold of each input [V]."),
+        Table("low", here["low"], "Least q that falls [V]."),
+        Table("high", here["high"], "Largest q that rises [V]."),
+        Table("soft", here["soft"], "Movement over which the jump at a turn is spread [V]."),
+        Table("pull", design.w[pieces.SQUARE, :, pieces.GAIN, :m], "What an input moves each row [um/V]."),
     )
 
 

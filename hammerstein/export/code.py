@@ -205,7 +205,7 @@ class CCode:
         cost = self.cost
         found = "no C compiler was there to search for the worst"
         if measured.operations is not None:
-            found = f"the most that was found in {measured.samples} adverse samples is {measured.operations}"
+            found = f"a search for the dearest over {measured.samples} samples found {measured.operations}"
         return (
             f"A step takes at most {cost.operations} operations (arithmetic, comparisons, assignments; "
             f"proved by counting through this file, where every loop counts to a constant); {found}. "

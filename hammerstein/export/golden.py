@@ -56,7 +56,7 @@ def _reach(law: Law[Any], model: HammersteinModel) -> tuple[Array, Array]:
 
 def _waves(axes: int, samples: int, seed: int) -> Iterator[Array]:
     """Stretches within -1 to 1, but for the saturated one."""
-    rng, n = _Uniform(seed), -(-samples // 6)
+    rng, n = Uniform(seed), -(-samples // 6)
     turn = 2.0 * np.pi * np.arange(n) / n
     rates = 3.0 + 2.0 * np.arange(axes)[:, None]
     yield 0.8 * np.sin(rates * turn) * np.minimum(1.0, 2.0 * turn / np.pi)
@@ -67,12 +67,13 @@ def _waves(axes: int, samples: int, seed: int) -> Iterator[Array]:
     yield 0.9 * np.cos(7.0 * turn) * (1.0 - turn / (2.0 * np.pi)) * np.ones((axes, 1))
 
 
-class _Uniform:
+class Uniform:
     """Numbers from -1 to 1 that no version of NumPy changes: the raw words of a generator."""
 
     def __init__(self, seed: int):
         self._words = np.random.PCG64(seed)
 
     def of(self, axes: int, samples: int) -> Array:
+        """Numbers (axis, sample)."""
         words = np.asarray(self._words.random_raw(axes * samples), dtype=np.uint64) >> np.uint64(11)
         return (2.0 * words.astype(np.float64) * 2.0**-53 - 1.0).reshape(axes, samples)

@@ -6,14 +6,14 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.errors import InputError, Mistake
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite, refuse_unbuilt
 from hammerstein.hysteresis.pair import Array, WeightCovariance, frozen
 from hammerstein.hysteresis.pair_file import CovarianceFile
 from hammerstein.quantities import PerVolt, Weight
@@ -296,6 +296,11 @@ class BoucWenPairFile(BaseModel):
     hysteretic_um_per_v: Weight = Field(default=0.0, description="what the hysteretic part takes off")
     beta_per_v: PerVolt = Field(default=0.0, description="how fast it forgets; 0 or more")
     gamma_per_v: PerVolt = Field(default=0.0, description="how much faster growing than falling")
+
+    @model_validator(mode="after")
+    def _is_a_pair(self) -> Self:
+        refuse_unbuilt(self.pair)
+        return self
 
     def pair(self) -> BoucWenPair:
         """Give the pair this describes."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
@@ -104,6 +104,14 @@ class Hysteresis(ABC, Generic[S]):
         is 0 V, from where it jumps to the path.
         """
         return self.respond(path_v)[1]
+
+    def standing(self, path_v: Array) -> tuple[Array, S]:
+        """Outputs (p,) [um] and memory of an actuator at the end of a path (m, turns) of slow voltages [V].
+
+        At the first of them it is at rest.
+        """
+        v, state = self.respond(path_v)
+        return v[:, -1].copy(), state
 
     @abstractmethod
     def restore(self, data: dict[str, Any]) -> S:
@@ -279,6 +287,14 @@ class HysteresisFile(BaseModel, ABC):
 
 
 HYSTERESIS: Family[HysteresisFile] = Family(HysteresisFile, "kind")  # type: ignore[type-abstract]
+
+
+def refuse_unbuilt(build: Callable[[], object]) -> None:
+    """Let what cannot be built be a mistake at its place in the file: a ValueError for pydantic."""
+    try:
+        build()
+    except InputError as error:
+        raise ValueError("; ".join(f"{m.where} {m.what}".strip() for m in error.mistakes)) from None
 
 
 def refuse_not_finite(u_v: Array) -> None:

@@ -104,6 +104,15 @@ class Parallel(Hysteresis[ParallelState]):
         """Memory of an actuator that was never driven."""
         return ParallelState(tuple(part.rest() for part in self.parts))
 
+    def after(self, path_v: Array) -> ParallelState:
+        """Memory after a path; see ``Hysteresis.after``."""
+        return ParallelState(tuple(part.after(path_v) for part in self.parts))
+
+    def standing(self, path_v: Array) -> tuple[Array, ParallelState]:
+        """Sum of the outputs, and memory, at the end of a slow path."""
+        found = [part.standing(path_v) for part in self.parts]
+        return np.sum([v for v, _ in found], axis=0), ParallelState(tuple(own for _, own in found))
+
     def restore(self, data: dict[str, Any]) -> ParallelState:
         """Memory from what ``as_dict`` gave."""
         both = zip(self.parts, data["parts"], strict=True)

@@ -6,14 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.errors import InputError, Mistake
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite, refuse_unbuilt
 from hammerstein.hysteresis.pair import Array, WeightCovariance, frozen, played
 from hammerstein.hysteresis.pair_file import CovarianceFile
 from hammerstein.quantities import Bandwidth, Delay, Threshold, Weight
@@ -229,6 +229,11 @@ class RateDependent(Hysteresis[RateState]):
             plays[k, :n] = played(path_v[k], self.bank.r[k, :n])
         return RateState(plays, np.repeat(path_v[:, -1:], 2, axis=1), np.zeros(self.n_inputs))
 
+    def standing(self, path_v: Array) -> tuple[Array, RateState]:
+        """Outputs and memory at the end of a slow path: in jumps its thresholds would grow."""
+        state = self.after(path_v)
+        return np.einsum("kio,ki->o", self.bank.w, state.plays_v), state
+
     def restore(self, data: dict[str, Any]) -> RateState:
         """Memory from what ``as_dict`` gave."""
         return RateState.from_dict(data)
@@ -289,6 +294,11 @@ class RatePlaysFile(BaseModel):
     growth_s: tuple[Delay, ...] = Field(description="volts a threshold grows for each V/s")
     bandwidth_hz: Bandwidth = 500.0
     lambda_s_per_v: Delay = Field(default=0.0, description="where the growth flattens; 0: it does not")
+
+    @model_validator(mode="after")
+    def _are_plays(self) -> Self:
+        refuse_unbuilt(self.plays)
+        return self
 
     def plays(self) -> RatePlays:
         """Give the plays this describes."""

@@ -18,7 +18,7 @@ from hammerstein.identification.choice import Trial, chosen, crossed_squares, ju
 from hammerstein.identification.excitation import answers, excitation_statements, refuse_noise, refuse_one_way
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.kinds import with_hysteresis
-from hammerstein.identification.leftover import leftover_statements
+from hammerstein.identification.leftover import drift_is_left, leftover_statements
 from hammerstein.identification.linear.delay import delay_in_samples
 from hammerstein.identification.linear.second_order import FirstGuess
 from hammerstein.identification.operators import (
@@ -349,7 +349,12 @@ def _account(
     """Everything that is said about the model."""
     fitted, judged, held, held_starts, answer, trials = errors
     record, settings, best = task.records[0], task.settings, built.best.candidate
-    named = [fault for one in task.records for fault in faults(one)]
+    named = [
+        fault
+        for one in task.records
+        for fault in faults(one)
+        if not fault.drift_um or drift_is_left(fault, best, task.records, task.starts)
+    ]
     flags, bounds = _flags(task, built, named), []
     where = (held, held_starts) if held else (task.records, task.starts)
     leftover = leftover_statements(best, *where, settings)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
+from hammerstein.records.faults import Fault
 from hammerstein.records.noise import noise_rms
 from hammerstein.records.record import Record
 
@@ -19,6 +20,8 @@ FAR = 3.0
 """Rms of what is left, in parts of the noise, from which it is said first."""
 LEAST_PART = 5e-4
 """Rms of what is left, in parts of the range, below which it does not matter."""
+STILL_DRIFTS = 0.25
+"""Trend of what is left, in parts of the drift that was seen, from which it is drift and not creep."""
 SLOW_CYCLES = 5.0
 """Cycles in the longest record up to which something is slow."""
 
@@ -49,6 +52,22 @@ def leftover_statements(
             f"model. Try {_proposal(settings, slow)}."
         )
     return found
+
+
+def drift_is_left(
+    fault: Fault, candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]
+) -> bool:
+    """Whether a drift that was seen in a record is there still beside the model.
+
+    Creep looks like drift to who knows plays alone; a model that has it leaves none.
+    """
+    for record, start in zip(records, starts, strict=True):
+        if record.source == fault.source and fault.outputs[0] in record.outputs:
+            left = candidate.residual(record, start)[record.outputs.index(fault.outputs[0])]
+            time = np.linspace(-1.0, 1.0, len(left))
+            trend = np.polynomial.Polynomial.fit(time, left, 2)(time)
+            return float(np.ptp(trend)) > STILL_DRIFTS * fault.drift_um
+    return True
 
 
 def _strongest(records: Sequence[Record], left: Sequence[Array]) -> tuple[float, bool]:

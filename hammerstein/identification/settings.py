@@ -164,7 +164,7 @@ class Settings:
             "sensor_bandwidth_hz": bandwidth is not None and not FREQUENCY_HZ.holds(bandwidth),
             "ridge": not RIDGE.holds(self.ridge),
             "dead_zones": self.dead_zones is not None and not 0 <= self.dead_zones <= MOST_DEAD_ZONES,
-            "thresholds": not all(THRESHOLD_V.holds(value) for value in thresholds),
+            "thresholds": not all(map(THRESHOLD_V.holds, thresholds)) or not _rises(self.thresholds_v),
         }
         limits = {
             "operators": f"must be 1 to {MOST_OPERATORS}",
@@ -174,7 +174,7 @@ class Settings:
             "sensor_bandwidth_hz": f"{FREQUENCY_HZ.words()}; leave it out for a sensor without lag",
             "ridge": RIDGE.words(),
             "dead_zones": f"must be 0 to {MOST_DEAD_ZONES}",
-            "thresholds": THRESHOLD_V.words(),
+            "thresholds": f"{THRESHOLD_V.words()}, each larger than the one before",
         }
         return [Mistake(name, limits[name]) for name, is_wrong in wrong.items() if is_wrong]
 
@@ -250,6 +250,13 @@ def _flat(thresholds_v: Array | Sequence[float] | Sequence[Sequence[Array]]) -> 
     if np.ndim(thresholds_v) == 0:
         return [float(thresholds_v)]  # type: ignore[arg-type]
     return [value for part in thresholds_v for value in _flat(part)]  # type: ignore[arg-type]
+
+
+def _rises(thresholds_v: Array | Sequence[Any] | None) -> bool:
+    """Whether each array of thresholds rises, however they are nested."""
+    if thresholds_v is None or all(np.ndim(part) == 0 for part in thresholds_v):
+        return thresholds_v is None or bool((np.diff(np.asarray(thresholds_v, dtype=np.float64)) > 0.0).all())
+    return all(_rises(part) for part in thresholds_v)
 
 
 def _given(

@@ -195,7 +195,7 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str
     for name, fit in zip(outputs, axes, strict=True):
         if not axis_identified(fit):
             found.append(
-                f"resonance and damping of {name}: an axis explains the records no better than none "
+                f"resonance and damping of {name}: an axis explains the records {_how_much_better(fit)} "
                 f"({fit.rms_um:.4g} um with, {fit.static_rms_um:.4g} um without); excite it nearer to its "
                 "resonance"
             )
@@ -217,13 +217,25 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str
     return found
 
 
+def _how_much_better(fit: AxisFit) -> str:
+    if fit.rms_um > (1.0 - FELT) * fit.static_rms_um:
+        return "no better than none"
+    if _lowers_the_error(fit):
+        return "better than none, but not which one it is"
+    return "hardly better than none"
+
+
+def _lowers_the_error(fit: AxisFit) -> bool:
+    return fit.rms_um <= (1.0 - (FELT if fit.excited else IMPROVED)) * fit.static_rms_um
+
+
 def axis_identified(fit: AxisFit) -> bool:
     """Whether the records tell the dynamics of an axis.
 
     A resonance outside the band that was excited must lower the error as much as any block that improves the
     model: it only bends what lies below it, and what drifts or creeps bends alike.
     """
-    if fit.rms_um > (1.0 - (FELT if fit.excited else IMPROVED)) * fit.static_rms_um:
+    if not _lowers_the_error(fit):
         return False
     known = fit.resonance_error_percent is None or fit.resonance_error_percent <= UNSURE_PERCENT
     return known and (fit.lag_error_percent is None or fit.lag_error_percent <= UNSURE_LAG_PERCENT)

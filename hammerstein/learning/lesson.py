@@ -28,7 +28,8 @@ class Lesson:
 
     drive_v : (m, N) the next period of voltages; that of the trial where nothing is left to learn
     error_um : (p, N) mean error of the trial, the sensor's lag taken out
-    noise_um : rms of the noise in that mean
+    noise_um : rms of the noise in the mean that was read
+    lifted : by how much that noise is larger in the error, for the sensor's lag is taken out of it, too
     learnt : lines of the spectrum that were corrected; slowest : what a trial leaves of an error at worst
     limit_hz : from where on the model is too unsure to learn; inf if nowhere
     """
@@ -36,6 +37,7 @@ class Lesson:
     drive_v: Array
     error_um: Array
     noise_um: float
+    lifted: float
     learnt: int
     slowest: float
     limit_hz: float
@@ -43,7 +45,7 @@ class Lesson:
     @property
     def error_rms_um(self) -> float:
         """Rms of the mean error, with the noise in it taken off."""
-        return float(np.sqrt(max(rms(self.error_um) ** 2 - self.noise_um**2, 0.0)))
+        return float(np.sqrt(max(rms(self.error_um) ** 2 - (self.lifted * self.noise_um) ** 2, 0.0)))
 
     @property
     def finished(self) -> bool:
@@ -112,10 +114,17 @@ def lesson(
         drive,
         np.fft.irfft(error, samples, axis=1),
         rms(spread),
+        _lifted(samples, time_s, sensor_bandwidth_hz),
         int(heard.sum()),
         slowest,
         float(unsure_at.min(initial=np.inf)),
     )
+
+
+def _lifted(samples: int, sample_time_s: float, sensor_bandwidth_hz: float) -> float:
+    """By how much white noise grows where a first-order lag is taken out of it."""
+    frequency = np.fft.fftfreq(samples, sample_time_s)
+    return float(np.sqrt(np.mean(1.0 + (frequency / sensor_bandwidth_hz) ** 2)))
 
 
 def _mean_period(measured_um: Array, samples: int) -> tuple[Array, Array]:

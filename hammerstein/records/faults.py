@@ -63,11 +63,13 @@ class Fault(NamedTuple):
     ----------
     source, outputs : record and names of the outputs
     text : what it is, with rows and what to do
+    drift_um : how far the output drifts [um]; 0 if that is not the fault
     """
 
     source: str
     outputs: tuple[str, ...]
     text: str
+    drift_um: float = 0.0
 
 
 def faults(record: Record) -> list[Fault]:
@@ -92,8 +94,13 @@ def faults(record: Record) -> list[Fault]:
         row = record.y_um[o, ::stride][first:]
         trial = _Trial.of(x, row - row.mean())
         rows = record.rows[::stride][first:]
-        texts = (_drift(trial, rows, record), _saturation(trial, rows))
-        found += [Fault(record.source, (name,), f"{name} of {record.source} {t}") for t in texts if t]
+        moved = (_drift(trial, record), 0.0)
+        texts = (_drift_text(moved[0], rows, record), _saturation(trial, rows))
+        found += [
+            Fault(record.source, (name,), f"{name} of {record.source} {t}", drift)
+            for t, drift in zip(texts, moved, strict=True)
+            if t
+        ]
     return found
 
 
@@ -128,18 +135,22 @@ class _Trial(NamedTuple):
         return cls(position, time, reach, float(np.ptp(y)), plain, *fits)
 
 
-def _drift(trial: _Trial, rows: Rows, record: Record) -> str:
-    """What a trend in time explains; empty if it explains little."""
+def _drift(trial: _Trial, record: Record) -> float:
+    """How far a trend in time goes [um]; 0 if it explains little."""
     slow, bent, both = trial.trend[1], trial.bend[1], trial.both[1]
     if slow >= DRIFT_EXPLAINS * trial.plain and both >= DRIFT_EXPLAINS * bent:
-        return ""
+        return 0.0
     a, b = trial.trend[0][-2:] if slow < bent else trial.both[0][-4:-2]
     drift = float(np.ptp(a * trial.time + b * trial.time**2))
-    if drift <= DRIFT * float(np.ptp(record.y_um, axis=1).max()):
-        return ""
+    return drift if drift > DRIFT * float(np.ptp(record.y_um, axis=1).max()) else 0.0
+
+
+def _drift_text(drift_um: float, rows: Rows, record: Record) -> str:
     seconds = float(rows[-1] - rows[0]) * record.sample_time_s
+    if drift_um == 0.0:
+        return ""
     return (
-        f"drifts by {drift:.3g} um from row {rows[0]} to row {rows[-1]}, in {seconds:.3g} s, whatever the "
+        f"drifts by {drift_um:.3g} um from row {rows[0]} to row {rows[-1]}, in {seconds:.3g} s, whatever the "
         "voltages do: let the set-up settle, or take the drift off"
     )
 

@@ -6,6 +6,7 @@ import gc
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -38,9 +39,18 @@ def begin_loading() -> None:
         return
     from multiprocessing import forkserver
 
-    multiprocessing.set_forkserver_preload(list(LOADED_ONCE))
+    multiprocessing.set_forkserver_preload(loaded_beforehand())
     with _ignored_interrupts():
         forkserver.ensure_running()
+
+
+def loaded_beforehand() -> list[str]:
+    """What the server loads before it forks the others.
+
+    On macOS nothing: the system's linear algebra, which NumPy uses there and tries out when it is loaded,
+    does not survive a fork (https://github.com/numpy/numpy/issues/5752).
+    """
+    return [] if sys.platform == "darwin" else list(LOADED_ONCE)
 
 
 @contextmanager

@@ -187,8 +187,16 @@ class _Worker:
             self.process.kill()
         code = self.process.exitcode
         if code is not None and code < 0:
-            return f"was ended by {signal.Signals(-code).name}"
+            return f"was ended by {signal_name(-code)}"
         return f"ended with code {code}"
+
+
+def signal_name(number: int) -> str:
+    """Name of a signal; some systems have signals that Python knows no name of."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
 
 
 def _work(connection: Connection) -> None:

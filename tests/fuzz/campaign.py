@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import io
 import json
 import math
@@ -28,7 +29,7 @@ LONGEST_S, LARGEST = 2.0, 3e8
 TOP = Path(__file__).parents[2]
 SILENT = (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning)
 """What Python shows nobody, unless it is our own."""
-NOT_FINITE = re.compile(r"(?i)(?<![\w.])[-+]?(nan|inf(inity)?)(?![\w.])")
+NOT_FINITE = re.compile(r"(?i)[-+]?(nan|inf(inity)?)")
 WORD = re.compile(rb"[-+]?[0-9][0-9.]*(?:[eE][-+]?[0-9]+)?|[A-Za-z_]{2,}")
 EDGES = (b"nan", b"inf", b"-1", b"0", b"1e308", b"-1e308", b"5e-324", b"1e400", b"9" * 30, b"", b'""', b"[]",
          b"{}", b"x", b"true", b"1.5", b"1e3", b"\xff", "\u202e".encode(), b"\r\n")  # fmt: skip
@@ -339,10 +340,10 @@ def refuse_not_finite(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".json":
         _refuse_json(text)
-    elif found := NOT_FINITE.search(text):
-        raise FindingError(
-            f"{path.name} holds {found[0]}: {text[max(0, found.start() - 80) : found.end() + 80]}"
-        )
+        return
+    for line in csv.reader(text.splitlines()):
+        if any(NOT_FINITE.fullmatch(cell.strip()) for cell in line):
+            raise FindingError(f"{path.name} holds a number that is not finite: {line}")
 
 
 def _refuse_json(text: str) -> None:

@@ -25,7 +25,7 @@ STILL = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class ExactState:
-    """Memory of the exact inverse, as in the table of ``exact_pieces``.
+    """Memory of the exact inverse, as in the tables of ``pieces``.
 
     stack : (m, n_max+2, 3+m) the stacks of segments behind the smallest plays
     hand : (m, 3) height of each stack, the last q asked for [V], ramp of the jump from -1 to 1
@@ -52,6 +52,24 @@ class Recovery(NamedTuple):
     gain: Array
 
 
+class Tables(NamedTuple):
+    """What ``pieces`` works on: the tables (table, input, row, column) and the record of each input."""
+
+    w: Array
+    here: np.ndarray[Any, Any]
+
+    def copy(self) -> Tables:
+        """Both anew."""
+        return Tables(self.w.copy(), self.here.copy())
+
+
+def tables(m: int, rows: int) -> Tables:
+    """Empty tables of m inputs, with room for so many operators, segments, pieces or zones."""
+    from hammerstein.compensators.exact import pieces as at
+
+    return Tables(np.zeros((5, m, max(rows, 5), 3 + 2 * m)), np.zeros(m, at.HERE))
+
+
 class StaticInverse(Law[S]):
     """The exact inverse of a static block of some kind, which other laws build on.
 
@@ -59,6 +77,11 @@ class StaticInverse(Law[S]):
     """
 
     invertibility: Invertibility
+    _design: Tables
+
+    def design_tables(self) -> Tables:
+        """Tables of ``pieces`` as they are before a run."""
+        return self._design.copy()
 
     @abstractmethod
     def solve(
@@ -136,7 +159,7 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         self.invertibility = replace(found, inputs=model.inputs)
         require_inverse(self.invertibility, "exact_inverse", run_anyway)
         self.square, self.smallest_v = completed(hysteresis, model.amplitude_v)
-        self._table = self._new_table()
+        self._design = self._new_design()
         self._start, self.origin_um = self._at_start()
         self._frame = self._frame_of_steps()
 
@@ -146,33 +169,27 @@ class ExactInverseLaw(StaticInverse[ExactState]):
 
         return step_exact
 
-    def _new_table(self) -> Array:
-        """Table of ``exact_pieces`` with the model in it."""
+    def _new_design(self) -> Tables:
+        """Tables of ``pieces`` with the model in them."""
         from hammerstein.compensators.exact import pieces as at
 
         m, bank, zones = self.n_inputs, self.square.plays.bank, self.square.lines
         operators, ends = bank.r.shape[1], zones.ends.shape[1]
-        rows = max(operators + ends + 1, at.SCRATCH + 1)
-        table = np.zeros((5, m, rows, at.CONSTANT + 1 + 2 * m))
+        table, here = tables(m, operators + ends + 1)
         table[at.ZONES, :, :ends, at.TOP] = zones.ends
         table[at.ZONES, :, :ends, at.SLOPE : at.SLOPE + m] = zones.slope
         table[at.ZONES, :, :ends, at.SLOPE + m : at.SLOPE + 2 * m] = zones.intercept
         table[at.GRID, :, :operators, at.R] = bank.r
         table[at.GRID, :, : operators + 1, at.SLOPE : at.SLOPE + m] = bank.slope
         table[at.GRID, :, : operators + 1, at.SLOPE + m : at.SLOPE + 2 * m] = bank.moment
-        about = table[at.HERE, :, at.ABOUT]
-        about[:, at.PLAY] = self.smallest_v
+        here["play"] = self.smallest_v
         low, high = (ends.tolist() for ends in self.range.counted)
-        about[:, at.LOW] = [-_difference(-u, r) for u, r in zip(low, self.smallest_v.tolist(), strict=True)]
-        about[:, at.HIGH] = [_difference(u, r) for u, r in zip(high, self.smallest_v.tolist(), strict=True)]
-        about[:, at.SOFT] = np.where(self.smallest_v > 0.0, self.softening_v, 0.0)
-        about[:, at.STILL] = STILL * (1.0 + float(bank.r[np.isfinite(bank.r)].max()))
-        about[:, at.GAIN : at.GAIN + m] = np.abs([bank.slope[k, n] for k, n in enumerate(bank.n)])
-        return table
-
-    def design_table(self) -> Array:
-        """Table of ``exact_pieces`` as it is before a run."""
-        return self._table.copy()
+        here["low"] = [-_difference(-u, r) for u, r in zip(low, self.smallest_v.tolist(), strict=True)]
+        here["high"] = [_difference(u, r) for u, r in zip(high, self.smallest_v.tolist(), strict=True)]
+        here["soft"] = np.where(self.smallest_v > 0.0, self.softening_v, 0.0)
+        here["still"] = STILL * (1.0 + float(bank.r[np.isfinite(bank.r)].max()))
+        table[at.SQUARE, :, at.GAIN, :m] = np.abs([bank.slope[k, n] for k, n in enumerate(bank.n)])
+        return Tables(table, here)
 
     def statement(self) -> str:
         """Say whether there is an inverse, and how far the drive jumps at a reversal."""
@@ -197,7 +214,7 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         slack = np.where(self.smallest_v > 0.0, self.smallest_v, np.inf)
         hand[:, at.COUNT], hand[:, at.WANTED] = plays.count, q[:, -1]
         hand[:, at.RAMP] = np.clip((history[:, -1] - q[:, -1]) / slack, -1.0, 1.0)
-        self._table[at.HERE, self.n_outputs :, at.NOW, at.Y] = rows[self.n_outputs :, -1]
+        self._design.here["y"][self.n_outputs :] = rows[self.n_outputs :, -1]
         return ExactState(stack, hand), rows[: self.n_outputs, -1].copy()
 
     def rest(self) -> ExactState:
@@ -214,7 +231,7 @@ class ExactInverseLaw(StaticInverse[ExactState]):
 
     def _step(self, sample_um: Array, state: ExactState) -> tuple[Array, ExactState] | None:
         drive, stack, hand, sound = self._compiled_step(
-            sample_um, self._frame, self._table, state.stack, state.hand
+            sample_um, self._frame, *self._design, state.stack, state.hand
         )
         return (drive, ExactState(stack, hand)) if sound else None
 
@@ -222,19 +239,17 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         self, v_um: Array, start: ExactState, away: Array, recovery: Recovery | None = None
     ) -> tuple[Array, ExactState, Array]:
         """See ``StaticInverse.solve``."""
-        from hammerstein.compensators.exact import pieces as at
-        from hammerstein.compensators.exact.kernel import respond_exact
+        from hammerstein.compensators.exact.kernel import loaded, respond_exact, unloaded
         from hammerstein.compiled import spans
 
         p, drive = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1]))
         back = recovery or Recovery(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((p, 0)))
-        table, left = self._table.copy(), away.copy()
-        _, rows, columns = start.stack.shape
-        stack, hand = table[at.STACK, :, :rows, :columns], table[at.HERE, :, at.HAND, : at.RAMP + 1]
-        stack[:], hand[:] = start.stack, start.hand
+        left, (w, here) = away.copy(), loaded(*self._design, start.stack, start.hand)
         for first, end in spans(v_um.shape[1]):
-            respond_exact(v_um, self.n_inputs - p, *back, left, table, first, end, drive)
-        return drive, ExactState(stack.copy(), hand.copy()), left
+            respond_exact(v_um, self.n_inputs - p, *back, left, w, here, first, end, drive)
+        after = ExactState(np.empty(start.stack.shape), np.empty(start.hand.shape))
+        unloaded(w, here, after.stack, after.hand)
+        return drive, after, left
 
 
 @singledispatch

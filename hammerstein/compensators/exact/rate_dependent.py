@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.blocks import Array
-from hammerstein.compensators.exact.inverse import STILL, Recovery, StaticInverse
+from hammerstein.compensators.exact.inverse import STILL, Recovery, StaticInverse, Tables, tables
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import RateDependent, RateState
@@ -66,34 +66,24 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
                 "and must stay below 1. Identify with a lower bandwidth of the rate or smaller growth, or "
                 "set run_anyway = true."
             )
-        self._table = self._new_table()
+        self._design = self._new_design()
         history = self.range.history()
-        v, state = hysteresis.respond(history)
-        if history.shape[1] > 1:  # it has stood there long enough to be at rest
-            state = replace(
-                state, last_v=np.repeat(history[:, -1:], 2, axis=1), rate_v_per_s=np.zeros(self.n_inputs)
-            )
-        self._start, self.origin_um = RateInverseState(state, history[:, -1].copy()), v[:, -1].copy()
+        self.origin_um, state = hysteresis.standing(history)
+        self._start = RateInverseState(state, history[:, -1].copy())
 
-    def _new_table(self) -> Array:
-        """Table of ``pieces`` with one play of threshold and weight 0, and room for the zones of a sample."""
+    def _new_design(self) -> Tables:
+        """Tables of ``pieces``: one play of threshold and weight 0, room for the zones of a sample."""
         from hammerstein.compensators.exact import pieces as at
 
         m, bank = self.n_inputs, self.hysteresis.bank
-        rows = max(2 * bank.r.shape[1] + 4, at.SCRATCH + 1)
-        table = np.zeros((5, m, rows, at.CONSTANT + 1 + 2 * m))
-        about = table[at.HERE, :, at.ABOUT]
-        about[:, at.LOW], about[:, at.HIGH] = self.range.counted
-        about[:, at.STILL] = STILL * (1.0 + float(bank.r.max()))
-        about[:, at.GAIN : at.GAIN + m] = np.abs(bank.w.sum(axis=1))
-        table[at.HERE, :, at.NOW, at.FIXED] = -1.0
-        table[at.STACK, :, 0, at.END] = table[at.STACK, :, 0, at.D] = 1.0
-        table[at.HERE, :, at.HAND, at.COUNT] = table[at.HERE, :, at.HAND, at.RAMP] = 1.0
-        return table
-
-    def design_table(self) -> Array:
-        """Table of ``pieces`` as it is before a run."""
-        return self._table.copy()
+        w, here = tables(m, 2 * bank.r.shape[1] + 4)
+        here["low"], here["high"] = self.range.counted
+        here["still"] = STILL * (1.0 + float(bank.r.max()))
+        here["fixed"] = -1.0
+        here["count"] = here["ramp"] = 1.0
+        w[at.SQUARE, :, at.GAIN, :m] = np.abs(bank.w.sum(axis=1))
+        w[at.STACK, :, 0, at.END] = w[at.STACK, :, 0, at.D] = 1.0
+        return Tables(w, here)
 
     def statement(self) -> str:
         """Say whether there is an inverse, and how far it is from ringing."""
@@ -126,8 +116,8 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
 
         p, drive, bank = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1])), self.hysteresis.bank
         back = recovery or Recovery(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((p, 0)))
-        table, left = self._table.copy(), away.copy()
-        table[at.STACK, :, 0, at.X] = start.drive_v
+        (w, here), left = self.design_tables(), away.copy()
+        w[at.STACK, :, 0, at.X] = start.drive_v
         own = start.model
         state = RateState(own.plays_v.copy(), own.last_v.copy(), own.rate_v_per_s.copy())
         grid = (self.hysteresis.grid_s, self.hysteresis.poles)
@@ -135,5 +125,5 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         memory = (state.plays_v, state.last_v, state.rate_v_per_s)
         wanted, work = np.ascontiguousarray(v_um), 64 * bank.w.size
         for first, stop in spans(wanted.shape[1], work):
-            respond_exact_rate(wanted, *back, left, table, *grid, *plays, *memory, first, stop, drive)
-        return drive, RateInverseState(state, table[at.STACK, :, 0, at.X].copy()), left
+            respond_exact_rate(wanted, *back, left, w, here, *grid, *plays, *memory, first, stop, drive)
+        return drive, RateInverseState(state, w[at.STACK, :, 0, at.X].copy()), left

@@ -11,18 +11,11 @@ import numpy as np
 
 from hammerstein.compensators.exact.kernel import drift, walk
 from hammerstein.compensators.exact.pieces import (
-    HAND,
-    HERE,
-    MISSED,
-    NOW,
     SLOPE,
     STACK,
     TOP,
-    WANTED,
     ZONES,
-    U,
     X,
-    Y,
 )
 from hammerstein.compiled import compiled
 from hammerstein.hysteresis.rate_dependent_kernels import next_rate, threshold
@@ -36,6 +29,7 @@ def respond_exact_rate(  # type: ignore[no-untyped-def]
     gain,
     x,
     w,
+    here,
     sample_time,
     pole,
     n,
@@ -68,22 +62,23 @@ def respond_exact_rate(  # type: ignore[no-untyped-def]
             for i in range(n[k]):
                 reach[k, i] = threshold(k, i, r, grow, lam, rate)
             _zones_of(w, k, n[k], plays, reach, weights, events, owner, bend)
+            here[k].wanted = w[STACK, k, 0, X]
         for o in range(p):
-            w[HERE, o, NOW, Y] = reference[o, t]
+            here[o].y = reference[o, t]
             if away:
                 for s in range(x.shape[0]):
-                    w[HERE, o, NOW, Y] -= gain[o, s] * x[s]
-        walk(False, 0, w)
+                    here[o].y -= gain[o, s] * x[s]
+        walk(False, 0, w, here)
         for o in range(p):
-            away = away or (w[HERE, o, NOW, MISSED] != 0.0 and x.shape[0] > 0)
+            away = away or (here[o].missed != 0.0 and x.shape[0] > 0)
         for k in range(m):
-            u = w[HERE, k, NOW, U]
+            u = here[k].u
             drive[k, t] = u
             for i in range(n[k]):
                 plays[k, i] = max(u - reach[k, i], min(u + reach[k, i], plays[k, i]))
             last[k, 1], last[k, 0] = last[k, 0], u
         if away:
-            away = drift(reference, t, a, b, x, new, w)
+            away = drift(reference, t, a, b, x, new, w, here)
 
 
 @compiled(error_model="numpy")
@@ -111,4 +106,3 @@ def _zones_of(w, k, n, plays, reach, weights, events, owner, bend):  # type: ign
             w[ZONES, k, z + 1, SLOPE + o] = w[ZONES, k, z, SLOPE + o] + change
             w[ZONES, k, z + 1, SLOPE + rows + o] = w[ZONES, k, z, SLOPE + rows + o] - change * event
     w[ZONES, k, count, TOP] = np.inf
-    w[HERE, k, HAND, WANTED] = w[STACK, k, 0, X]

@@ -199,9 +199,9 @@ def shortfall(
     reference = checked_reference(reference_um, law.n_outputs)
     sent = asked_v if sent_v is None else sent_v
     model = model.on_grid(sample_time_s)
-    before, memory = model.hysteresis.respond(law.range.history())
+    before, memory = model.hysteresis.standing(law.range.history())
     v, _ = model.static_response(sent, memory)
-    position, _ = discretise(model.dynamics, sample_time_s).respond(v - before[:, -1:])
+    position, _ = discretise(model.dynamics, sample_time_s).respond(v - before[:, None])
     delay = int(getattr(law, "delay_samples", 0))
     asked = np.pad(reference, ((0, 0), (delay, 0)))[:, : reference.shape[1]]
     bends = np.zeros(reference.shape)

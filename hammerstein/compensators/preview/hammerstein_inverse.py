@@ -206,7 +206,7 @@ class HammersteinInverseLaw(Law[PathState]):
 
         inverse = self.linear
         linear = (inverse.A, inverse.B, inverse.C, inverse.taps, inverse.ahead)
-        return step_path, (self._frame, self.taps, linear, tuple(self.recovery), self.exact.design_table())
+        return step_path, (self._frame, self.taps, linear, tuple(self.recovery), *self.exact.design_tables())
 
     def _step(self, sample_um: Array, state: PathState) -> tuple[Array, PathState] | None:
         if self._compiled_step is None:

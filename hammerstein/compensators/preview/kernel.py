@@ -53,13 +53,13 @@ def run_inverse(a, b, c, taps, ahead, x, y, first, stop, v):  # type: ignore[no-
 
 @compiled(error_model="numpy")
 def step_path(  # type: ignore[no-untyped-def]
-    sample, frame, filter_taps, inverse, recovery, table, raw, known, modes, away, stack, hand
+    sample, frame, filter_taps, inverse, recovery, table, about, raw, known, modes, away, stack, hand
 ):
     """Voltages as they are sent (m,), the memory after one sample (p,), and whether all is finite.
 
     frame : as for ``to_sent``; filter_taps : of the reference filter, one: none
     inverse : a, b, c, taps, ahead of ``run_inverse``; recovery : a, b, gain of ``respond_exact``
-    table : of the exact inverse; the others are the memory; nothing of these is written to
+    table, about : of the exact inverse; the others are the memory; nothing of these is written to
     """
     m, p = table.shape[1], sample.shape[0]
     references, path = np.empty((p, raw.shape[1] + 1)), np.empty((p, known.shape[1] + 1))
@@ -73,15 +73,16 @@ def step_path(  # type: ignore[no-untyped-def]
         newest = np.empty((p, 1))
         filtered(filter_taps, references, 0, 1, newest)
         path[:, known.shape[1]] = newest[:, 0]
-    moving, left, w = modes.copy(), away.copy(), loaded(table, stack, hand)
+    moving, left = modes.copy(), away.copy()
+    w, here = loaded(table, about, stack, hand)
     if sound:
         a, b, c, taps, ahead = inverse
         run_inverse(a, b, c, taps, ahead, moving, path, 0, 1, v)
         for o in range(p):
             v[o, 0] += frame[0, o]
         back, into, gain = recovery
-        respond_exact(v, m - p, back, into, gain, left, w, 0, 1, drive)
+        respond_exact(v, m - p, back, into, gain, left, w, here, 0, 1, drive)
         sound = to_sent(drive, frame, sent)
     after, held = np.empty(stack.shape), np.empty(hand.shape)
-    unloaded(w, after, held)
+    unloaded(w, here, after, held)
     return sent, references[:, 1:].copy(), path[:, 1:].copy(), moving, left, after, held, sound

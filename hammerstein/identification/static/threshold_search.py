@@ -139,6 +139,8 @@ class Place:
         free = np.flatnonzero(~stuck)
         curvature = self.curvature[np.ix_(free, free)]
         diagonal = np.diag(self.curvature)
+        if not diagonal.max(initial=0.0) > 0.0:  # rounding alone: the error depends on none of them
+            return self.grids
         floor = 1e-12 * diagonal.max() + np.finfo(float).tiny
         scale = np.sqrt(np.maximum(diagonal[free], floor))
         scaled = curvature / np.outer(scale, scale) + damping * np.eye(len(free))

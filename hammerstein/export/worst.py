@@ -1,0 +1,44 @@
+"""The dearest step of exported code, looked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.export.golden import Uniform
+
+Array = NDArray[np.float64]
+
+STARTS, ROUNDS, SAMPLES = 8, 80, 60
+LEVELS = 40  # from the middle to the reach, and a quarter of that beyond it
+
+
+def dearest(operations: Callable[[Array], int], reach: Array) -> tuple[int, int]:
+    """Most operations of a step that a climbing search finds, and the samples it tried.
+
+    Sequences of levels are changed in a few samples at a time, and kept where their dearest step is no
+    cheaper: what is dear is a jump that many turns have prepared.
+
+    Parameters
+    ----------
+    operations : the dearest step of a signal (axis, sample) from the start
+    reach : (axis,) largest value of each axis
+    """
+    rng, axes, worst = Uniform(seed=11), len(reach), 0
+
+    def levels(samples: int) -> Array:
+        return np.asarray(np.round(1.25 * LEVELS * rng.of(axes, samples)) / LEVELS)
+
+    for _ in range(STARTS):
+        best, most = levels(SAMPLES), 0
+        for _ in range(ROUNDS):
+            trial = best.copy()
+            where = (0.5 * SAMPLES * (rng.of(1, 3)[0] + 1.0)).astype(np.int64)
+            trial[:, where] = levels(len(where))
+            found = operations(reach[:, None] * trial)
+            if found >= most:
+                best, most = trial, found
+        worst = max(worst, most)
+    return worst, STARTS * ROUNDS * SAMPLES
