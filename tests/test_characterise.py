@@ -8,7 +8,7 @@ from hammerstein.actuators.build import with_thresholds
 from hammerstein.dynamics import discretise
 from hammerstein.errors import IdentificationError
 from hammerstein.experiment import simulated_identification
-from hammerstein.experiment.simulated_identification import identify_by_experiment
+from hammerstein.experiment.simulated_identification import identify_each
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
@@ -21,6 +21,11 @@ JOINT = JointFitSpec(method="hammerstein")
 EQUATION_12 = [0.07, 0.32, 0.74, 1.3, 2, 2.8, 3.67, 4.61, 5.54, 6.5, 7.34, 8.1, 8.8, 9.3, 9.7]
 
 
+def identified(plant, spec, seed):
+    (model,) = identify_each(plant, [spec], seed)
+    return model
+
+
 def _plant(name, **changes):
     model = HammersteinModel.load(name)
     instruments = changes.get("instruments", model.instruments)
@@ -29,7 +34,7 @@ def _plant(name, **changes):
 
 def test_closed_form_finds_the_printed_thresholds_and_loops():
     plant = _plant("duo_bimorph_static", instruments=Instruments.ideal())
-    model = identify_by_experiment(plant, ClosedFormSpec(frequency_hz=50), 1)
+    model = identified(plant, ClosedFormSpec(frequency_hz=50), 1)
     for row, printed in zip(model.hysteresis.pairs, plant.model.hysteresis.pairs, strict=True):
         for pair, own in zip(row, printed, strict=True):
             np.testing.assert_allclose(pair.thresholds_v, EQUATION_12, atol=0.05)
@@ -40,7 +45,7 @@ def test_closed_form_finds_the_printed_thresholds_and_loops():
 def test_a_triangle_finds_the_static_loop_at_thresholds_uniform_in_voltage():
     """A static block does not hear how it is driven: the rising branch is met at every threshold."""
     plant = _plant("duo_bimorph_static", instruments=Instruments.ideal())
-    model = identify_by_experiment(plant, ClosedFormSpec(frequency_hz=50, waveform="triangle"), 1)
+    model = identified(plant, ClosedFormSpec(frequency_hz=50, waveform="triangle"), 1)
     pair = model.hysteresis.pairs[0][0]
     assert np.ptp(np.diff(pair.thresholds_v)) < 1e-6
     points = 2.0 * pair.thresholds_v[1:] - 10.0
@@ -50,17 +55,17 @@ def test_a_triangle_finds_the_static_loop_at_thresholds_uniform_in_voltage():
 
 def test_identification_hears_the_sensor_and_not_the_parameters():
     plant = _plant("duo_bimorph")
-    a, b = (identify_by_experiment(plant, ClosedFormSpec(), seed) for seed in (1, 2))
+    a, b = (identified(plant, ClosedFormSpec(), seed) for seed in (1, 2))
     assert a.digest() != b.digest()
     quiet = Plant(plant.model, Instruments.ideal())
-    c, d = (identify_by_experiment(quiet, ClosedFormSpec(), seed) for seed in (1, 2))
+    c, d = (identified(quiet, ClosedFormSpec(), seed) for seed in (1, 2))
     assert c.digest() == d.digest()
 
 
 @pytest.mark.parametrize("name", ["duo_bimorph", "duo_bimorph_resonant"])
 def test_joint_fit_finds_resonance_damping_and_an_unseen_record(name):
     plant = _plant(name)
-    model = identify_by_experiment(plant, JOINT, 1)
+    model = identified(plant, JOINT, 1)
     for found, true in zip(model.dynamics.axes, plant.model.dynamics.axes, strict=True):
         assert found.resonance_hz == pytest.approx(true.resonance_hz, rel=3e-3)
         assert found.damping_ratio == pytest.approx(true.damping_ratio, rel=3e-2)
@@ -75,7 +80,7 @@ def test_joint_fit_finds_resonance_damping_and_an_unseen_record(name):
 
 def test_creep_is_found_from_a_slow_record():
     plant = _plant("duo_bimorph_creep")
-    model = identify_by_experiment(plant, JOINT.model_copy(update={"creep_modes": 3}), 1)
+    model = identified(plant, JOINT.model_copy(update={"creep_modes": 3}), 1)
     frequency = np.array([0.002, 0.01, 0.1, 1.0])
     for found, true in zip(model.dynamics.axes, plant.model.dynamics.axes, strict=True):
         responses = [
@@ -87,12 +92,12 @@ def test_creep_is_found_from_a_slow_record():
 
 def test_too_many_operators_for_the_samples():
     with pytest.raises(IdentificationError, match="too few"):
-        identify_by_experiment(_plant("duo_bimorph"), ClosedFormSpec(frequency_hz=200, operators=60), 1)
+        identified(_plant("duo_bimorph"), ClosedFormSpec(frequency_hz=200, operators=60), 1)
 
 
 def test_a_voltage_that_the_drive_cuts_is_refused():
     with pytest.raises(IdentificationError, match="asks for 11 V about 0 V, the drive gives -10 to 10 V"):
-        identify_by_experiment(_plant("duo_bimorph"), ClosedFormSpec(amplitude_v=11), 1)
+        identified(_plant("duo_bimorph"), ClosedFormSpec(amplitude_v=11), 1)
 
 
 def test_a_delay_is_not_taken_for_hysteresis_between_coarse_thresholds():
@@ -100,7 +105,7 @@ def test_a_delay_is_not_taken_for_hysteresis_between_coarse_thresholds():
     thresholds = 0.18 + 9.7 * np.arange(28) / 28  # nothing moves within the first of them
     block = with_thresholds(plant.model.hysteresis, thresholds, 10.0)
     dead = Plant(replace(plant.model, hysteresis=block), plant.instruments)
-    model = identify_by_experiment(dead, JOINT.model_copy(update={"operators": 20}), 1)
+    model = identified(dead, JOINT.model_copy(update={"operators": 20}), 1)
     assert model.dynamics.input_delay_s == 0.0
     for found, true in zip(model.dynamics.axes, plant.model.dynamics.axes, strict=True):
         assert found.resonance_hz == pytest.approx(true.resonance_hz, rel=3e-3)
@@ -116,7 +121,7 @@ def test_the_loop_is_taken_when_it_has_settled(monkeypatch):
 
     monkeypatch.setattr("hammerstein.experiment.simulated_identification.closed_form", kept)
     monkeypatch.setenv("HAMMERSTEIN_CACHE", "")
-    identify_by_experiment(plant, ClosedFormSpec(frequency_hz=200, settle_cycles=1, measured_cycles=1), 1)
+    identified(plant, ClosedFormSpec(frequency_hz=200, settle_cycles=1, measured_cycles=1), 1)
     voltage = np.zeros((2, 6000))
     voltage[0] = 10.0 * np.sin(2.0 * np.pi * 200.0 * T * np.arange(6000))
     last_cycle = plant.respond(voltage, 1).position_um[:, -100:]
@@ -134,7 +139,7 @@ def test_every_input_is_driven_with_the_full_amplitude(monkeypatch):
     monkeypatch.setattr("hammerstein.identification.identify.identify", kept)
     monkeypatch.setenv("HAMMERSTEIN_CACHE", "")
     with pytest.raises(IdentificationError, match="enough"):
-        identify_by_experiment(_plant("duo_bimorph", instruments=Instruments.ideal()), JOINT, 1)
+        identified(_plant("duo_bimorph", instruments=Instruments.ideal()), JOINT, 1)
     assert len(seen) == 2
     for k, record in enumerate(seen):
         sine, noise = np.split(record.u_v[k][20:], 2)

@@ -102,6 +102,14 @@ def test_from_rest_the_numbers_come_later_by_the_preview(order):
     assert (found[:, :late] == 0.0).all()
 
 
+@pytest.mark.parametrize("name", ["asymmetric_stack", "rate_dependent_stack"])
+def test_every_kind_of_hysteresis_is_a_system(name):
+    block = HammersteinModel.load(name).hysteresis.on_grid(T)
+    u = 8.0 * np.sin(np.arange(60) / 7.0 + np.array([[0.0], [1.0]]))
+    found = control.input_output_response(block.to_iosys(T), T * np.arange(60), u).outputs
+    np.testing.assert_array_equal(found, block.respond(u)[0])
+
+
 def test_python_controls_own_state_space_stands_for_the_dynamics():
     model = HammersteinModel.load("duo_bimorph")
     u = 8.0 * np.random.default_rng(4).normal(size=(2, 100))

@@ -180,6 +180,14 @@ def test_a_scenario_sets_its_own_tolerances(loop: Report) -> None:
     assert compared(loop, before, {"rms_um": 0.5, "max_um": 1.039}, **floor) == []
 
 
+def test_a_default_holds_for_what_is_not_named_and_for_no_count(loop: Report) -> None:
+    wide = {"tolerances": {"default": Tolerance(relative=0.1), "max_um": Tolerance(relative=0.01)}}
+    before = {"rms_um": 0.5, "max_um": 1.0, "saturated_samples": 100.0}
+    assert compared(loop, before, before | {"rms_um": 0.54}, **wide) == []
+    for name, value in (("rms_um", 0.56), ("max_um", 1.02), ("saturated_samples", 101.0)):
+        assert compared(loop, before, before | {name: value}, **wide) == [Kind.MOVED]
+
+
 def test_the_bands_of_an_uncertain_actuator_are_guarded(loop: Report) -> None:
     band = Band(
         *("exact", "all", "y", 50.0, None, 30.0, None), "rms_um", p5_um=0.4, median_um=0.5, p95_um=0.6

@@ -14,13 +14,25 @@ from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.linear import weighted_lines
 from hammerstein.identification.linear.frequency_response import FrequencyResponse, frequency_response
 from hammerstein.identification.linear.refinement import _normal_equations, _step, refine, split
-from hammerstein.identification.linear.state_space import fit_state_space, output_error_percent
+from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.identification.linear.subspace import stable, subspace
 from hammerstein.identification.linear.weighted_lines import Matrices, WeightedLines, weigh
 
 Array = NDArray[np.float64]
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "cubespec_fsm"
 T = 5e-5
+
+
+def output_error_percent(block: LinearBlock, response: FrequencyResponse) -> Array:
+    """Error rms over output rms of a model in the experiments behind a response, noise included (p,) [%].
+
+    100 sqrt( sum of (G - G_measured) S_uu (G - G_measured)^H + residue  /  sum of output power )
+    """
+    z = np.exp(2j * np.pi * response.frequency_hz * block.sample_time_s)
+    error = Matrices(block.A, block.B, block.C, block.D).at(z).transpose(1, 2, 0) - response.response
+    power = np.einsum("ijf,jkf,ikf->if", error, response.input_power, error.conj()).real
+    left = np.sum(power + response.residual_power, axis=1)
+    return np.asarray(100.0 * np.sqrt(left / response.output_power.sum(axis=1)))
 
 
 def random_system(rng: np.random.Generator, n: int, m: int, p: int) -> control.StateSpace:

@@ -43,27 +43,6 @@ CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
 """Slow steps of the creep record, in parts of the amplitude; each lasts a sixth of it."""
 
 
-def identify_by_experiment(
-    plant: Plant, spec: ClosedFormSpec | JointFitSpec, seed: int, fresh: bool = False
-) -> HammersteinModel:
-    """Model of a simulated actuator, found by driving it one input at a time (paper, section 3.3).
-
-    The result is kept on disk (``cache``): the same experiment on the same actuator is not done twice.
-
-    Parameters
-    ----------
-    plant : the actuator in its set-up
-    spec : the experiment and the method
-    seed : of the sensor's noise; the experiment's own settings are mixed in
-    fresh : whether what was kept before is passed by
-
-    Raises
-    ------
-    IdentificationError : the data do not determine the model, or the drive cuts the voltage
-    """
-    return next(identify_each(plant, [spec], seed, fresh))
-
-
 def identify_each(
     plant: Plant,
     specs: Sequence[ClosedFormSpec | JointFitSpec],
@@ -71,7 +50,22 @@ def identify_each(
     fresh: bool = False,
     jobs: Jobs = 1,
 ) -> Iterator[HammersteinModel]:
-    """Models of several experiments, side by side; see ``identify_by_experiment``."""
+    """Models of a simulated actuator, each found by driving it one input at a time (paper, section 3.3).
+
+    The results are kept on disk (``cache``): the same experiment on the same actuator is not done twice.
+
+    Parameters
+    ----------
+    plant : the actuator in its set-up
+    specs : the experiments and their methods, done side by side
+    seed : of the sensor's noise; the experiment's own settings are mixed in
+    fresh : whether what was kept before is passed by
+    jobs : threads, or an executor of ``concurrent.futures``
+
+    Raises
+    ------
+    IdentificationError : the data do not determine a model, or the drive cuts the voltage
+    """
     actuator = replace(plant.model, instruments=plant.instruments).to_json()
     arguments = [(actuator, spec.model_dump_json(), seed) for spec in specs]
     kept = [None if fresh else known(_identified, *one) for one in arguments]

@@ -20,7 +20,7 @@ LIMBS, BITS = 4, 32  # a lone whole number, such as the state of a random genera
 class Leaf:
     """One value of some plain data: its keys, how it becomes numbers, and how numbers become it."""
 
-    keys: tuple[str, ...]
+    keys: tuple[str | int, ...]
     length: int
     numbers: Callable[[Any], Array]
     value: Callable[[Array], Any]
@@ -34,7 +34,8 @@ class Packing:
 
     Parameters
     ----------
-    like : dictionaries of numbers, (nested) lists of numbers, and words; all that is packed has its shape
+    like : dictionaries, and lists of them, of numbers, lists of numbers, and words; all that is packed
+        has its shape
 
     Examples
     --------
@@ -64,25 +65,34 @@ class Packing:
 
     def unpack(self, vector: Array) -> dict[str, Any]:
         """Data of a vector (length,); arrays stand for lists."""
-        values, data, first = vector + self._origin, dict[str, Any](), 0
+        values, data, first = vector + self._origin, dict[Any, Any](), 0
         for leaf in self._leaves:
             inner = data
             for key in leaf.keys[:-1]:
                 inner = inner.setdefault(key, {})
             inner[leaf.keys[-1]] = leaf.value(values[first : first + leaf.length])
             first += leaf.length
+        return {key: _with_lists(value) for key, value in data.items()}
+
+
+def _with_lists(data: Any) -> Any:
+    """The same with lists in place of dictionaries whose keys are numbers."""
+    if not isinstance(data, dict):
         return data
+    inner = {key: _with_lists(value) for key, value in data.items()}
+    return list(inner.values()) if 0 in inner else inner
 
 
-def _at(data: Any, keys: tuple[str, ...]) -> Any:
+def _at(data: Any, keys: tuple[str | int, ...]) -> Any:
     for key in keys:
         data = data[key]
     return data
 
 
-def _leaves(data: Any, keys: tuple[str, ...]) -> Iterator[Leaf]:
-    if isinstance(data, dict):
-        for key, value in data.items():
+def _leaves(data: Any, keys: tuple[str | int, ...]) -> Iterator[Leaf]:
+    parts = isinstance(data, list | tuple) and any(isinstance(part, dict) for part in data)
+    if parts or isinstance(data, dict):
+        for key, value in enumerate(data) if parts else data.items():
             yield from _leaves(value, (*keys, key))
     elif isinstance(data, str):
         yield Leaf(keys, 0, lambda _: np.zeros(0), lambda _: data)

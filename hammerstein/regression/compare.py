@@ -12,7 +12,7 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.experiment.report import Report
 from hammerstein.metrics import METRICS
 from hammerstein.regression.baseline import Baseline, Key, Numbers, numbers_of
-from hammerstein.scenario.names import numbers_of_verdicts
+from hammerstein.scenario.names import DEFAULT as OTHERS, numbers_of_verdicts
 from hammerstein.scenario.scenario import Tolerance
 
 # Another processor or NumPy differs in the last bits of sines, sums and decompositions. Tried on the shipped
@@ -109,8 +109,12 @@ def all_tolerances(given: Mapping[str, Tolerance] | None = None) -> dict[str, To
 
 
 def tolerance_of(metric: str, tolerances: Mapping[str, Tolerance]) -> Tolerance:
-    """Tolerance of a number; that of a metric is that of its band."""
-    return tolerances.get(metric.partition(".")[0], DEFAULT)
+    """Tolerance of a number; that of a metric is that of its band.
+
+    >>> tolerance_of("rms_um.p5", {"default": Tolerance(relative=0.01)}).relative
+    0.01
+    """
+    return tolerances.get(metric.partition(".")[0], tolerances.get(OTHERS, DEFAULT))
 
 
 def deviation(metric: str, now: float, baseline: float) -> float:
@@ -133,7 +137,7 @@ def limit(baseline: float, tolerance: Tolerance) -> float:
 
 
 def _refuse_unknown(tolerances: Mapping[str, Tolerance], name: str) -> None:
-    mistakes, names = [], [*METRICS, *numbers_of_verdicts()]
+    mistakes, names = [], [OTHERS, *METRICS, *numbers_of_verdicts()]
     for metric in tolerances:
         if metric not in names:
             near = difflib.get_close_matches(metric, names, n=1)
@@ -184,5 +188,5 @@ def _is_void(
     base = METRICS[metric].ratio_of if metric in METRICS else None
     if base is None:
         return False  # else without height a loop has no relative width, and what is zero has no phase
-    floor = tolerances.get(base, DEFAULT).absolute
+    floor = tolerance_of(base, tolerances).absolute
     return all(abs(side.get(base, math.inf)) <= floor for side in sides)

@@ -10,6 +10,9 @@ from pydantic_core import PydanticKnownError
 from hammerstein.metrics import METRICS
 from hammerstein.scenario.assessment import ASSESSMENTS
 
+DEFAULT = "default"
+"""Stands for every number that is not named."""
+
 
 def _known(name: str) -> str:
     if name not in METRICS:
@@ -18,7 +21,7 @@ def _known(name: str) -> str:
 
 
 def _known_or_of_a_verdict(name: str) -> str:
-    return name if name in numbers_of_verdicts() else _known(name)
+    return name if name in (DEFAULT, *numbers_of_verdicts()) else _known(name)
 
 
 def _named(schema: dict[str, Any]) -> None:
@@ -33,4 +36,4 @@ def numbers_of_verdicts() -> list[str]:
 MetricName = Annotated[str, AfterValidator(_known), Field(json_schema_extra=_named)]
 """Name of a figure of merit, those of plug-ins included."""
 NumberName = Annotated[str, AfterValidator(_known_or_of_a_verdict)]
-"""Name of a number of a report: a figure of merit, or a number of a verdict."""
+"""Name of a number of a report: a figure of merit, a number of a verdict, or ``default`` for all others."""

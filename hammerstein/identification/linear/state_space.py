@@ -92,37 +92,6 @@ def fit_state_space(
     return LinearBlock(*lines.physical(model), response.sample_time_s)
 
 
-def output_error_percent(block: LinearBlock, response: FrequencyResponse) -> Array:
-    """Error rms over output rms of a model in the experiments behind a response, noise included.
-
-        100 sqrt( sum of (G - G_measured) S_uu (G - G_measured)^H + residue  /  sum of output power )
-
-    Parameters
-    ----------
-    block : any model on the same inputs and outputs
-    response : measured response
-
-    Returns
-    -------
-    (p,) one figure an output [%]
-
-    Examples
-    --------
-    >>> g = FrequencyResponse(
-    ...     frequency_hz=np.array([100.0]), response=np.full((1, 1, 1), 2.0 + 0j), coherence=np.ones((1, 1)),
-    ...     input_power=np.ones((1, 1, 1), complex), residual_power=np.zeros((1, 1)), sample_time_s=1e-3)
-    >>> none = np.empty((0, 0))
-    >>> gain = LinearBlock(none, np.empty((0, 1)), np.empty((1, 0)), np.array([[1.9]]), 1e-3)
-    >>> output_error_percent(gain, g).round(6).tolist()
-    [5.0]
-    """
-    z = np.exp(2j * np.pi * response.frequency_hz * block.sample_time_s)
-    error = Matrices(block.A, block.B, block.C, block.D).at(z).transpose(1, 2, 0) - response.response
-    power = np.einsum("ijf,jkf,ikf->if", error, response.input_power, error.conj()).real
-    left = np.sum(power + response.residual_power, axis=1)
-    return np.asarray(100.0 * np.sqrt(left / response.output_power.sum(axis=1)))
-
-
 def _starts(lines: WeightedLines, order: int, report: Callable[[str], None]) -> list[Matrices]:
     """Subspace models with few block rows (best for large orders) and with many (best for small ones)."""
     F, p, m = lines.target.shape
