@@ -66,6 +66,7 @@ from .records.record import (
 from .records.time_responses import records_of_time_response as records_of_time_response
 from .regression.check import check as check
 from .scenario import Scenario as Scenario, load_scenario as load_scenario
+from .scenario.assessment import Assessment as Assessment, Verdict as Verdict
 from .signals import (
     Circle as Circle,
     FromFile as FromFile,

@@ -69,13 +69,17 @@ def test_lag_and_creep_behind_each_kind_are_found_again(kind):
 
 
 def test_the_rate_keeps_what_is_its_own_and_the_lag_what_is_not():
+    """Fitted in turn they do not come there: a lag explains much of what growing thresholds do."""
     path = discretise(AxesDynamics(axes=(Axis(lag_s=1e-3),)), T)
     records = [record_of("rate_dependent", path, *both, seed) for seed, both in enumerate(BOTH)]
     kept = {"thresholds_v": R, "dynamics": "lag", "creep_modes": 0, "error_curve": False, "start": "rest"}
     model, fit = identify(records, Settings(hysteresis="rate_dependent", **kept))
-    assert model.dynamics.axes[0].lag_s == pytest.approx(1e-3, rel=0.1)
-    assert model.hysteresis.inputs[0].growth_s[-1] > 2e-4  # found in turns with the lag, which is slow
-    assert fit.fit["hammerstein"].nrmse_percent[0] < 0.4 * fit.fit["classical"].nrmse_percent[0]
+    [plays] = model.hysteresis.inputs
+    assert model.dynamics.axes[0].lag_s == pytest.approx(1e-3, rel=1e-3)
+    assert plays.growth_s[-1] == pytest.approx(4e-4, rel=1e-3)
+    assert plays.bandwidth_hz == pytest.approx(200.0, rel=2e-3)
+    np.testing.assert_allclose(model.hysteresis.weights[0], W, atol=1e-3)
+    assert fit.fit["hammerstein"].rms_um[0] == pytest.approx(0.005, rel=0.02)  # its noise
 
 
 def test_a_single_rate_tells_no_lag_unless_it_is_asked_for():
@@ -131,32 +135,37 @@ def test_a_whole_stack_is_found_and_followed_at_a_frequency_between():
     records, held = stack_records()
     model, fit = identify(records, Settings(hysteresis="asymmetric"), validation=[held])
     [axis] = model.dynamics.axes
-    assert fit.validation["hammerstein"].nrmse_percent[0] <= 0.15
-    assert fit.validation["classical"].nrmse_percent[0] > 4.0 * 0.15
+    assert fit.validation["hammerstein"].nrmse_percent[0] <= 0.05  # 0.15 was wanted
+    assert fit.validation["classical"].nrmse_percent[0] > 0.6
     assert axis.lag_s == pytest.approx(LAG_S, rel=0.02)
     assert axis.resonance_hz == pytest.approx(RESONANCE_HZ, rel=0.02)
-    assert axis.damping_ratio == pytest.approx(DAMPING, rel=0.2)
-    assert sorted(mode.gain for mode in axis.creep) == pytest.approx([gain for gain, _ in CREEP], rel=0.1)
+    assert axis.damping_ratio == pytest.approx(DAMPING, rel=0.05)
+    assert sorted(mode.gain for mode in axis.creep) == pytest.approx([gain for gain, _ in CREEP], rel=0.02)
+    times = sorted(mode.time_constant_s for mode in axis.creep)
+    assert times == pytest.approx([time_s for _, time_s in CREEP], rel=0.02)
+    assert {start.kind for start in fit.starts} == {"turned"}  # of both it is told that they stood saturated
 
 
 @needs_ja
 @pytest.mark.parametrize(
-    ("name", "number", "times"),
+    ("name", "number"),
     [
-        ("11_TwoStepSolver_{}_MnZn_HP_ferrite.mat", 3, 3.0),
-        ("12_Automation2018_{}_MnZn_ferrite.mat", 2, 3.0),
-        ("1_isotropic_{}_MnZn_ferrite.mat", 2, 3.0),
-        ("1_isotropic_{}_MnZn_ferrite.mat", 3, 2.4),
-        ("2_anisotropic_{}_amorf.mat", 0, 3.0),
+        ("11_TwoStepSolver_{}_MnZn_HP_ferrite.mat", 3),
+        ("12_Automation2018_{}_MnZn_ferrite.mat", 2),
+        ("1_isotropic_{}_MnZn_ferrite.mat", 2),
+        ("1_isotropic_{}_MnZn_ferrite.mat", 3),
+        ("2_anisotropic_{}_amorf.mat", 0),
     ],
 )
-def test_dead_zones_follow_saturation_where_plays_are_flagged(name, number, times):
+def test_dead_zones_follow_saturation_where_plays_are_flagged(name, number):
+    """With nothing asked for but the kind; four times less than 15 plays, three were wanted."""
     record = loops(name)[number]
-    _, fit = identify([record], plain(hysteresis="asymmetric", dead_zones=20))
+    _, fit = identify([record], Settings(hysteresis="asymmetric"))
     ours, plays = (fit.fit[kind].nrmse_percent[0] for kind in ("static_hysteresis", "classical"))
-    assert times * ours <= plays
+    assert 4.0 * ours <= plays
     assert fit.flags == ()
     assert fit.invertible
+    assert identify([record], plain())[1].flags != ()
 
 
 @needs_dbo

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
 import sys
 import tomllib
 from importlib import metadata
@@ -92,3 +93,35 @@ def test_the_commands_that_are_installed_exist() -> None:
 def test_the_readme_gives_the_commands_on_lines_of_their_own(command: str) -> None:
     lines = [line.strip() for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines()]
     assert lines.count(command) >= 1  # .ci/run reads them there
+
+
+ELSEWHERE = """
+import os, pkgutil, importlib, signal, sys
+import asyncio, control, h5py, matplotlib.pyplot, multiprocessing.connection, multiprocessing.forkserver
+import numba, pandas, scipy.signal, typer  # load what is of this system
+for name in ("fcntl", "grp", "pwd", "resource", "termios", "tty"):
+    sys.modules[name] = None
+for name in ("fork", "getloadavg", "geteuid", "getuid", "killpg", "mkfifo", "statvfs", "sysconf",
+             "O_NOFOLLOW", "O_NONBLOCK"):
+    delattr(os, name)
+for name in ("SIGALRM", "SIGHUP", "SIGKILL", "SIGUSR1"):
+    delattr(signal, name)
+import hammerstein
+for found in pkgutil.walk_packages(hammerstein.__path__, "hammerstein."):
+    if not found.name.startswith("hammerstein.examples."):
+        importlib.import_module(found.name)
+from hammerstein.commands.cli import main
+main(["run", "s.toml", "--dry-run"])
+"""
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform == "win32", reason="there every other test shows it")
+def test_nothing_of_posix_is_needed(tmp_path: Path) -> None:
+    scenario = ['question = "?"', "[drive]", 'kind = "sine"', "amplitude_v = 5", "frequency_hz = 50"]
+    (tmp_path / "s.toml").write_text("\n".join(scenario))
+    found = subprocess.run(
+        [sys.executable, "-c", ELSEWHERE], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert found.returncode == 0, found.stderr
+    assert "runs of up to" in found.stdout

@@ -11,7 +11,7 @@ import theory
 from hammerstein.actuators.stacks import asymmetric_stack
 from hammerstein.compensators import ExactInverse
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import Asymmetric, Pair, Parallel, PrandtlIshlinskii, RateDependent
+from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, Parallel, PrandtlIshlinskii, RateDependent
 from hammerstein.model import HammersteinModel
 
 T = 50e-6
@@ -68,6 +68,73 @@ def test_a_step_and_a_cut_give_the_same_bits(stack: HammersteinModel) -> None:
         y, memory = block.step(sample, memory)
         steps.append(y)
     np.testing.assert_array_equal(np.transpose(steps), whole)
+
+
+def random_plays(seed: int) -> PrandtlIshlinskii:
+    generator = np.random.default_rng(seed)
+    r = [np.sort(np.append(0.0, generator.uniform(0.0, 6.0, 4))) for _ in range(4)]
+    pairs = [Pair(own, generator.normal(size=5)) for own in r]
+    return PrandtlIshlinskii([pairs[:2], pairs[2:]])
+
+
+def bent(plays: PrandtlIshlinskii) -> Asymmetric:
+    zones = [[DeadZones([-2.0, 3.0], [0.5, -0.3])] * 2, [DeadZones([0.0], [0.2])] * 2]
+    return Asymmetric(plays, zones)
+
+
+def way(*turns: float, samples: int = 60) -> np.ndarray:
+    ends = np.arange(len(turns)) * samples
+    return np.stack([np.interp(np.arange(ends[-1] + 1), ends, turns)] * 2)
+
+
+def test_classical_blocks_side_by_side_are_a_classical_block() -> None:
+    one, two, u = random_plays(1), random_plays(2), drive(400)
+
+    def joined(name: str) -> list[list[np.ndarray]]:
+        return [
+            [np.append(getattr(a, name), getattr(b, name)) for a, b in zip(*both, strict=True)]
+            for both in zip(one.pairs, two.pairs, strict=True)
+        ]
+
+    expected = theory.prandtl_ishlinskii(u, joined("thresholds_v"), joined("weights_um_per_v"))
+    np.testing.assert_allclose(Parallel((one, two)).respond(u)[0], expected, atol=1e-10)
+
+
+def test_wiping_out_holds_as_far_as_it_holds_for_every_part(stack: HammersteinModel) -> None:
+    """Plays and dead-zones forget what a larger swing covers; a part that hears the rate does not."""
+    last = way(-9.0, 9.0, 2.0)
+
+    def end(block: Parallel, past: np.ndarray) -> np.ndarray:
+        return block.respond(np.hstack([past, last]))[0][:, -1]
+
+    slow, other = way(0.0, 8.0, -3.0, -9.0, samples=300), way(0.0, -5.0, 6.0, -9.0, samples=300)
+    still = Parallel((random_plays(1), bent(random_plays(2))))
+    np.testing.assert_allclose(end(still, slow), end(still, other), atol=1e-10)
+    fast = way(0.0, 9.0, -9.0, samples=40)
+
+    def after(block: Parallel, past: np.ndarray) -> np.ndarray:
+        return block.respond(np.hstack([past, way(-9.0, 0.0, samples=60)]))[0][:, -1]
+
+    gentle = way(0.0, 9.0, -9.0, samples=2000)
+    np.testing.assert_allclose(after(still, fast), after(still, gentle), atol=1e-10)
+    assert np.abs(after(stack.hysteresis, fast) - after(stack.hysteresis, gentle)).max() > 1e-3
+
+
+def test_congruency_holds_between_the_same_voltages_alone(stack: HammersteinModel) -> None:
+    """Whatever went before; elsewhere dead-zones bend the loop, and at another rate it is another one."""
+
+    def loop(block: Parallel, past: tuple[float, ...], middle: float, samples: int = 60) -> np.ndarray:
+        inner = [middle - 1.0, middle + 1.5] * 4
+        u = np.hstack([way(0.0, *past, inner[0], samples=300), way(*inner, samples=samples)])
+        v = block.respond(u)[0][:, -2 * samples - 1 :: samples]
+        return v - v[:, :1]
+
+    still = Parallel((random_plays(1), bent(random_plays(2))))
+    first, second = (loop(still, past, 0.0) for past in ((-9.0, 9.0), (5.0, -7.0)))
+    np.testing.assert_allclose(first, second, atol=1e-10)
+    assert np.abs(first - loop(still, (-9.0, 9.0), 4.0)).max() > 0.1
+    slow, fast = (loop(stack.hysteresis, (-9.0, 9.0), 0.0, samples) for samples in (600, 10))
+    assert np.abs(slow - fast).max() > 1e-2
 
 
 def test_weights_go_out_and_in(stack: HammersteinModel) -> None:

@@ -86,6 +86,30 @@ def test_the_output_depends_on_the_rate_and_slow_loops_do_not_grow():
     assert width(200.0) > 1.25 * slow
 
 
+def at_rate(*turns, samples=400):
+    """From turn to turn in as many samples each, on both inputs."""
+    ends = np.arange(len(turns)) * samples
+    return np.stack([np.interp(np.arange(ends[-1] + 1), ends, turns)] * 2)
+
+
+def test_a_larger_swing_at_the_same_rate_wipes_out_what_it_covers():
+    last = (-9.0, 9.0, 2.0, 4.0)
+    ends = [block().respond(at_rate(0.0, *past, *last))[0][:, -800:] for past in ((3.0, -7.0), (-2.0, 8.0))]
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-10)
+
+
+def test_minor_loops_are_congruent_at_one_rate_and_differ_at_another():
+    def loop(middle, samples):
+        inner = [middle - 1.5, middle + 1.5] * 3
+        u = np.hstack([at_rate(0.0, 9.5, inner[0]), at_rate(*inner, samples=samples)])
+        v = block().respond(u)[0][:, -2 * samples :]
+        return v - v[:, :1]
+
+    np.testing.assert_allclose(loop(0.0, 400), loop(4.0, 400), atol=1e-10)
+    slow, fast = np.ptp(loop(0.0, 400), axis=1), np.ptp(loop(0.0, 15), axis=1)
+    assert (np.abs(fast - slow) > 0.02 * slow).all()
+
+
 def test_wiping_out_fails_where_the_rate_differs():
     """Two histories end with the same swings at other rates: a classical block would not tell them apart."""
     slow, fast = (np.interp(np.arange(n), [0, n // 2, n - 1], [0.0, 9.0, -9.0]) for n in (8000, 200))

@@ -13,6 +13,7 @@ from hammerstein.hysteresis import RateDependent, RatePlays
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.rate_dependent import fit_rate_dependent
+from hammerstein.identification.static.regressors import Start
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 
@@ -47,6 +48,19 @@ def test_growth_bandwidth_and_weights_are_found_again():
     assert plays.growth_s[-1] == pytest.approx(3e-4, rel=1e-3)
     assert plays.bandwidth_hz == pytest.approx(400.0, rel=1e-3)
     np.testing.assert_allclose(fit.hysteresis.weights_um_per_v[0][0], w, atol=2e-3)
+
+
+def test_a_record_that_begins_after_a_turn_needs_no_rest():
+    """Driven to 9 V and back to 2 V, held until no rate was left, then on; without its past it is off."""
+    w = np.array([4.0, 0.5, 0.7, 0.9])
+    block = RateDependent((RatePlays(R, [0.0, 3e-4, 3e-4, 3e-4], 400.0),), ((w,),)).on_grid(T)
+    before = np.concatenate([np.linspace(0.0, 9.0, 4000), np.linspace(9.0, 2.0, 4000), np.full(2000, 2.0)])
+    after = 2.0 + 0.8 * sines((20.0, 200.0), (2, 4))
+    y = block.respond([np.append(before, after)])[0][:, len(before) :]
+    record = Record([after], y, T)
+    fit = fit_rate_dependent([record], [R], starts=[Start("turned", 0, ((0.0, 9.0),))])
+    assert fit.rms_um[0] < 0.01
+    assert fit_rate_dependent([record], [R]).rms_um[0] > 10.0 * fit.rms_um[0]
 
 
 def test_one_rate_cannot_tell_growth():

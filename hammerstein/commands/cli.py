@@ -1,4 +1,4 @@
-"""The command line. Only this module prints and exits."""
+"""The command line. What it says goes through ``terminal``."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import json
 import os
 import signal
 import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,15 +14,14 @@ from hammerstein.commands import (
     comparing,
     export as export_command,
     records as record_commands,
+    scenarios,
     start,
     study as study_commands,
     terminal,
 )
-from hammerstein.commands.crew import Address, announce, compile_here, workers
-from hammerstein.commands.terminal import complain, hushed, show, tell, tell_json
+from hammerstein.commands.record_options import AsJson
+from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.errors import HammersteinError
-from hammerstein.escaping import clean
-from hammerstein.runtime.cache import folder_of_runs
 from hammerstein.runtime.leaving import (
     INTERRUPTED,
     INTERRUPTS,
@@ -35,17 +33,7 @@ from hammerstein.runtime.leaving import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from typer.models import CommandInfo
-
-    from hammerstein.experiment.batch import Outcome
-    from hammerstein.experiment.prepare import Progress
-    from hammerstein.experiment.report import Report
-    from hammerstein.reporting.folder import TraceFormat, Writer
-    from hammerstein.runtime import fanning
-    from hammerstein.scenario import Scenario
-    from hammerstein.scenario.assessment import Assessment
 
 app = typer.Typer(
     name="hammerstein",
@@ -84,15 +72,6 @@ SHORT = {
 ANSWERS = ("schema", "actuators", "show", "guide")
 """Commands that print what they are asked for, however quiet they are to be."""
 
-Paths = Annotated[list[Path], typer.Argument(metavar="PATH", help="Scenario files, or folders of them.")]
-Jobs = Annotated[
-    int, typer.Option(min=1, help="Runs side by side.", show_default="the processors of this machine")
-]
-Yes = Annotated[bool, typer.Option("--yes", help="Start also what takes more than ten minutes.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
-PROCESSORS = os.cpu_count() or 1
-KEPT = f"in {place}" if (place := folder_of_runs()) else "(nothing is kept here)"
-
 
 def _say_version(wanted: bool) -> None:
     if wanted:
@@ -116,8 +95,13 @@ def _before(
     terminal.hush(quiet and context.invoked_subcommand not in ANSWERS)
 
 
-def _register_others() -> None:
-    """Commands that stand in other modules; then all of them in the order of a person's work."""
+def _register() -> None:
+    """Register every command, in the order of a person's work."""
+    app.command(epilog=_example("run circle.toml"))(scenarios.run)
+    app.command(epilog=_example("check . --html check.html"))(scenarios.check)
+    app.command(epilog=_example("schema > scenario.schema.json"))(schema)
+    app.command(epilog=_example("actuators"))(actuators)
+    app.command(epilog=_example("plot circle.toml"))(scenarios.plot)
     records = f"record_x.csv record_y.csv {COLUMNS}"
     app.command(epilog=_example(f"loops {records}"))(record_commands.loops)
     app.command(epilog=_example(f"identify {records} --out own.json"))(record_commands.identify)
@@ -203,259 +187,6 @@ def _answered(arguments: list[str] | None) -> int | str | None:
     return code
 
 
-@app.command(epilog=_example("run circle.toml"))
-def run(
-    paths: Paths,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the reports go.")] = Path("reports"),
-    jobs: Jobs = PROCESSORS,
-    cluster: Address = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
-    traces: Annotated[
-        str | None, typer.Option(metavar="csv|mat", help="Write every wire of every case.")
-    ] = None,
-    page: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write all figures and verdicts on one page there.")
-    ] = None,
-    interactive: Annotated[
-        bool, typer.Option("--interactive", help="Put plots to zoom into on each page.")
-    ] = False,
-    open_: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
-    fresh: Annotated[bool, typer.Option("--fresh", help=f"Pass by what earlier runs kept {KEPT}.")] = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print what would be run, with memory and time; run nothing.")
-    ] = False,
-    yes: Yes = False,
-    as_json: AsJson = False,
-) -> None:
-    """Run scenarios and write a report for each: numbers, a page, figures.
-
-    What was worked out before is kept, and not done twice.
-    """
-    from hammerstein.errors import InputError
-    from hammerstein.experiment.batch import load_all
-    from hammerstein.files import refuse_unwritable
-    from hammerstein.reporting.folder import Writer
-    from hammerstein.reporting.html.interactive import refuse_without_library
-    from hammerstein.reporting.html.overview import OVERVIEW
-    from hammerstein.runtime import store as kept_results
-    from hammerstein.storage.staging import prepare
-
-    if dry_run:
-        _show_plan(paths, jobs)
-        return
-    refuse_unwritable("--out", out)
-    if page is not None:
-        refuse_unwritable("--page", page)
-    if traces not in (None, "csv", "mat"):
-        raise InputError("--traces", f"{traces!r} is not one of csv, mat")
-    scenarios = load_all(paths)
-    if interactive:
-        refuse_without_library()
-    store, useless = kept_results.opened(fresh)
-    if useless:
-        complain(useless)
-    kind = "mat" if traces == "mat" else "csv" if traces == "csv" else None
-    writer = Writer(out, figures, cast("TraceFormat | None", kind), interactive, store)
-    writer.prepare(scenarios)
-    if len(scenarios) > 1:
-        prepare(out, OVERVIEW, [OVERVIEW.sign[0]])
-    for assessed in _assessed(scenarios.values(), page):
-        assessed.prepare(out, page)
-    outcomes = _run_what_changed(scenarios, writer, jobs, cluster, yes)
-    for trouble in dict.fromkeys(outcome.unkept for outcome in outcomes if outcome.unkept):
-        complain(trouble)
-    outcomes.sort(key=lambda outcome: outcome.name)
-    reports = _summed_up(outcomes, out, page)
-    _tell_reports(outcomes, reports, out, as_json)
-    if open_ and reports:
-        _open(_first_page(reports, out))
-    _fail_with(outcomes)
-
-
-def _assessed(scenarios: Iterable[Scenario], page: Path | None) -> list[type[Assessment]]:
-    """Kinds of assessment that some scenario has.
-
-    Raises InputError where none could write the page that is wanted.
-    """
-    from hammerstein.errors import InputError
-
-    kinds = list(dict.fromkeys(type(s.assessment) for s in scenarios if s.assessment is not None))
-    if page is not None and not kinds:
-        raise InputError("--page", "no scenario has an [assessment], which would say what stands on the page")
-    return kinds
-
-
-def _show_plan(paths: Sequence[Path], jobs: int) -> None:
-    """Print what would be run."""
-    from hammerstein.commands.tables import plan_table
-    from hammerstein.experiment.batch import load_all
-    from hammerstein.experiment.plan import plan_of
-
-    show(plan_table({name: plan_of(one, jobs) for name, one in load_all(paths).items()}, jobs))
-
-
-def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None) -> list[Report]:
-    """Write what stands over several reports: what was asked of them, the overview."""
-    from hammerstein.commands.tables import kept_aside
-    from hammerstein.reporting.html.overview import write_overview
-
-    reports = [outcome.report for outcome in outcomes if outcome.report is not None]
-    kept = [place for outcome in outcomes for place in outcome.kept]
-    kinds = _assessed((report.scenario for report in reports), None)
-    if len(reports) < len(outcomes):
-        if kinds:
-            complain("what stands over all reports is not written, as not every scenario has one")
-    else:
-        for kind in kinds:
-            kept += kind.write(reports, out, page)
-    kept += write_overview(reports, out) if len(reports) > 1 else ()
-    for place in kept:
-        complain(kept_aside(place))
-    return reports
-
-
-def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: Path, as_json: bool) -> None:
-    """Print the results, and where the reports are."""
-    from hammerstein.commands.tables import result_table, verdict_tables
-
-    if as_json:
-        errors = [str(outcome.error) for outcome in outcomes if outcome.error]
-        tell_json({"reports": [json.loads(report.to_json()) for report in reports], "errors": errors})
-        return
-    if reports:
-        show(result_table(reports))
-    for table in verdict_tables(reports):
-        show(table)
-    if reports:
-        tell(f"{len(reports)} of {len(outcomes)} reports written in {out}")
-        tell(f"look at {_first_page(reports, out)}")
-
-
-def _first_page(reports: Sequence[Report], out: Path) -> Path:
-    """The page to look at first: of one report its own, of several the one over all of them."""
-    return out / "index.html" if len(reports) > 1 else out / reports[0].name / "report.html"
-
-
-def _open(page: Path) -> None:
-    import webbrowser
-
-    if not webbrowser.open(page.resolve().as_uri()):
-        complain(f"no browser could be started; open {page} in one")
-
-
-def _run_what_changed(
-    scenarios: dict[str, Scenario], writer: Writer, jobs: int, cluster: str | None, yes: bool
-) -> list[Outcome]:
-    """Write the reports that an earlier run has left in the store, and run the other scenarios."""
-    from hammerstein.experiment.batch import Outcome
-
-    outcomes = []
-    for name, scenario in scenarios.items():
-        known = writer.again(name, scenario)
-        if known is not None:
-            report, kept = known
-            outcomes.append(Outcome(name, report, kept=kept))
-    known_names = {outcome.name for outcome in outcomes}
-    left = {name: scenario for name, scenario in scenarios.items() if name not in known_names}
-    if not left:
-        return outcomes
-    from hammerstein.runtime.processes import begin_loading
-
-    if jobs > 1 and len(left) > 1 and cluster is None:
-        begin_loading()  # before this process loads what it needs itself
-    from hammerstein.experiment.batch import run_all
-
-    with workers(jobs, cluster) as crew:
-        crew = _planned(left, crew, yes)
-        compile_here(cluster, len(left), jobs)
-        there = writer.on(crew)
-        with _Watch(len(left)) as watch:
-            for outcome in run_all(left, there, crew, watch.progress, there.store):
-                watch.finished(outcome.name)
-                outcomes.append(outcome)
-    return outcomes
-
-
-def _planned(scenarios: dict[str, Scenario], jobs: fanning.Jobs, yes: bool) -> fanning.Jobs:
-    """Give the jobs that fit the memory together; what takes long is told, and wants ``--yes`` of a person.
-
-    Raises InputError where a person watches and has not said yes.
-    """
-    from hammerstein.experiment.plan import jobs_that_fit, plans_of, together
-    from hammerstein.runtime.fanning import workers_of
-
-    plans, workers_there = plans_of(scenarios), workers_of(jobs)
-    announce(*together(plans).announcement(workers_there), yes)
-    if not isinstance(jobs, int):
-        return jobs
-    fitting = jobs_that_fit(plans, jobs)
-    if fitting < jobs:
-        complain(f"{jobs} jobs do not fit the memory together: {fitting} run side by side")
-    return fitting
-
-
-def _fail_with(outcomes: list[Outcome]) -> None:
-    """Tell every error; exit with the code of the gravest."""
-    errors = [outcome.error for outcome in outcomes if outcome.error is not None]
-    for error in errors:
-        complain(str(error))
-    if errors:
-        raise typer.Exit(max(error.exit_code for error in errors))
-
-
-@app.command(epilog=_example("check . --html check.html"))
-def check(
-    paths: Paths,
-    baseline: Annotated[Path, typer.Option(metavar="DIR", help="Where the baselines are.")] = Path(
-        "reports/baseline"
-    ),
-    update_baseline: Annotated[
-        bool, typer.Option("--update-baseline", help="Accept the numbers as the new baseline.")
-    ] = False,
-    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the result for CI.")] = None,
-    markdown: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a summary in Markdown.")
-    ] = None,
-    html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a page with old and new curves.")
-    ] = None,
-    jobs: Jobs = PROCESSORS,
-    cluster: Address = None,
-    yes: Yes = False,
-    as_json: AsJson = False,
-) -> None:
-    """Run scenarios again and compare every number with its baseline."""
-    from hammerstein.experiment.batch import load_all
-    from hammerstein.files import refuse_overwriting, refuse_unwritable, write_atomic
-    from hammerstein.regression.check import check_files
-    from hammerstein.regression.result import JUNIT, SUMMARY
-    from hammerstein.reporting.html.check_page import CONTENT, check_page
-
-    outputs = (("--junit", junit, JUNIT), ("--markdown", markdown, SUMMARY), ("--html", html, CONTENT))
-    for option, file, content in outputs:
-        if file is not None:
-            refuse_unwritable(option, file.parent)
-            refuse_overwriting(option, file, content)
-    scenarios = load_all(paths)
-    with workers(jobs, cluster) as crew:
-        crew = _planned(scenarios, crew, yes)
-        compile_here(cluster, len(scenarios), jobs)
-        with _Watch(len(scenarios)) as watch:
-            result = check_files(paths, baseline, update_baseline, crew, watch.progress, watch.finished)
-    if junit is not None:
-        write_atomic(junit, result.junit())
-    if markdown is not None:
-        write_atomic(markdown, result.markdown())
-    if html is not None:
-        write_atomic(html, check_page(result))
-    if as_json:
-        tell_json(result.as_dict())
-    else:
-        tell(result.text())
-    raise typer.Exit(result.exit_code)
-
-
-@app.command(epilog=_example("schema > scenario.schema.json"))
 def schema() -> None:
     """Print the JSON Schema of scenario files, for editors."""
     from hammerstein.plugins import load_plugins
@@ -465,7 +196,6 @@ def schema() -> None:
     tell_json(Scenario.model_json_schema(), indent=1, sort_keys=True)
 
 
-@app.command(epilog=_example("actuators"))
 def actuators(as_json: AsJson = False) -> None:
     """List the actuators that come with the package."""
     from hammerstein.commands.tables import actuator_table
@@ -478,72 +208,4 @@ def actuators(as_json: AsJson = False) -> None:
         show(actuator_table(models))
 
 
-@app.command(epilog=_example("plot circle.toml"))
-def plot(
-    path: Annotated[Path, typer.Argument(help="Scenario file.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the figures go.")] = Path("reports"),
-    jobs: Jobs = PROCESSORS,
-    yes: Yes = False,
-) -> None:
-    """Draw the figures of one scenario, and nothing else."""
-    from hammerstein.commands.warm_up import compile_once
-    from hammerstein.errors import InputError
-    from hammerstein.experiment.batch import load_all
-    from hammerstein.experiment.run import run as run_scenario
-    from hammerstein.files import refuse_unwritable
-    from hammerstein.reporting.figures import write_figures
-    from hammerstein.reporting.figures.write import FIGURES
-    from hammerstein.storage.staging import prepare
-
-    if path.is_dir():
-        raise InputError(str(path), "is a folder; give the file of one scenario")
-    refuse_unwritable("--out", out)
-    ((name, scenario),) = load_all([path]).items()
-    _planned({name: scenario}, jobs, yes)
-    prepare(out / name, FIGURES, ())
-    compile_once(complain)
-    with _Watch(1) as watch:
-        report = run_scenario(scenario, name, jobs, watch.progress)
-    for figure in write_figures(report, out / name):
-        tell(str(figure))
-
-
-class _Watch:
-    """Progress with the remaining time on stderr, when a person watches."""
-
-    def __init__(self, scenarios: int):
-        self.scenarios = scenarios
-        self.bar: Any = None
-
-    def __enter__(self) -> _Watch:
-        if sys.stderr.isatty() and not hushed():
-            from rich.console import Console
-            from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-            columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
-            self.bar = Progress(*columns, console=Console(stderr=True), transient=True)
-            self.bar.start()
-            self.task = self.bar.add_task("running", total=self.scenarios)
-            self.inner = self.bar.add_task("", total=1, visible=False)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.bar is not None:
-            self.bar.stop()
-
-    @property
-    def progress(self) -> Progress | None:
-        """What a run calls while it works; None when nobody watches."""
-        return None if self.bar is None else self._within
-
-    def _within(self, what: str, done: int, total: int) -> None:
-        self.bar.update(self.inner, description=clean(what), completed=done, total=total, visible=True)
-
-    def finished(self, name: str) -> None:
-        """Count one more scenario."""
-        if self.bar is not None:
-            self.bar.update(self.task, advance=1, description=clean(name))
-            self.bar.update(self.inner, visible=False)
-
-
-_register_others()
+_register()

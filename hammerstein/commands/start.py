@@ -9,9 +9,8 @@ from typing import Annotated
 
 import typer
 
+from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.terminal import complain, show as show_table, tell, tell_json
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 
 def init(

@@ -48,6 +48,10 @@ TOLD = 1e-9
 """Power of a combination of columns, in parts of the largest, from which the records tell it."""
 REFINED = 2
 """Of the places of a coarse grid, those from which a resonance is refined."""
+SEARCHED = 1e-3
+"""Gain of a step, in parts of the error, under which a search has arrived: what it decides is two percent."""
+FEW = 6
+"""Combinations of columns, those of the largest power, beside the response of the block as it was found."""
 
 
 class Behind(NamedTuple):
@@ -82,16 +86,16 @@ def search_behind(task: Task, hysteresis: Hysteresis[Any], begin: Behind, free_d
     """
     first = begin.delay_samples
     late = replace(task, delay_samples=first)
-    tasks = [_axis_task(late, hysteresis, o) for o in range(task.outputs)]
+    tasks = [_axis_tasks(late, hysteresis, o) for o in range(task.outputs)]
     near = [fit.axis for fit in begin.axes] or [Axis()] * task.outputs
-    grown = [_grown(task, one, axis) for one, axis in zip(tasks, near, strict=True)]
-    shaped = [replace(one, shape=shape) for one, (shape, _) in zip(tasks, grown, strict=True)]
+    grown = [_grown(task, *both, axis) for both, axis in zip(tasks, near, strict=True)]
+    shaped = [replace(one, shape=shape) for (one, _), (shape, _) in zip(tasks, grown, strict=True)]
     begins, delay = [x for _, x in grown], first
     if free_delay and all(len(x) for x in begins):
 
         def points(delay: float, begins: Sequence[Array]) -> list[Point]:
             late = [replace(one, delay_samples=delay) for one in shaped]
-            return [refine(one, x) for one, x in zip(late, begins, strict=True)]
+            return [refine(one, x, SEARCHED) for one, x in zip(late, begins, strict=True)]
 
         task.progress("searching the delay")
         delay, found = best_delay(points, first, begins)
@@ -106,7 +110,7 @@ def sure_behind(task: Task, hysteresis: Hysteresis[Any], found: Behind) -> Behin
     fits = []
     for o, fit in enumerate(found.axes):
         shape, x = parameters_of(fit.axis)
-        fits.append(_sure(replace(_axis_task(late, hysteresis, o), shape=shape), x, fit))
+        fits.append(_sure(replace(_axis_tasks(late, hysteresis, o)[0], shape=shape), x, fit))
     return Behind(tuple(fits), found.delay_samples)
 
 
@@ -130,17 +134,20 @@ def _physical(axis: Axis) -> bool:
     return all(0.0 < mode.gain <= LARGEST_CREEP for mode in axis.creep)
 
 
-def _axis_task(task: Task, hysteresis: Hysteresis[Any], o: int) -> AxisTask:
-    """What stays fixed while the axis of output o is fitted."""
+def _axis_tasks(task: Task, hysteresis: Hysteresis[Any], o: int) -> tuple[AxisTask, AxisTask]:
+    """What stays fixed while the axis of output o is fitted: with all columns, and with few for a search."""
     every = thinning(task.records)
     each = zip(task.records, task.starts, strict=True)
     raw = [_columns(hysteresis, record, start, o) for record, start in each]
     mix = _told(raw, every)
-    kept = tuple(Columns(mix @ one.values, mix @ one.held) for one in raw)
     sensor = task.settings.sensor_bandwidth_hz
-    return AxisTask(
-        task.records, task.starts, (), o, AxisShape(False), task.delay_samples, sensor, every, kept
-    )
+
+    def with_columns(mix: Array) -> AxisTask:
+        kept = tuple(Columns(mix @ one.values, mix @ one.held) for one in raw)
+        shape, delay = AxisShape(False), task.delay_samples
+        return AxisTask(task.records, task.starts, (), o, shape, delay, sensor, every, kept)
+
+    return with_columns(mix), with_columns(np.vstack([hysteresis.weights[o], mix[-FEW:]]))
 
 
 def _columns(hysteresis: Hysteresis[Any], record: Record, start: Start, o: int) -> Columns:
@@ -171,28 +178,31 @@ def _told(columns: Sequence[Columns], every: int) -> Array:
     return np.asarray((directions[:, kept] / np.sqrt(power[kept])).T / size)
 
 
-def _grown(task: Task, one: AxisTask, begin: Axis) -> tuple[AxisShape, Array]:
-    """Shape and parameters of one axis, found by adding what lowers the error most."""
+def _grown(task: Task, one: AxisTask, quick: AxisTask, begin: Axis) -> tuple[AxisShape, Array]:
+    """Shape and parameters of one axis, found by adding what lowers the error most.
+
+    one, quick : with all columns, which decide, and with the few that a search needs
+    """
     settings, name = task.settings, task.records[0].outputs[one.output]
     may = {"lag": ("lag",), "second_order": ("resonance",), "auto": ("lag", "resonance")}
     fast = may.get(settings.dynamics, ())
     most = MOST_CREEP if settings.creep_modes == "auto" else int(settings.creep_modes)
     shape, x = parameters_of(begin)
-    if shape.parameters:
-        x = refine(replace(one, shape=shape), x).x
-    error = rms_behind(replace(one, shape=shape), x)
+    here = refine(replace(one, shape=shape), x, SEARCHED) if shape.parameters else None
+    x, error = (here.x, here.rms) if here else (x, rms_behind(replace(one, shape=shape), x))
     while True:
         task.progress(f"trying what stands between the hysteresis and {name}: {shape.name} so far")
         steps = [step for step in fast if not getattr(shape, step)]
         steps += ["creep"] if shape.creep_modes < most else []
-        tried = [_with(one, shape, x, step) for step in steps]
+        tried = [_with(quick, shape, x, step) for step in steps]
         if "lag" in steps and shape.resonance:  # a damped resonance may have taken the place of a low-pass
-            tried.append(_with_both(one, shape, x))
+            tried.append(_with_both(quick, shape, x))
         trials = [trial for trial in tried if trial is not None and _physical(axis_of(trial[0], trial[1].x))]
         if not trials:
             return shape, x
-        larger, point = min(trials, key=lambda trial: trial[1].rms)
-        if point.rms > (1.0 - FELT) * error:
+        larger, found = min(trials, key=lambda trial: trial[1].rms)
+        point = refine(replace(one, shape=larger), found.x, SEARCHED)
+        if point.rms > (1.0 - FELT) * error or not _physical(axis_of(larger, point.x)):
             return shape, x
         shape, x, error = larger, point.x, point.rms
 
@@ -225,5 +235,5 @@ def _with(one: AxisTask, shape: AxisShape, x: Array, step: str) -> tuple[AxisSha
     if not begins:
         return None
     order = np.argsort([rms_behind(grown, x) for x in begins], kind="stable")
-    points = [refine(grown, begins[int(i)]) for i in order[:REFINED]]
+    points = [refine(grown, begins[int(i)], SEARCHED) for i in order[:REFINED]]
     return larger, min(points, key=lambda point: point.rms)

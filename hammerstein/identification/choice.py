@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise, split_delay
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.score import Candidate, ranges
+from hammerstein.identification.static.folds import FOLDS, moments_of_folds
 from hammerstein.identification.static.normal_equations import (
     Moments,
     coefficients,
-    moments_of,
     pooled,
     squares_left,
 )
@@ -25,10 +25,8 @@ from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
 
-FOLDS = 4
-"""Parts of which one is left out at a time where no record is held back."""
 STRETCHES = 16
-"""Stretches into which every record falls; each belongs to one fold."""
+"""Stretches into which every record falls; where no record is held back, every fourth is left out in turn."""
 MOST_WORSE = 1.05
 """Rms error, in parts of the least, up to which a simpler model may be kept."""
 
@@ -197,18 +195,6 @@ def _folds(
     record: Record, start: Start, layout: Layout, delay: int, filters: Sequence[Filter], o: int
 ) -> Mapping[int, Moments]:
     """Moments of each fold of one record."""
-    u, y = delayed(record, start, delay), record.y_um[[o]]
-    blocks = list(regressor_blocks(u, start, layout.grids, filters))
-    counted = record.samples - start.first
-    found = {}
-    for fold in range(FOLDS):
-
-        def of_fold(fold: int = fold) -> Iterator[tuple[Array, Array]]:
-            for k, x in blocks:
-                samples = np.arange(k, k + x.shape[1])
-                mask = ((samples - start.first) * STRETCHES // counted) % FOLDS == fold
-                if mask.any():
-                    yield x[:, mask], y[:, samples[mask]]
-
-        found[fold] = moments_of(of_fold(), sum(map(len, layout.grids)), 1)
-    return found
+    blocks = regressor_blocks(delayed(record, start, delay), start, layout.grids, filters)
+    columns = sum(map(len, layout.grids))
+    return moments_of_folds(blocks, record.y_um[[o]], start.first, columns, STRETCHES)

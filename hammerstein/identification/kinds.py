@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics
-from hammerstein.hysteresis import Hysteresis
+from hammerstein.hysteresis import Hysteresis, RateDependent
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.behind import Behind, search_behind, sure_behind
 from hammerstein.identification.choice import Trial, chosen, judged_squares, parameters_of
@@ -20,18 +20,15 @@ from hammerstein.identification.linear.delay import MOST_DELAY
 from hammerstein.identification.linear.second_order import parameters_of as axis_parameters
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.settings import HysteresisKind
-from hammerstein.identification.static.asymmetric import (
-    breakpoints_in,
-    enough_dead_zones,
-    enough_plays,
-    fit_asymmetric,
-)
+from hammerstein.identification.static.asymmetric import fit_asymmetric
+from hammerstein.identification.static.asymmetric_choice import AsymmetricChoice, chosen_asymmetric
 from hammerstein.identification.static.bouc_wen import fit_bouc_wen
-from hammerstein.identification.static.history import START_ROUNDS, judged_starts
+from hammerstein.identification.static.history import FEWEST, each_alone, judged_starts, unexplained
 from hammerstein.identification.static.rate_dependent import TWO_RATES, fit_rate_dependent
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import Thresholds, Weighting, half_swing
 from hammerstein.identification.task import Built, Found, Task
+from hammerstein.identification.together import fitted_together
 from hammerstein.identification.verdict import drive_hz, invertibility_of
 from hammerstein.records.record import Record
 
@@ -41,14 +38,19 @@ Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
 
 MOST_TURNS = 4
 """Most times that block and axes are fitted in turn; each must lower the error by half a percent."""
+CHOSEN_TURNS = 2
+"""Turns in which the columns of the block are chosen anew."""
+BEGINNING = 20_000
+"""Samples of all records together that tell how they began."""
 
 
 @dataclass(frozen=True, eq=False)
 class Replacement:
-    """A block of another kind, and what is to be said of it."""
+    """A block of another kind, what is to be said of it, and the columns that were chosen if any were."""
 
     hysteresis: Hysteresis[Any]
     notes: tuple[str, ...] = ()
+    choice: AsymmetricChoice | None = None
 
 
 def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tuple[Task, Built]:
@@ -78,7 +80,7 @@ def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tu
     delays = range(MOST_DELAY + 1) if held and _free_delay(task) else [task.delay_samples]
     tried = [_before(task, thresholds_v, Behind((), delay)) for delay in delays]
     if settings.dynamics != "auto" or _several_rates(task.records):
-        tried += [_with_axes_and_starts(task, thresholds_v)] if settings.dynamics != "none" else []
+        tried += [_with_axes(task, thresholds_v, tried[0].block)] if settings.dynamics != "none" else []
     trials = [_trial(task, one, held) for one in tried]
     nearest = min(range(len(delays)), key=lambda i: trials[i].percent)
     kept = [nearest, *range(len(delays), len(tried))]
@@ -139,75 +141,103 @@ class _Whole(NamedTuple):
         return float(np.log(1e3)) * max(times, default=0.0)
 
 
-def _with_axes_and_starts(task: Task, thresholds_v: Thresholds) -> _Whole:
-    """Block and axes, with starts that suit them."""
-    found, begun = _with_axes(task, thresholds_v), task.starts
-    for _ in range(START_ROUNDS):
-        predict, settle_s = found.candidate.predict, found.settle_s
-        starts = judged_starts(task.records, predict, settle_s, task.settings.start)
-        if starts == task.starts:
-            break
-        task = replace(task, starts=starts)
-        found = _before(task, thresholds_v, found.behind)
-    return found if task.starts == begun else _with_axes(task, thresholds_v, found.behind)
-
-
-def _with_axes(task: Task, thresholds_v: Thresholds, found: Behind | None = None) -> _Whole:
-    """Block and axes fitted in turn until nothing is gained, from axes found before if there are any.
+def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> _Whole:
+    """Block, axes and starts fitted in turn until nothing is gained.
 
     The block is fitted with its bounds and all that is not linear in it, the axes with its weights.
+
+    alone : the block as it was found without axes
     """
     free, least = _free_delay(task), math.inf
-    begin = found or Behind((), 0.0 if free else task.delay_samples)
-    whole = _before(task, thresholds_v, begin)
-    for _ in range(MOST_TURNS):
-        found = search_behind(task, whole.block.hysteresis, begin, free)
-        whole = _before(task, thresholds_v, found)
+    found = Behind((), 0.0 if free else task.delay_samples)
+    whole = _before(task, thresholds_v, found, alone)
+    for turn in range(MOST_TURNS):
+        found = search_behind(task, whole.block.hysteresis, found, free)
+        whole, found = _in_front(task, thresholds_v, whole.block, found, anew=turn < CHOSEN_TURNS)
+        starts = _starts_behind(task, thresholds_v, whole)
+        moved = starts != task.starts
+        if moved:
+            task = replace(task, starts=starts)
+            whole, found = _in_front(task, thresholds_v, whole.block, found, anew=False)
         error = score(whole.candidate, task.records, task.starts).mean_percent
-        if error > (1.0 - WORTHWHILE) * least:
+        if error > (1.0 - WORTHWHILE) * least and not moved:
             break
-        begin, least = found, error
-    return _before(task, thresholds_v, sure_behind(task, whole.block.hysteresis, found or begin))
+        least = error
+    return _before(task, thresholds_v, sure_behind(task, whole.block.hysteresis, found), whole.block)
 
 
-def _before(task: Task, thresholds_v: Thresholds, found: Behind) -> _Whole:
-    """Block before the axes found."""
+def _in_front(
+    task: Task, thresholds_v: Thresholds, block: Replacement, found: Behind, *, anew: bool
+) -> tuple[_Whole, Behind]:
+    """Block in front of the axes found, and the axes again where both were fitted together.
+
+    ``anew`` chooses the columns again; otherwise they stay those of ``block``.
+    """
+    if not isinstance(block.hysteresis, RateDependent) or found.is_static:
+        return _before(task, thresholds_v, found, None if anew else block), found
+    task.progress("fitting the block together with what stands behind it")
+    hysteresis, found = fitted_together(task, block.hysteresis, found)
+    return _before(task, thresholds_v, found, Replacement(hysteresis)), found
+
+
+def _starts_behind(task: Task, thresholds_v: Thresholds, whole: _Whole) -> tuple[Start, ...]:
+    """Starts that suit a model with axes.
+
+    What a record did not tell before lag and creep were known is asked again: slow modes that are fitted as
+    if a record had gone before itself make its true past look wrong, so that the weights are fitted anew.
+    """
+    mode = task.settings.start
+    starts = judged_starts(task.records, whole.candidate.predict, whole.settle_s, mode)
+    if mode != "auto":
+        return starts
+    most = max(BEGINNING // len(task.records), FEWEST)
+    parts = tuple(record.part(0, min(record.samples, most)) for record in task.records)
+    quick = replace(task, records=parts)
+
+    def fit(starts: Sequence[Start]) -> Callable[[Record, Start], Array]:
+        begun = replace(quick, starts=tuple(starts))
+        return _before(begun, thresholds_v, whole.behind, whole.block).candidate.predict
+
+    return each_alone(quick.records, starts, fit, unexplained(task.records, starts))
+
+
+def _before(task: Task, thresholds_v: Thresholds, found: Behind, like: Replacement | None = None) -> _Whole:
+    """Block before the axes found, with the columns of another one if it is given."""
     late = replace(task, delay_samples=found.delay_samples)
     dynamics = StaticDynamics(n_outputs=task.outputs) if found.is_static else found.dynamics
-    block = REPLACEMENTS[task.settings.hysteresis](late, thresholds_v, dynamics)
+    block = REPLACEMENTS[task.settings.hysteresis](late, thresholds_v, dynamics, like)
     return _Whole(late.candidate(block.hysteresis, dynamics), found, block, task.starts)
 
 
-def _asymmetric(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replacement:
+def _asymmetric(
+    task: Task, thresholds_v: Thresholds, dynamics: Linear, like: Replacement | None
+) -> Replacement:
     """Dead-zones beside the plays, as many as the records call for unless their number is given."""
     settings, paths = task.settings, task.paths(dynamics)
-    if settings.operators == "auto" and settings.thresholds_v is None and settings.partition == "auto":
-        task.progress("trying numbers of plays beside dead-zones")
-        thresholds_v = enough_plays(
-            task.records, starts=task.starts, delay_samples=task.whole_delay, through=paths
-        )
+    free = settings.operators == "auto" and settings.thresholds_v is None and settings.partition == "auto"
     begun = [[np.concatenate([[0.0], r[1:]]) if r.size else r for r in row] for row in thresholds_v]
-    count = settings.dead_zones
-    if count is None:
-        task.progress("trying numbers of dead-zones")
-        count = enough_dead_zones(
-            task.records, begun, starts=task.starts, delay_samples=task.whole_delay, through=paths
-        )
+    behind: dict[str, Any] = {"starts": task.starts, "delay_samples": task.whole_delay, "through": paths}
+    choice = like.choice if like else None
+    if choice is None:
+        task.progress("trying numbers of plays and dead-zones")
+        choice = chosen_asymmetric(task.records, None if free else begun, settings.dead_zones, **behind)
     method: Weighting = "invertible" if settings.method == "closed_form" else settings.method
     fit = fit_asymmetric(
         task.records,
-        begun,
-        breakpoints_in(task.records, count),
+        choice.thresholds_v,
+        choice.breakpoints_v,
         method=method,
-        starts=task.starts,
-        delay_samples=task.whole_delay,
-        through=paths,
+        ridge=settings.ridge or choice.ridge,
+        **behind,
     )
+    count = len(choice.breakpoints_v[0])
     told = f"{count} dead-zones an input stand beside the plays"
-    return Replacement(fit.hysteresis, (told, *_bounded(task, fit.held)))
+    return Replacement(fit.hysteresis, (told, *_bounded(task, fit.held)), choice)
 
 
-def _rate_dependent(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replacement:
+def _rate_dependent(
+    task: Task, thresholds_v: Thresholds, dynamics: Linear, like: Replacement | None
+) -> Replacement:
     """Plays whose thresholds grow with the rate; the outputs share those of an input."""
     grids = [np.unique(np.concatenate([[0.0], *(row[k][1:] for row in thresholds_v)]))
              for k in range(len(thresholds_v[0]))]  # fmt: skip
@@ -218,6 +248,7 @@ def _rate_dependent(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> R
         starts=task.starts,
         delay_samples=task.whole_delay,
         through=task.paths(dynamics),
+        like=like.hysteresis if like and isinstance(like.hysteresis, RateDependent) else None,
     )
     told = [
         f"thresholds of {name} grow by {float(plays.growth_s[-1]):.3g} V for each V/s, seen through "
@@ -228,7 +259,9 @@ def _rate_dependent(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> R
     return Replacement(fit.hysteresis, (*told, late))
 
 
-def _bouc_wen(task: Task, thresholds_v: Thresholds, dynamics: Linear) -> Replacement:
+def _bouc_wen(
+    task: Task, thresholds_v: Thresholds, dynamics: Linear, like: Replacement | None
+) -> Replacement:
     """The Bouc-Wen model, which has no thresholds."""
     fit = fit_bouc_wen(
         task.records,
@@ -254,7 +287,9 @@ def _bounded(task: Task, held: Sequence[tuple[int, int]]) -> list[str]:
     ]
 
 
-REPLACEMENTS: Mapping[HysteresisKind, Callable[[Task, Thresholds, Linear], Replacement]] = {
+REPLACEMENTS: Mapping[
+    HysteresisKind, Callable[[Task, Thresholds, Linear, Replacement | None], Replacement]
+] = {
     "asymmetric": _asymmetric,
     "rate_dependent": _rate_dependent,
     "bouc_wen": _bouc_wen,

@@ -48,7 +48,8 @@ class Settings:
         more than chance; ``operators`` is the most there are, and the outputs share those of an input;
         ``auto``: as ``fitted``, beginning with those uniform in voltage
     method : how the weights are found: ``closed_form``, ``least_squares``, ``nonnegative`` or ``invertible``
-    ridge : penalty of the weights, for more thresholds than the records can tell; 0: none
+    ridge : penalty of the weights, for more thresholds than the records can tell; 0: none, or with hysteresis
+        ``asymmetric`` the largest that hardly raises the error
     dynamics : ``none``, ``lag`` (a low-pass each axis), ``second_order`` (a resonance each axis),
         ``state_space``, or ``auto``: what lowers the error of the first three, or a resonance with a low-pass
     order : number of states of a state-space model; None: as many as the records tell

@@ -127,8 +127,8 @@ class Point:
         return np.asarray(self.rms * np.sqrt(np.maximum(np.diag(spread), 0.0)))
 
 
-def refine(task: AxisTask, x: Array) -> Point:
-    """Levenberg-Marquardt steps from x until nothing is gained."""
+def refine(task: AxisTask, x: Array, enough: float = ENOUGH) -> Point:
+    """Levenberg-Marquardt steps from x until a step gains less than ``enough`` of the error."""
     lower, upper = task.limits
     begin = np.clip(x, lower, upper)
     here = _point(task, begin, _alone(task, partial(task.path, begin))[0])
@@ -137,7 +137,7 @@ def refine(task: AxisTask, x: Array) -> Point:
         x = np.clip(here.x + here.step(damping), lower, upper)
         there = _point(task, x, here.slopes - here.drag @ (x - here.x))
         if there.rms < here.rms:
-            arrived = there.rms >= here.rms * (1.0 - ENOUGH)
+            arrived = there.rms >= here.rms * (1.0 - enough)
             here, damping = there, 0.1 * damping
         else:
             arrived = bool(np.abs(x - here.x).max() < SMALLEST_CHANGE)

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii, WeightCovariance
 from hammerstein.hysteresis.covariance import triangle
-from hammerstein.identification.operators import CURVE_SAMPLES, HELD_OUT, SEGMENTS, input_grids
-from hammerstein.identification.score import path_before, ranges
-from hammerstein.identification.static.history import shortened
+from hammerstein.identification.score import path_before
+from hammerstein.identification.static.folds import moments_of_folds
 from hammerstein.identification.static.normal_equations import (
     Bounds,
     Moments,
@@ -23,7 +23,6 @@ from hammerstein.identification.static.normal_equations import (
     moments_of,
     pooled,
     solve,
-    squares_left,
 )
 from hammerstein.identification.static.regressors import Filter, Start, delayed, regressor_blocks
 from hammerstein.identification.static.static_block import (
@@ -35,19 +34,12 @@ from hammerstein.identification.static.static_block import (
     half_swing,
     path_filters,
     refuse_unreached,
+    ridge_of,
 )
 from hammerstein.records.record import Record
 
 Array = NDArray[np.float64]
-
-COUNTS = (0, 1, 2, 3, 5, 7, 10, 15)
-"""Numbers of dead-zones of an input that are tried."""
-PLAYS, BESIDE = (15, 20, 30, 40), 7
-"""Numbers of plays that are tried beside so many dead-zones."""
-NEAR = 5e-3
-"""Part by which fewer plays or dead-zones may leave more on held-out stretches."""
-HELD = 1e-9
-"""Part of the least slope by which a slope at its bound may be off."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +91,7 @@ def fit_asymmetric(
     starts: Sequence[Start] = (),
     delay_samples: int = 0,
     through: Sequence[LinearBlock] = (),
+    ridge: float = 0.0,
 ) -> AsymmetricFit:
     """Weights of plays and dead-zones of all pairs from several records together.
 
@@ -121,6 +114,7 @@ def fit_asymmetric(
     starts : what went before each record; rest if not given
     delay_samples : samples by which the outputs come late
     through : linear block of each record behind the static one
+    ridge : penalty of the weights, but of the first play of each pair, relative to the power of the plays
 
     Raises
     ------
@@ -141,10 +135,11 @@ def fit_asymmetric(
                 f"{high:g} V"
             )
     begun = tuple(starts) or (Start("rest"),) * len(records)
-    task = _Task(records, begun, layout, tuple(breakpoints_v), delay_samples, tuple(through))
+    task = AsymmetricTask(records, begun, layout, tuple(breakpoints_v), delay_samples, tuple(through))
     moments = task.moments()
-    columns = [_Columns.of(layout, o, breakpoints_v) for o in range(len(thresholds_v))]
-    free = [_solved(column, moment) for column, moment in zip(columns, moments, strict=True)]
+    zones = Layout.of([list(breakpoints_v)])
+    columns = [AsymmetricColumns.of(layout, o, zones) for o in range(len(thresholds_v))]
+    free = [_solved(column, moment, ridge) for column, moment in zip(columns, moments, strict=True)]
     found, held = free, []
     if method != "least_squares":
         gains = np.array([c.gains(s.coefficients, task) for c, s in zip(columns, free, strict=True)])
@@ -152,77 +147,12 @@ def fit_asymmetric(
             least = LEAST_SLOPE * float(gains[o, k])
             slopes = columns[o].joint_slopes(free[o].coefficients, k)
             if (np.sign(least) * slopes < abs(least)).any():
-                found[o] = _solved(columns[o], moments[o], columns[o].bounds(k, least))
+                found[o] = _solved(columns[o], moments[o], ridge, columns[o].bounds(k, least))
                 held.append((o, k))
     return _fit(task, thresholds_v, columns, moments, found, held)
 
 
-def enough_dead_zones(
-    records: Sequence[Record],
-    thresholds_v: Thresholds,
-    *,
-    starts: Sequence[Start] = (),
-    delay_samples: int = 0,
-    through: Sequence[LinearBlock] = (),
-) -> int:
-    """Fewest dead-zones whose error on held-out stretches is within half a percent of the least.
-
-    Every fourth of 16 stretches of each record is held out, as for the number of operators; 0 says that the
-    records show none. Breakpoints near the ends of the range rest on few samples: more of them than the
-    records call for go wrong beyond it.
-
-    Parameters
-    ----------
-    records, thresholds_v, starts, delay_samples, through : as for ``fit_asymmetric``
-    """
-    begun = tuple(starts) or (Start("rest"),) * len(records)
-    few, first = shortened(records, begun, CURVE_SAMPLES)
-    behind = (few, first, delay_samples, tuple(through))
-    errors = [_held_out(thresholds_v, count, *behind) for count in COUNTS]
-    return next(n for n, error in zip(COUNTS, errors, strict=True) if error <= (1.0 + NEAR) * min(errors))
-
-
-def enough_plays(
-    records: Sequence[Record],
-    *,
-    starts: Sequence[Start] = (),
-    delay_samples: int = 0,
-    through: Sequence[LinearBlock] = (),
-) -> list[list[Array]]:
-    """Thresholds (output, input), uniform in voltage, as many as call for beside seven dead-zones.
-
-    As ``enough_dead_zones``, which finds their number for given plays.
-    """
-    begun = tuple(starts) or (Start("rest"),) * len(records)
-    few, first = shortened(records, begun, CURVE_SAMPLES)
-    trials = [[input_grids(few, n, "voltage")] * len(few[0].y_um) for n in PLAYS]
-    errors = [_held_out(row, BESIDE, few, first, delay_samples, tuple(through)) for row in trials]
-    return next(t for t, error in zip(trials, errors, strict=True) if error <= (1.0 + NEAR) * min(errors))
-
-
-def _held_out(
-    thresholds_v: Thresholds,
-    dead_zones: int,
-    records: Sequence[Record],
-    starts: Sequence[Start],
-    delay_samples: int,
-    through: tuple[LinearBlock, ...],
-) -> float:
-    """Rms error on the stretches that are held out, in parts of the ranges of the outputs."""
-    layout, zones = Layout.of(thresholds_v), tuple(breakpoints_in(records, dead_zones))
-    task = _Task(records, starts, layout, zones, delay_samples, through)
-    spans, left = ranges(records, starts), []
-    for o, (train, test) in enumerate(
-        zip(task.moments(held_out=False), task.moments(held_out=True), strict=True)
-    ):
-        columns = _Columns.of(layout, o, zones)
-        found = columns.merge @ _solved(columns, train).coefficients
-        squares = squares_left(test.gram, test.cross[:, 0], float(test.power[0]), found)
-        left.append(np.sqrt(squares / max(test.samples, 1)) / spans[o])
-    return float(np.mean(left))
-
-
-class _Task(NamedTuple):
+class AsymmetricTask(NamedTuple):
     """Records and what stands behind the static block."""
 
     records: Sequence[Record]
@@ -232,39 +162,54 @@ class _Task(NamedTuple):
     delay_samples: int
     through: tuple[LinearBlock, ...]
 
-    def moments(self, held_out: bool | None = None) -> list[Moments]:
-        """Moments of each output with all columns, over all records or their stretches held out or not."""
-        p = len(self.records[0].y_um)
-        every = range(len(self.records))
-        if not self.through:
-            parts = [self._of_record(i, range(p), None, held_out) for i in every]
-            return [pooled(parts).of_output(o) for o in range(p)]
-        return [pooled([self._of_record(i, [o], o, held_out) for i in every]) for o in range(p)]
+    @property
+    def columns(self) -> int:
+        """Columns of plays and dead-zones of all inputs."""
+        return sum(map(len, (*self.layout.grids, *self.breakpoints_v)))
 
-    def _of_record(self, i: int, outputs: Sequence[int], path: int | None, held_out: bool | None) -> Moments:
+    def moments(self) -> list[Moments]:
+        """Moments of each output with all columns, over all records."""
+
+        def of_record(i: int, outputs: Sequence[int]) -> Moments:
+            y = self.records[i].y_um[list(outputs)]
+            blocks = ((x, y[:, k : k + x.shape[1]]) for k, x in self._blocks(i, outputs[0]))
+            return moments_of(blocks, self.columns, len(y))
+
+        return [pooled(parts) for parts in self._each(of_record, Moments.of_output)]
+
+    def folds(self, stretches: int) -> list[list[dict[int, Moments]]]:
+        """Moments (output) (record) of each fold with all columns."""
+
+        def of_record(i: int, outputs: Sequence[int]) -> dict[int, Moments]:
+            y, first = self.records[i].y_um[list(outputs)], self.starts[i].first
+            return moments_of_folds(self._blocks(i, outputs[0]), y, first, self.columns, stretches)
+
+        return self._each(of_record, lambda folds, o: {f: m.of_output(o) for f, m in folds.items()})
+
+    def _each(
+        self, of_record: Callable[[int, Sequence[int]], T], of_output: Callable[[T, int], T]
+    ) -> list[list[T]]:
+        """Something of each (output) (record): without a linear block all outputs share their columns."""
+        p, every = len(self.records[0].y_um), range(len(self.records))
+        if self.through:
+            return [[of_record(i, [o]) for i in every] for o in range(p)]
+        whole = [of_record(i, range(p)) for i in every]
+        return [[of_output(one, o) for one in whole] for o in range(p)]
+
+    def _blocks(self, i: int, o: int) -> Iterator[tuple[int, Array]]:
+        """First sample and columns of each block of a record, behind the path of output o."""
         record, start = self.records[i], self.starts[i]
-        u, y = delayed(record, start, self.delay_samples), record.y_um[list(outputs)]
+        u, p = delayed(record, start, self.delay_samples), len(record.y_um)
         plays, zones = sum(map(len, self.layout.grids)), sum(map(len, self.breakpoints_v))
-        filters = [] if path is None else path_filters(self.through, i, path, plays, len(record.y_um))
+        filters = path_filters(self.through, i, o, plays, p)
         counted = [q - r for q, r in zip(self.breakpoints_v, record.rest_v, strict=True)]
         ramps = _ramps(u, counted)
         if filters and zones:
-            [behind] = path_filters(self.through, i, outputs[0], zones, len(record.y_um))
+            [behind] = path_filters(self.through, i, o, zones, p)
             held = _ramps(path_before(record, start)[:, -1:], counted)[:, 0]
             ramps = _passed(ramps, start, behind, held)
-
-        def blocks() -> Iterator[tuple[Array, Array]]:
-            for k, x in regressor_blocks(u, start, self.layout.grids, filters):
-                samples = np.arange(k, k + x.shape[1])
-                rows = np.vstack([x, ramps[:, samples]])
-                if held_out is None:
-                    yield rows, y[:, samples]
-                    continue
-                chosen = (samples * SEGMENTS // record.samples % HELD_OUT == HELD_OUT - 1) == held_out
-                if chosen.any():
-                    yield rows[:, chosen], y[:, samples[chosen]]
-
-        return moments_of(blocks(), plays + zones, len(y))
+        for k, x in regressor_blocks(u, start, self.layout.grids, filters):
+            yield k, np.vstack([x, ramps[:, k : k + x.shape[1]]])
 
 
 def _ramps(u_v: Array, counted_v: Sequence[Array]) -> Array:
@@ -283,7 +228,7 @@ def _passed(ramps: Array, start: Start, path: Filter, held: Array) -> Array:
     return path.respond(ramps, state)[0] if start.kind == "repeated" else passed
 
 
-class _Columns(NamedTuple):
+class AsymmetricColumns(NamedTuple):
     """Where the slopes of one output stand: those of its plays, then of the dead-zones of all inputs."""
 
     merge: Array
@@ -291,15 +236,15 @@ class _Columns(NamedTuple):
     zones: tuple[slice, ...]
 
     @classmethod
-    def of(cls, layout: Layout, o: int, breakpoints_v: Sequence[Array]) -> _Columns:
-        merge = layout.merge[o]
-        rows, first = merge.shape
-        more = sum(map(len, breakpoints_v))
-        whole = np.zeros((rows + more, first + more))
-        whole[:rows, :first], whole[rows:, first:] = merge, np.eye(more)
-        ends = first + np.cumsum([len(q) for q in breakpoints_v])
-        zones = tuple(slice(int(e) - len(q), int(e)) for e, q in zip(ends, breakpoints_v, strict=True))
-        return cls(whole, layout.parts[o], zones)
+    def of(cls, plays: Layout, o: int, zones: Layout, z: int = 0) -> AsymmetricColumns:
+        """Plays of row o and dead-zones of row z of their layouts."""
+        first = plays.merge[o].shape[1]
+        parts = tuple(slice(first + part.start, first + part.stop) for part in zones.parts[z])
+        return cls(block_diag(plays.merge[o], zones.merge[z]), plays.parts[o], parts)
+
+    def penalty(self, gram: Array, ridge: float) -> Array | None:
+        """Penalty of the weights in terms of the slopes: it is the bends that it makes small."""
+        return ridge_of(self.plays, gram, ridge, self.zones) if ridge > 0.0 else None
 
     def joint_slopes(self, slopes: Array, k: int) -> Array:
         """Slopes (engaged, zone) of the pair of input k."""
@@ -307,7 +252,7 @@ class _Columns(NamedTuple):
         plays = slopes[self.plays[k]]
         return np.asarray(np.add.outer(plays if plays.size else np.zeros(1), zones))
 
-    def gains(self, slopes: Array, task: _Task) -> Array:
+    def gains(self, slopes: Array, task: AsymmetricTask) -> Array:
         """Mean slope of every input (input,) over the voltages driven [um/V]."""
         found = []
         reach = half_swing(task.records)
@@ -333,16 +278,19 @@ class _Columns(NamedTuple):
         return Bounds(basis, side, bound)
 
 
-def _solved(columns: _Columns, moment: Moments, bounds: Bounds | None = None) -> Solution:
+def _solved(
+    columns: AsymmetricColumns, moment: Moments, ridge: float, bounds: Bounds | None = None
+) -> Solution:
     gram = columns.merge.T @ moment.gram @ columns.merge
     cross = columns.merge.T @ moment.cross[:, 0]
-    return solve(gram, cross, float(moment.power[0]), moment.freedom, bounds=bounds)
+    penalty = columns.penalty(gram, ridge)
+    return solve(gram, cross, float(moment.power[0]), moment.freedom, bounds=bounds, penalty=penalty)
 
 
 def _fit(
-    task: _Task,
+    task: AsymmetricTask,
     thresholds_v: Thresholds,
-    columns: Sequence[_Columns],
+    columns: Sequence[AsymmetricColumns],
     moments: Sequence[Moments],
     found: Sequence[Solution],
     held: Sequence[tuple[int, int]],

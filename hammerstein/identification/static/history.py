@@ -208,7 +208,7 @@ def found_starts(
         if starts not in tried:
             tried[starts] = _whole_error(records, starts, fit(starts))
     best = next(starts for starts, error in tried.items() if error <= (1.0 + WORTH) * min(tried.values()))
-    best = _each_alone(records, best, tried[best], fit)
+    best = each_alone(records, best, fit, range(len(records)) if len(records) > 1 else ())
     for _ in range(START_ROUNDS):
         found = judged_starts(records, fit(best), settle_s, mode)
         if found == best:
@@ -217,16 +217,21 @@ def found_starts(
     return best
 
 
-def _each_alone(
+def each_alone(
     records: Sequence[Record],
     starts: tuple[Start, ...],
-    error: float,
     fit: Callable[[Sequence[Start]], Callable[[Record, Start], Array]],
+    numbers: Sequence[int],
 ) -> tuple[Start, ...]:
-    """One record after the other may have begun otherwise, if the model fitted then leaves less of all."""
-    if len(records) == 1:
+    """One record after the other may have begun otherwise, if the model fitted then leaves less of all.
+
+    numbers : of the records that may
+    """
+    if not numbers:
         return starts
-    for i, record in enumerate(records):
+    error = _whole_error(records, starts, fit(starts))
+    for i in numbers:
+        record = records[i]
         if record.period_samples is not None:
             continue
         for kind in KINDS:
@@ -237,6 +242,15 @@ def _each_alone(
             if left < (1.0 - TURN_WORTH) * error:
                 starts, error = other, left
     return starts
+
+
+def unexplained(records: Sequence[Record], starts: Sequence[Start]) -> list[int]:
+    """Records of which no start explains the beginning, which was left out instead."""
+    return [
+        i
+        for i, (record, start) in enumerate(zip(records, starts, strict=True))
+        if start.kind == "repeated" and record.period_samples is None and not closed(record)
+    ]
 
 
 def _whole_error(

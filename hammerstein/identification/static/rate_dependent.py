@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import RateDependent, RatePlays
+from hammerstein.identification.score import path_before
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.normal_equations import (
     Bounds,
@@ -64,6 +65,7 @@ def fit_rate_dependent(
     starts: Sequence[Start] = (),
     delay_samples: int = 0,
     through: Sequence[LinearBlock] = (),
+    like: RateDependent | None = None,
 ) -> RateFit:
     """Growth b of each input, bandwidth f of the rate, and weights of all pairs.
 
@@ -79,6 +81,7 @@ def fit_rate_dependent(
     records : at two rates at least, all with the same axes and sample time
     grids : thresholds of each input at rest [V], from 0; the outputs share them
     invertible, starts, delay_samples, through : as for ``fit_static``
+    like : block whose growth and bandwidth are taken as known
 
     Raises
     ------
@@ -91,10 +94,13 @@ def fit_rate_dependent(
         raise IdentificationError("rate-dependent plays are fitted to records at one sample time; resample")
     fastest = _refuse_one_rate(records)
     begun = tuple(starts) or (Start("rest"),) * len(records)
-    few, first = shortened(records, begun, SEARCH_SAMPLES)
-    quick = _Task(few, first, tuple(grids), delay_samples, tuple(through), invertible)
-    growth, bandwidth_hz = _searched(quick, fastest)
-    whole = quick._replace(records=records, starts=begun)
+    whole = _Task(records, begun, tuple(grids), delay_samples, tuple(through), invertible)
+    if like is None:
+        few, first = shortened(records, begun, SEARCH_SAMPLES)
+        growth, bandwidth_hz = _searched(whole._replace(records=few, starts=first), fastest)
+    else:
+        growth = np.array([plays.growth_s[-1] for plays in like.inputs])
+        bandwidth_hz = like.inputs[0].bandwidth_hz
     solutions = whole.solutions(growth, bandwidth_hz)
     ends = np.cumsum([len(grid) for grid in grids])[:-1]
     weights = tuple(tuple(np.split(whole.weights(s.coefficients), ends)) for s in solutions)
@@ -218,28 +224,33 @@ class _Task(NamedTuple):
     def _moments(self, i: int, outputs: Sequence[int], plays: Sequence[RatePlays]) -> Moments:
         record, start = self.records[i], self.starts[i]
         u, y = delayed(record, start, self.delay_samples), record.y_um[list(outputs)]
-        x = _differences(u, plays, record.sample_time_s, start)
+        before = path_before(record, start)[:, -1]
+        x = _differences(u, plays, record.sample_time_s, start, before)
         if self.through:
             [path] = path_filters(self.through, i, outputs[0], len(x), len(record.y_um))
-            passed, state = path.respond(x, path.rest())
+            held = _differences(before[:, None], plays, record.sample_time_s, start, before)[:, 0]
+            passed, state = path.respond(x, path.settled(held))
             x = path.respond(x, state)[0] if start.kind == "repeated" else passed
         parts = range(start.first, x.shape[1], BLOCK)
         return moments_of(((x[:, k : k + BLOCK], y[:, k : k + BLOCK]) for k in parts), len(x), len(y))
 
 
-def _differences(u_v: Array, plays: Sequence[RatePlays], sample_time_s: float, start: Start) -> Array:
-    """Differences of neighbouring plays (column, sample), input by input."""
+def _differences(
+    u_v: Array, plays: Sequence[RatePlays], sample_time_s: float, start: Start, before_v: Array
+) -> Array:
+    """Differences of neighbouring plays (column, sample), input by input, held at ``before_v`` (input,)."""
     from hammerstein.hysteresis.rate_dependent_kernels import play_outputs
 
     rows = []
-    for u, own in zip(u_v, plays, strict=True):
+    for k, (u, own) in enumerate(zip(u_v, plays, strict=True)):
         pole = np.array([np.exp(-2.0 * np.pi * own.bandwidth_hz * sample_time_s)])
         grid = (
             own.thresholds_v[None, :].copy(),
             own.growth_s[None, :].copy(),
             np.array([own.lambda_s_per_v]),
         )
-        memory = (np.zeros((1, len(own.thresholds_v))), np.zeros((1, 2)), np.zeros(1))
+        held = start.plays_v(float(before_v[k]), own.thresholds_v, k)
+        memory = (held[None, :].copy(), np.full((1, 2), before_v[k]), np.zeros(1))
         outputs = np.empty((len(own.thresholds_v), len(u)))
         for _ in range(2 if start.kind == "repeated" else 1):
             play_outputs(np.ascontiguousarray(u[None, :]), sample_time_s, pole, *grid, *memory, outputs)

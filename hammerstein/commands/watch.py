@@ -1,0 +1,50 @@
+"""How far a run is, for a person who watches."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from hammerstein.commands.terminal import hushed
+from hammerstein.escaping import clean
+
+if TYPE_CHECKING:
+    from hammerstein.experiment.prepare import Progress
+
+
+class Watch:
+    """Progress with the remaining time on stderr, when a person watches."""
+
+    def __init__(self, scenarios: int):
+        self.scenarios = scenarios
+        self.bar: Any = None
+
+    def __enter__(self) -> Watch:
+        if sys.stderr.isatty() and not hushed():
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+            columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
+            self.bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self.bar.start()
+            self.task = self.bar.add_task("running", total=self.scenarios)
+            self.inner = self.bar.add_task("", total=1, visible=False)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+
+    @property
+    def progress(self) -> Progress | None:
+        """What a run calls while it works; None when nobody watches."""
+        return None if self.bar is None else self._within
+
+    def _within(self, what: str, done: int, total: int) -> None:
+        self.bar.update(self.inner, description=clean(what), completed=done, total=total, visible=True)
+
+    def finished(self, name: str) -> None:
+        """Count one more scenario."""
+        if self.bar is not None:
+            self.bar.update(self.task, advance=1, description=clean(name))
+            self.bar.update(self.inner, visible=False)

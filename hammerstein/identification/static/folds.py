@@ -1,0 +1,45 @@
+"""Parts of records that are left out in turn, so that a choice is judged on what was not fitted."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import IdentificationError
+from hammerstein.identification.static.normal_equations import Moments, moments_of
+
+Array = NDArray[np.float64]
+
+FOLDS = 4
+"""Parts of which one is left out at a time."""
+
+
+def moments_of_folds(
+    blocks: Iterable[tuple[int, Array]], y: Array, first: int, columns: int, stretches: int
+) -> dict[int, Moments]:
+    """Moments of each fold of one record: every fourth of its stretches, so that cycles lie on both sides.
+
+    Parameters
+    ----------
+    blocks : first sample and columns (column, sample) of each block
+    y : (output, sample) readings
+    first : sample from which the record counts
+    columns : their number
+    stretches : parts of equal length into which the record falls
+
+    Raises IdentificationError where a record is too short to leave anything out.
+    """
+    ends = first + np.ceil((y.shape[1] - first) * np.arange(1, stretches + 1) / stretches).astype(int)
+    parts: dict[int, list[tuple[Array, Array]]] = {fold: [] for fold in range(FOLDS)}
+    for k, x in blocks:
+        inner = ends[(k < ends) & (ends < k + x.shape[1])]
+        edges = [k, *inner.tolist(), k + x.shape[1]]
+        for a, b in itertools.pairwise(edges):
+            stretch = int(np.searchsorted(ends, a, side="right"))
+            parts[stretch % FOLDS].append((x[:, a - k : b - k], y[:, a:b]))
+    if sum(map(bool, parts.values())) < 2:
+        raise IdentificationError("the records are too short to choose anything by what is left out of them")
+    return {fold: moments_of(part, columns, len(y)) for fold, part in parts.items() if part}

@@ -1,0 +1,209 @@
+"""What is not linear in a block, found together with the axes behind it.
+
+Thresholds that grow with the rate and a low-pass explain much the same: fitted in turn, each takes for itself
+what belongs to the other, and they hardly approach their best values from turn to turn. All of them are
+moved at once here, as ``second_order`` moves the parameters of an axis.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.hysteresis import RateDependent
+from hammerstein.identification.behind import Behind
+from hammerstein.identification.linear.axis_task import AxisTask
+from hammerstein.identification.linear.second_order import (
+    FIRST_DAMPING,
+    LARGEST_CHANGE,
+    TINY,
+    fit_axis,
+    parameters_of,
+    thinning,
+)
+from hammerstein.identification.score import begun, path_before
+from hammerstein.identification.static.history import shortened
+from hammerstein.identification.static.normal_equations import coefficients, squares_left
+from hammerstein.identification.static.rate_dependent import SEARCH_SAMPLES, STABLE
+from hammerstein.identification.static.regressors import Columns, Filter, SideBySide, Start
+from hammerstein.identification.task import Task
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+
+MOST_STEPS = 30
+ENOUGH = 1e-5
+"""Gain of a step, in parts of the error, under which the search has arrived."""
+STEP = 1e-3
+"""Change of a logarithm for its derivative: plays bend where they engage, so that it is not too small."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Numbers of the block and of all axes, what is left there, and the problem linearised about them."""
+
+    theta: Array
+    x: tuple[Array, ...]
+    cost: float
+    curvature: Array
+    pull: Array
+
+    def moved(self, damping: float) -> tuple[Array, tuple[Array, ...]]:
+        """All numbers after a step (Levenberg-Marquardt)."""
+        scale = np.sqrt(np.maximum(np.diag(self.curvature), np.finfo(float).tiny))
+        scaled = self.curvature / np.outer(scale, scale) + damping * np.eye(len(scale))
+        change = np.linalg.lstsq(scaled, self.pull / scale, rcond=1e-12)[0] / scale
+        change = np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE)
+        ends = np.cumsum([len(self.theta), *map(len, self.x)])[:-1]
+        first, *others = np.split(change, ends)
+        return self.theta + first, tuple(x + d for x, d in zip(self.x, others, strict=True))
+
+
+def fitted_together(task: Task, block: RateDependent, found: Behind) -> tuple[RateDependent, Behind]:
+    """Growth and bandwidth of rate-dependent plays, and axes, at the least that both leave.
+
+    The weights are eliminated at every place, as for an axis alone. A block whose inverse would ring up is
+    not gone to where one is asked for.
+    """
+    few, starts = shortened(task.records, task.starts, SEARCH_SAMPLES)
+    search = _Search(
+        replace(task, records=few, starts=starts, delay_samples=found.delay_samples), block, found
+    )
+    here = search.place(search.theta_of(block), tuple(parameters_of(fit.axis)[1] for fit in found.axes))
+    damping = FIRST_DAMPING
+    for _ in range(MOST_STEPS):
+        there = search.place(*search.inside(*here.moved(damping)))
+        gain = here.cost - there.cost
+        here, damping = (there, 0.1 * damping) if gain > 0.0 else (here, 10.0 * damping)
+        if 0.0 < gain < ENOUGH or damping > 1e6:
+            break
+    block = search.block_of(here.theta)
+    tasks = search.axis_tasks(block)
+    fits = [fit_axis(one, x) for one, x in zip(tasks, here.x, strict=True)]
+    return block, Behind(tuple(fits), found.delay_samples)
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What stays fixed while block and axes are fitted."""
+
+    task: Task
+    block: RateDependent
+    found: Behind
+
+    def theta_of(self, block: RateDependent) -> Array:
+        """Logarithms of the growth of each input, and of the bandwidth."""
+        growth = [max(float(plays.growth_s[-1]), TINY) for plays in block.inputs]
+        return np.log([*growth, block.inputs[0].bandwidth_hz])
+
+    def block_of(self, theta: Array) -> RateDependent:
+        """The block with these numbers: all plays but play(0) grow alike."""
+        *growth, bandwidth_hz = np.exp(theta).tolist()
+        inputs = tuple(
+            replace(plays, growth_s=np.where(plays.thresholds_v > 0.0, b, 0.0), bandwidth_hz=bandwidth_hz)
+            for plays, b in zip(self.block.inputs, growth, strict=True)
+        )
+        return replace(self.block, inputs=inputs)
+
+    def inside(self, theta: Array, x: tuple[Array, ...]) -> tuple[Array, tuple[Array, ...]]:
+        """The same within what the records can tell of axes."""
+        limits = [self._axis_task(o, ()).limits for o in range(self.task.outputs)]
+        return theta, tuple(np.clip(one, *both) for one, both in zip(x, limits, strict=True))
+
+    def axis_tasks(self, block: RateDependent) -> list[AxisTask]:
+        """Tasks of the axes behind a block, with its plays as columns."""
+        kept = self._columns(block.with_weights([*np.eye(len(block.weights[0]))]))
+        return [self._axis_task(o, kept) for o in range(self.task.outputs)]
+
+    def place(self, theta: Array, x: tuple[Array, ...]) -> _Place:
+        """What is left with given numbers, and the problem linearised about them."""
+        s, block = len(theta), self.block_of(theta)
+        size = s + sum(map(len, x))
+        gain = float(block.on_grid(self.task.records[0].sample_time_s).loop_gain().max())
+        if self.task.settings.method == "invertible" and gain >= STABLE:
+            return _Place(theta, x, math.inf, np.eye(size), np.zeros(size))
+        tasks = self.axis_tasks(block)
+        slopes = [_slopes(one, own)[0] for one, own in zip(tasks, x, strict=True)]
+        bends = self._bends(theta, slopes)
+        curvature, pull, cost, first = np.zeros((size, size)), np.zeros(size), 0.0, s
+        for o, (one, own) in enumerate(zip(tasks, x, strict=True)):
+            more = tuple(
+                Columns(np.vstack([kept.values, bend[o].values]), np.append(kept.held, bend[o].held))
+                for kept, bend in zip(one.kept, bends, strict=True)
+            )
+            rms, curved, pulled = _linearised(replace(one, kept=more), own, slopes[o], s)
+            at = np.r_[0:s, first : first + len(own)]
+            curvature[np.ix_(at, at)] += curved / rms**2
+            pull[at] += pulled / rms**2
+            cost += math.log(rms)
+            first += len(own)
+        return _Place(theta, x, cost, curvature, pull)
+
+    def _axis_task(self, o: int, kept: tuple[Columns, ...]) -> AxisTask:
+        task, (shape, _) = self.task, parameters_of(self.found.axes[o].axis)
+        sensor, every = task.settings.sensor_bandwidth_hz, thinning(task.records)
+        return AxisTask(task.records, task.starts, (), o, shape, task.delay_samples, sensor, every, kept)
+
+    def _columns(self, block: RateDependent) -> tuple[Columns, ...]:
+        """Outputs of a block over each record, and before it."""
+        return tuple(
+            _responded(block, record, start)
+            for record, start in zip(self.task.records, self.task.starts, strict=True)
+        )
+
+    def _bends(self, theta: Array, slopes: Sequence[Array]) -> list[list[Columns]]:
+        """Derivatives (record) (output) of the block's outputs by its numbers, a row each."""
+        ends = []
+        for change in STEP * np.eye(len(theta)):
+            ahead, behind = (
+                self._columns(self.block_of(theta + way * change).with_weights(slopes)) for way in (1.0, -1.0)
+            )
+            ends.append([(a.values - b.values) / (2.0 * STEP) for a, b in zip(ahead, behind, strict=True)])
+        return [
+            [
+                Columns(np.array([end[i][o] for end in ends]), np.zeros(len(theta)))
+                for o in range(self.task.outputs)
+            ]
+            for i in range(len(self.task.records))
+        ]
+
+
+def _responded(block: RateDependent, record: Record, start: Start) -> Columns:
+    here = block.on_grid(record.sample_time_s)
+    memory = begun(here, record, start)
+    before, _ = here.respond(path_before(record, start)[:, -1:], memory)
+    values, after = here.respond(record.u_v, memory)
+    if start.kind == "repeated":
+        values, _ = here.respond(record.u_v, after)
+    return Columns(values, before[:, 0])
+
+
+def _slopes(one: AxisTask, x: Array) -> tuple[Array, float]:
+    """Best weights behind the axis, and the rms of what is left [um]."""
+    moments = one.moments(lambda time: [SideBySide(one.path(x, time), one.columns)], one.columns)
+    cross = moments.cross[:, 0]
+    found = coefficients(moments.gram, cross)
+    left = squares_left(moments.gram, cross, float(moments.power[0]), found)
+    return found, max(math.sqrt(left / max(moments.freedom, 1)), TINY)
+
+
+def _linearised(one: AxisTask, x: Array, slopes: Array, bends: int) -> tuple[float, Array, Array]:
+    """Rms error, and normal equations of a change of block and axis with the weights eliminated."""
+    whole, n = one.columns, one.columns - bends
+    padded = np.append(slopes, np.zeros(bends))
+
+    def filters(time: float) -> list[Filter]:
+        more = [one.derivatives(x, padded, time)] if len(x) else []
+        return [SideBySide(one.path(x, time), whole), *more]
+
+    moments = one.moments(filters, whole + len(x))
+    gram, mixed, cross = moments.gram[:n, :n], moments.gram[:n, n:], moments.cross[:, 0]
+    both = coefficients(gram, np.column_stack([cross[:n], mixed]))
+    best, drag = both[:, 0], both[:, 1:]
+    left = squares_left(gram, cross[:n], float(moments.power[0]), best)
+    rms = max(math.sqrt(left / max(moments.freedom, 1)), TINY)
+    return rms, moments.gram[n:, n:] - mixed.T @ drag, cross[n:] - mixed.T @ best
