@@ -7,6 +7,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -446,3 +447,30 @@ def test_inputs_that_move_at_once_have_the_loop_of_each_pair_by_the_model() -> N
         assert np.ptp(drawn[1]) == pytest.approx(height, rel=0.01)
         area = theory.loop_area(thresholds[o][k], weights[o][k], 10.0)
         assert abs(theory.polygon_area(*drawn)) == pytest.approx(area, rel=0.01)
+
+
+def test_a_narrow_drawing_has_its_panels_below_each_other_and_cuts_nothing_off() -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    names = ["x", "y" * 30]
+    time_s = 50e-6 * np.arange(800)
+    turn = 2.0 * np.pi * 50.0 * time_s
+    circle = 30.0 * np.array([np.cos(turn), np.sin(turn)])
+    labels = ["a long label of " + "many words " * 6, "b"]
+    runs = [PathRun(one, "", time_s, circle, circle + 2.0, circle + 1.0, 0.04, 0.02) for one in labels]
+    figure = path_figure(runs, names, "reference", "A title of " + "many words " * 9)
+    drawn = images(figure)
+    assert len(drawn["narrow"]) < len(drawn["svg"])
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    width, height = figure.bbox.width, figure.bbox.height
+    boxes = [axes.get_window_extent(renderer) for axes in figure.axes]
+    tops = sorted(((box.y1, box.y0) for box in boxes), reverse=True)
+    assert all(below[0] < above[1] for above, below in pairwise(tops))
+    seen = [axes.get_tightbbox(renderer) for axes in figure.axes]
+    seen += [legend.get_window_extent(renderer) for legend in figure.legends]
+    for box in seen:
+        assert box.x0 > -1.0
+        assert box.x1 < width + 1.0
+        assert box.y0 > -1.0
+        assert box.y1 < height + 1.0
+    assert [axes.get_xlabel() for axes in figure.axes].count("time [ms]") == 2

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import theory
 
-from hammerstein.records.loops import branches, loop_table, pair_loops, without_loops
+from hammerstein.records.loops import branches, loop_table, pair_loops, telling_loops, without_loops
 from hammerstein.records.noise import dead_band, noise_rms, quantum
 from hammerstein.records.preparation import leads
 from hammerstein.records.record import Record, read_paired_records, read_records
@@ -424,3 +424,16 @@ def test_a_cycle_that_does_not_close_has_not_settled():
     table = [loop for loop in loop_table(Record([u], y, 1e-3)) if not loop.minor]
     assert [loop.settled for loop in table] == [False, *[True] * (len(table) - 1)]
     assert abs(table[0].closure_um) > 10 * abs(table[-1].closure_um)
+
+
+def test_a_multisine_behind_slow_loops_is_not_listed():
+    phases = np.random.default_rng(1).uniform(0.0, 6.0, 60)
+    period = sum(
+        np.sin(2.0 * np.pi * k * np.arange(1000) / 1000 + phase) for k, phase in enumerate(phases, 1)
+    )
+    u = np.concatenate([10.0 * np.sin(2.0 * np.pi * np.arange(8000) / 2000), np.tile(period / 3.0, 4)])
+    loops = loop_table(Record([u], [respond(u)], 5e-5))
+    assert any(loop.settled and loop.start >= 8000 for loop in loops)  # of its periods, by chance
+    shown = telling_loops(loops)
+    assert [loop.amplitude_v for loop in shown] == pytest.approx([10.0] * len(shown), rel=0.3)
+    assert 2 <= len(shown) <= 5

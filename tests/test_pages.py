@@ -15,9 +15,11 @@ from browser import Page, browser, program
 
 from hammerstein.commands.cli import main
 from hammerstein.model import HammersteinModel
+from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.reporting.figures.moved import courses_of
+from hammerstein.reporting.html.check_page import check_page
 from hammerstein.reporting.html.markup import line_of, link_to
-from hammerstein.reporting.html.vector import inlined, pictures
+from hammerstein.reporting.html.vector import embedded, inlined, pictures
 from hammerstein.scenario.scenario import Tolerance
 
 EVIL = "</script><script>window.hit=1</script><img src=x onerror=window.hit=2>$$x$$ &lt; =1+1"
@@ -213,10 +215,20 @@ def test_drawings_of_one_page_share_no_id_and_keep_their_references() -> None:
 
 def test_drawings_that_are_too_large_are_pictures() -> None:
     svg = b'<svg xmlns="http://www.w3.org/2000/svg"><path d="M 0 0"/></svg>'
-    files = {"a.svg": svg, "a.png": b"A", "b.svg": svg, "b.png": b"B"}
-    first, second = pictures(files, {"a": "A", "b": "B"}, most_bytes=len(inlined(svg, "f1", "A")))
-    assert first.startswith("<svg")
-    assert second == '<img alt="B" src="data:image/png;base64,Qg==">'
+    files = {f"{name}.{kind}": name.encode() for name in "ab" for kind in ("png", "narrow")}
+    files |= {"a.svg": svg, "b.svg": svg}
+    png, narrow = embedded(b"b", "B", "wide"), embedded(b"b", "B", "narrow")
+    drawn = len(inlined(svg, "f1", "A")) - len(png)
+
+    def kinds(most_bytes: int) -> list[list[str]]:
+        found = pictures(files, {"a": "A", "b": "B"}, most_bytes)
+        return [re.findall("alone|wide|narrow|svg", one.replace("</svg>", "")) for one in found]
+
+    least = 2 * len(png)
+    assert kinds(least) == [["alone", "wide"]] * 2
+    assert kinds(least + len(narrow)) == [["wide", "narrow"], ["alone", "wide"]]
+    assert kinds(least + 2 * len(narrow) + drawn) == [["svg", "wide", "narrow"], ["wide", "narrow"]]
+    assert kinds(least + 2 * len(narrow) + 2 * drawn) == [["svg", "wide", "narrow"]] * 2
 
 
 def test_courses_tell_how_far_a_number_moved_in_units_of_what_is_allowed() -> None:
@@ -229,6 +241,12 @@ def test_courses_tell_how_far_a_number_moved_in_units_of_what_is_allowed() -> No
     assert y.now.tolist() == [2.0, 2.1]
     assert y.excess == pytest.approx(0.1 / 0.02)
     assert x.excess == 0.0
+
+
+def test_a_check_without_a_common_row_has_a_page() -> None:
+    rows = [{(("amplitude_um", size), ("measured_axis", "x")): {"rms_um": 2.0}} for size in (20.0, 21.0)]
+    check = ScenarioCheck("circle", Path("circle.toml"), 1, accepted=rows[0], now=rows[1])
+    assert "<figure" not in check_page(CheckResult((check,)))
 
 
 @pytest.fixture(scope="module")
@@ -256,6 +274,11 @@ def test_a_browser_shows_it_without_complaint(folder: Path, page: Page, name: st
     assert len([a for a in page.requests if not a.endswith(".png")]) == 1
     assert page.value("window.hit === undefined")
     assert page.value("document.documentElement.scrollWidth") <= width
+    figures = "[...document.querySelectorAll('.draw')].filter(draw => !draw.querySelector('.alone'))"
+    assert page.value(f"{figures}.every(draw => draw.scrollWidth <= draw.clientWidth)")
+    seen = "[...draw.children].filter(one => one.checkVisibility()).map(one => one.classList[0])"
+    kind = "narrow" if width == 400 else "wide"
+    assert page.value(f"{figures}.every(draw => {seen}.join() === '{kind}')")
 
 
 ROWS = "[...document.querySelector('#numbers ~ .scroll table').tBodies[0].rows]"

@@ -6,7 +6,7 @@ import json
 import os
 import signal
 import sys
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -32,6 +32,9 @@ from hammerstein.runtime.leaving import (
     once,
 )
 
+if TYPE_CHECKING:
+    from typer.models import CommandInfo
+
 app = typer.Typer(
     name="hammerstein",
     help="Simulate, identify and compensate multi-axis actuators with hysteresis.",
@@ -48,6 +51,24 @@ def _example(command: str) -> str:
 
 
 COLUMNS = "--inputs u_x,u_y --outputs x,y --time time_s"
+SHORT = {
+    "init": "Make a working folder with an example that runs.",
+    "guide": "Read the guide.",
+    "show": "Print what a file holds.",
+    "loops": "Measure the loops in records.",
+    "identify": "Find a model from records, and how far to trust it.",
+    "compare": "Fit every kind of model to records; recommend one.",
+    "compensate": "Turn a path into the voltages to send.",
+    "play": "Play voltages on a model.",
+    "export": "Write a law or a model as C, or as an FMU.",
+    "run": "Run scenarios; write a report page for each.",
+    "sweep": "Run a scenario with many values of its keys.",
+    "check": "Compare every number of scenarios with its baseline.",
+    "plot": "Draw the figures of one scenario, and nothing else.",
+    "actuators": "List the actuators that come with the package.",
+    "schema": "Print the JSON Schema of scenario files.",
+}
+"""Every command in a line, in the order of a person's work."""
 ANSWERS = ("schema", "actuators", "show", "guide")
 """Commands that print what they are asked for, however quiet they are to be."""
 
@@ -75,7 +96,7 @@ def _before(
 
 
 def _register() -> None:
-    """Commands in the order of their help."""
+    """Register every command, in the order of a person's work."""
     app.command(epilog=_example("run circle.toml"))(scenarios.run)
     app.command(epilog=_example("check . --html check.html"))(scenarios.check)
     app.command(epilog=_example("schema > scenario.schema.json"))(schema)
@@ -93,6 +114,14 @@ def _register() -> None:
     app.command(epilog=_example("init my_stage"))(start.init)
     app.command(epilog=_example("show stage.json"))(start.show)
     app.command(epilog=_example("guide start"))(start.guide)
+    for command in app.registered_commands:
+        command.short_help = SHORT[_name(command)]
+    app.registered_commands.sort(key=lambda command: list(SHORT).index(_name(command)))
+
+
+def _name(command: CommandInfo) -> str:
+    assert command.callback is not None
+    return command.name or command.callback.__name__
 
 
 class _Interrupted(BaseException):

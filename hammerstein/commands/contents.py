@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,6 +11,8 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
+from hammerstein.commands.playing import PLAYED
+from hammerstein.compensators.drive_file import CONTENT as DRIVE
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited
 from hammerstein.records.array_files import SUFFIXES
@@ -20,6 +22,7 @@ from hammerstein.validation import mistakes_of
 Facts = tuple[tuple[str, str], ...]
 T = TypeVar("T", bound=BaseModel)
 MOST_COLUMNS = 40
+PAGES = (".html", ".htm", ".md")
 MOST_STATEMENTS = 5
 
 
@@ -83,7 +86,19 @@ def contents_of(path: Path) -> Contents:
         raise InputError(
             str(path), "holds arrays; hammerstein loops --inputs NAME --outputs NAME tells what is in them"
         )
-    return Contents("table of numbers", tuple(_table(path)))
+    if path.suffix.lower() in PAGES:
+        raise InputError(str(path), "is a page to be read; what it is made of stands in the .json beside it")
+    facts = tuple(_table(path))
+    return Contents(_kind_of_table([name for name, _ in facts]), facts)
+
+
+def _kind_of_table(names: Sequence[str]) -> str:
+    """What a table is by its columns: of ours, or of a stranger."""
+    for content in (DRIVE, PLAYED):
+        first, _, second = content.sign.partition(",")
+        if first in names and any(name.startswith(second) for name in names):
+            return content.what
+    return "table of numbers"
 
 
 def _json(path: Path) -> Contents:

@@ -27,7 +27,7 @@ FORMATS = ("c", "fmu")
 def export(
     model: Annotated[str | None, typer.Argument(help="Model file, or packaged actuator.")] = None,
     law: Annotated[
-        str, typer.Option(help="As in a scenario, or model: the actuator itself.")
+        str, typer.Option(help="As of compensate, or model: the actuator itself.")
     ] = "exact_inverse",
     form: Annotated[str, typer.Option("--format", help="c: C99; fmu: FMI 3.0 around it.")] = "c",
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where the code goes.")] = None,

@@ -7,9 +7,7 @@ from typing import Annotated
 
 import typer
 
-Files = Annotated[
-    list[Path], typer.Argument(metavar="FILE...", help="Records: CSV, .dat, .npy, .mat, Parquet.")
-]
+Files = Annotated[list[Path], typer.Argument(metavar="FILE", help="Records: CSV, .dat, .npy, .mat, Parquet.")]
 Inputs = Annotated[str, typer.Option(metavar="COL[,COL]", help="Voltage columns, by name or number from 1.")]
 Outputs = Annotated[
     str, typer.Option(metavar="COL[,COL]", help="Displacement columns, by name or number from 1.")

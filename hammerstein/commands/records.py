@@ -66,6 +66,8 @@ _OPTIONS = {
 }
 MOST_NAMED = 3
 """Records whose names make up that of a folder."""
+MOST_LOOPS = 8
+"""Of each pair and record, in the table."""
 
 
 def refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
@@ -184,7 +186,7 @@ def loops(
     from hammerstein.commands.tables import gains_table, loops_table
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
-    from hammerstein.records.loops import loop_table, move_at_once, without_loops
+    from hammerstein.records.loops import loop_table, move_at_once, telling_loops, without_loops
     from hammerstein.reporting.figures.measured import LOOPS, LOOPS_FILES, loops_of_records
     from hammerstein.storage.manifest import refuse_name
     from hammerstein.storage.staging import prepare
@@ -215,7 +217,12 @@ def loops(
     else:
         show(gains_table(gains))
         if len(empty) < len(records):
-            show(loops_table(found))
+            shown = {source: telling_loops(loops, MOST_LOOPS) for source, loops in found.items()}
+            show(loops_table(shown))
+            if (few := sum(map(len, shown.values()))) < (all_ := sum(map(len, found.values()))):
+                tell(
+                    f"{few} of {all_} loops: of each pair the settled and the widest; --json has all of them"
+                )
     if figures:
         from hammerstein.reporting.figures import save_figures
 
@@ -338,7 +345,12 @@ class Spinner:
 def compensate(
     model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
     reference: Annotated[Path, typer.Argument(help="CSV: time_s, then one column an axis, in um.")],
-    law: Annotated[str, typer.Option(help="As in a scenario.")] = "hammerstein_inverse",
+    law: Annotated[
+        str,
+        typer.Option(
+            help="hammerstein_inverse, exact_inverse, inverse_multiplicative, decoupled_inverse or none."
+        ),
+    ] = "hammerstein_inverse",
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where the voltages go.")] = Path("drive.csv"),
     filter_hz: FilterHz = None,
     preview_s: PreviewS = None,

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from hammerstein.scenario import Scenario
     from hammerstein.scenario.assessment import Assessment
 
-Paths = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Scenario files, or folders of them.")]
+Paths = Annotated[list[Path], typer.Argument(metavar="PATH", help="Scenario files, or folders of them.")]
 Jobs = Annotated[
     int, typer.Option(min=1, help="Runs side by side.", show_default="the processors of this machine")
 ]

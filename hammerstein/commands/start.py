@@ -14,7 +14,7 @@ from hammerstein.commands.terminal import complain, show as show_table, tell, te
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Where to; here if not given.")] = Path("."),
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to; here if not given.")] = Path("."),
     paper: Annotated[
         bool, typer.Option("--paper", help="Copy the scenarios of the paper, with their accepted numbers.")
     ] = False,

@@ -34,6 +34,10 @@ GRID = 64
 """Voltages on each branch at which two cycles are compared."""
 SETTLED_SHARE = 0.005
 """Part of the height by which a settled cycle may differ from its neighbour, beside the noise."""
+WIDE = 0.6
+"""Part of the largest amplitude from which a loop is a wide one."""
+SLOW = 0.05
+"""Part of the time of the longest wide loop that a settled one takes: one of a multisine is chance."""
 SAME_SWING = 0.01
 """Part by which the swings of two cycles of one amplitude may differ."""
 CLEAR = 3.0
@@ -144,6 +148,41 @@ def loop_table(record: Record) -> list[Loop]:
         for loop in pair_loops(record, k, o)
         if driven_alone(record, k, loop.start, loop.stop)
     ]
+
+
+def telling_loops(loops: Sequence[Loop], most: int | None = None) -> list[Loop]:
+    """Loops that a person looks at, in their order: of each pair the settled ones and the widest.
+
+    The hundreds of excursions of a multisine are neither.
+
+    Parameters
+    ----------
+    loops : of one record
+    most : of each pair, settled, wide and late ones first; None: all of them
+
+    Examples
+    --------
+    >>> from hammerstein.hysteresis import play
+    >>> u = np.sin(2.0 * np.pi * np.arange(2000) / 400) * np.repeat([10.0, 3.0], [1200, 800])
+    >>> loops = loop_table(Record([u], 5.0 * play(u, [2.0]), 5e-5))
+    >>> len(loops), [loop.start for loop in telling_loops(loops, most=1)]
+    (4, [500])
+    """
+    pairs: dict[tuple[str, str], list[Loop]] = {}
+    for loop in loops:
+        pairs.setdefault((loop.input, loop.output), []).append(loop)
+    kept: set[int] = set()
+    for own in pairs.values():
+        widest = max(loop.amplitude_v for loop in own)
+        least = SLOW * max(loop.samples for loop in own if loop.amplitude_v >= WIDE * widest)
+        telling = [
+            loop
+            for loop in own
+            if loop.amplitude_v >= WIDE * widest or (loop.settled and loop.samples >= least)
+        ]
+        telling.sort(key=lambda loop: (not loop.settled, -loop.amplitude_v, -loop.start))
+        kept |= {id(loop) for loop in telling[:most]}
+    return [loop for loop in loops if id(loop) in kept]
 
 
 def widest_cycle(record: Record, k: int, alone: bool = True) -> slice | None:

@@ -25,11 +25,9 @@ def write_comparison(found: Comparison, folder: Path, figures: bool = True) -> t
         drawn: dict[str, bytes] = {}
         if figures:
             from hammerstein.reporting.figures.compared import compared_figure
-            from hammerstein.reporting.figures.write import files_of
+            from hammerstein.reporting.figures.write import files_of, write_drawn
 
-            for name, content in files_of({"compare": compared_figure(found)}):
-                stage.write(name, content)
-                drawn[name] = content
+            drawn = write_drawn(stage, files_of({"compare": compared_figure(found)}))
         stage.write("compare.md", compare_page(found, bool(drawn)))
         stage.write("compare.html", compare_html(found, drawn))
         stage.write("compare.json", found.to_json())

@@ -28,11 +28,9 @@ def write_fit(
         drawn: dict[str, bytes] = {}
         if figures:
             from hammerstein.reporting.figures.identified import identified_figures
-            from hammerstein.reporting.figures.write import files_of
+            from hammerstein.reporting.figures.write import files_of, write_drawn
 
-            for name, content in files_of(identified_figures(fit)):
-                stage.write(name, content)
-                drawn[name] = content
+            drawn = write_drawn(stage, files_of(identified_figures(fit)))
         pictures = sorted(name for name in drawn if name.endswith(".png"))
         stage.write("report.md", fit_page(model, fit, pictures))
         stage.write("report.html", fit_html(model, fit, drawn))

@@ -56,12 +56,30 @@ def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> 
     """
     parts = [
         f"# Fit report of {markdown(model.name)}",
+        markdown(headline(model, fit)),
         markdown(fit.verdict),
         fit_body(model, fit),
         *(["## Figures", *_pictures(figures)] if figures else []),
         "Every number with full precision is in `fit.json`.",
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def headline(model: HammersteinModel, fit: Fit) -> str:
+    """How far the model is off, in one sentence."""
+    score = fit.judged[fit.kind]
+    percent, rms = score.nrmse_percent, score.rms_um
+    off = " and ".join(
+        f"{um:.3g} um of {name} ({share:.2g} % of its range)"
+        for name, um, share in zip(fit.outputs, rms, percent, strict=True)
+    )
+    where = (
+        "on records that it was not fitted to"
+        if fit.validation
+        else "on the records that it was fitted to; none was held back"
+    )
+    warned = " It cannot represent all that they hold: see below." if fit.flags else ""
+    return f"The model {model.name} is off by {off}, rms, {where}.{warned}"
 
 
 def fit_body(model: HammersteinModel, fit: Fit) -> str:

@@ -73,10 +73,9 @@ def write_report(
         drawn: dict[str, bytes] = {}
         if figures:
             from hammerstein.reporting.figures.kept import drawn as files_drawn
+            from hammerstein.reporting.figures.write import write_drawn
 
-            for name, content in files_drawn(report, store):
-                stage.write(name, content)
-                drawn[name] = content
+            drawn = write_drawn(stage, files_drawn(report, store))
         if traces is not None:
             _write_traces(report, stage, traces)
         if report.bands:

@@ -269,7 +269,7 @@ def response_figure(fit: Fit, measured: FrequencyResponse) -> Figure:
             gain, model_gain = np.abs(measured.response[o, k]), np.abs(said[:, o, k])
             entries["measured"] = _draw_spectrum(axes, measured.frequency_hz, gain, 0)
             entries[KIND_NAMES[fit.kind]] = _draw_spectrum(axes, measured.frequency_hz, model_gain, 1)
-            axes.set(yscale="log", ylabel="gain [µm/V]" if k == 0 else "")
+            axes.set(yscale="log", ylabel="gain [µm/V]")
             plain_numbers(axes.yaxis)
         plain_numbers(panels[-1, -1].xaxis)
         legend_above(figure, entries)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hammerstein.records.loops import Loop, move_at_once, widest_cycle
+from hammerstein.records.loops import Loop, move_at_once, telling_loops, widest_cycle
 from hammerstein.records.preparation import driven_inputs
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures.loops import LoopRun, loops_figure
@@ -78,7 +78,7 @@ def _chosen(table: Sequence[Loop]) -> list[Loop]:
     chosen: list[Loop] = []
     inputs = dict.fromkeys(loop.input for loop in table)
     for name in inputs:
-        own = [loop for loop in table if loop.input == name and loop.output == table[0].output]
+        own = [loop for loop in telling_loops(table) if (loop.input, loop.output) == (name, table[0].output)]
         own.sort(key=lambda loop: (-loop.amplitude_v, not loop.settled, -loop.start))
         apart: list[Loop] = []
         for loop in own:

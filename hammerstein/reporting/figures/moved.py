@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hammerstein.regression.baseline import Key, Numbers, words_of
 from hammerstein.regression.compare import all_tolerances, deviation, limit, tolerance_of
 from hammerstein.reporting.figures.style import (
-    COLOURS,
     PALE,
     WIDTH_IN,
     Array,
     few_ticks,
     legend_above,
     letter,
+    line_style,
     new_figure,
     plain,
     plain_numbers,
@@ -72,6 +72,7 @@ def courses_of(
     for key in both:
         groups.setdefault(tuple(item for item in key if item[0] != swept), []).append(key)
     tolerance = tolerance_of(metric, all_tolerances(tolerances))
+    same = set.intersection(*map(set, groups)) if len(groups) > 1 else set()
     found = []
     for rest, keys in groups.items():
         x = [float(dict(key).get(swept, 0.0)) if swept else float(n) for n, key in enumerate(keys, start=1)]
@@ -79,7 +80,7 @@ def courses_of(
         values = [(accepted[keys[i]][metric], now[keys[i]][metric]) for i in order]
         found.append(
             Course(
-                words_of(rest),
+                words_of(tuple(item for item in rest if item not in same)),
                 SWEPT[swept] if swept else "row",
                 np.array(x)[order],
                 np.array([before for before, _ in values]),
@@ -105,7 +106,7 @@ def moved_figure(courses: Sequence[Course], metric: str) -> Figure:
         left, right = figure.subplots(1, 2)
         entries: dict[str, Artist] = {}
         for number, course in enumerate(shown):
-            entries[plain(course.label)] = _draw(left, right, course, COLOURS[number])
+            entries[plain(course.label)] = _draw(left, right, course, number)
         (entries["baseline, with what it may move"],) = left.plot(
             [], [], color=PALE, linewidth=4.0, alpha=0.6
         )
@@ -123,11 +124,11 @@ def moved_figure(courses: Sequence[Course], metric: str) -> Figure:
     return figure
 
 
-def _draw(left: Axes, right: Axes, course: Course, colour: str) -> Artist:
+def _draw(left: Axes, right: Axes, course: Course, number: int) -> Artist:
     left.plot(course.x, course.accepted, color=PALE, linewidth=4.0, alpha=0.6)
     low, high = course.accepted - course.allowed, course.accepted + course.allowed
     left.fill_between(course.x, low, high, color=PALE, alpha=0.4, linewidth=0.0)
-    style: dict[str, Any] = {"color": colour, "marker": "o", "markersize": 3.0, "linewidth": 1.0}
+    style = line_style(number) | {"markersize": 3.0, "linewidth": 1.0}
     right.plot(course.x, course.moved / np.maximum(course.allowed, LEAST_ALLOWED), **style)
     (line,) = left.plot(course.x, course.now, **style)
     return line

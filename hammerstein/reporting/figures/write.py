@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hammerstein.experiment.report import Report
 from hammerstein.reporting.figures.choice import figures_of
+from hammerstein.reporting.figures.narrow import make_narrow
 from hammerstein.reporting.figures.style import PNG_DPI, styled
 from hammerstein.storage.manifest import Owner
-from hammerstein.storage.staging import staged
+from hammerstein.storage.staging import Stage, staged
 
 PNG_COMPRESSION = 6
-KINDS = ("svg", "png")
+FEW_COLOURS = 64
+KINDS = ("svg", "png", "narrow")
+"""What is drawn of each figure; the last one, a PNG for a narrow screen, lies in a page alone."""
 SHADES = [min(255, round(round(v / 25.5) * 25.5)) for v in range(256)]  # eleven of each colour
 
 if TYPE_CHECKING:
@@ -47,9 +50,17 @@ def save_figures(figures: Mapping[str, Figure], folder: Path, owner: Owner = FIG
     InputError : the folder cannot be written, or holds other people's files under these names
     """
     with staged(folder, owner) as stage:
-        for name, content in files_of(figures):
-            stage.write(name, content)
+        write_drawn(stage, files_of(figures))
     return stage.written
+
+
+def write_drawn(stage: Stage, files: Iterable[tuple[str, bytes]]) -> dict[str, bytes]:
+    """Write drawn files, but those that lie in a page alone; gives all of them by name."""
+    found = dict(files)
+    for name, content in found.items():
+        if not name.endswith(KINDS[-1]):
+            stage.write(name, content)
+    return found
 
 
 def files_of(figures: Mapping[str, Figure]) -> Iterator[tuple[str, bytes]]:
@@ -60,11 +71,13 @@ def files_of(figures: Mapping[str, Figure]) -> Iterator[tuple[str, bytes]]:
 
 
 def images(figure: Figure) -> dict[str, bytes]:
-    """Give the bytes of a figure as ``svg`` and ``png``, without date or version."""
+    """Give the bytes of a figure, by ``KINDS``, without date or version."""
     with styled():
         _laid_out(figure)
-        png = _png(figure)
-        return {"svg": _svg(figure), "png": png}
+        png, svg = _png(figure), _svg(figure)
+        make_narrow(figure)
+        _laid_out(figure)
+        return dict(zip(KINDS, (svg, png, _png(figure, FEW_COLOURS)), strict=True))
 
 
 def png(figure: Figure) -> bytes:
@@ -94,7 +107,7 @@ def _svg(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def _png(figure: Figure) -> bytes:
+def _png(figure: Figure, colours: int = 256) -> bytes:
     """With a palette and without transparency: a line drawing has few colours."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
@@ -107,6 +120,6 @@ def _png(figure: Figure) -> bytes:
     picture = Image.frombuffer("RGBA", canvas.get_width_height(), pixels, "raw", "RGBA", 0, 1).convert("RGB")
     # Coarse shades first: few colours are left, and the palette then keeps pale ones, bands and grids.
     picture = picture.point(SHADES * 3)
-    picture = picture.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    picture = picture.quantize(colours, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     picture.save(buffer, format="png", dpi=(PNG_DPI, PNG_DPI), compress_level=PNG_COMPRESSION)
     return buffer.getvalue()

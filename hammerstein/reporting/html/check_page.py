@@ -43,8 +43,9 @@ def _metrics(check: ScenarioCheck) -> Iterator[str]:
     if names:
         yield from names
         return
-    here = {name for numbers in check.accepted.values() for name in numbers}
-    both = here & {name for numbers in check.now.values() for name in numbers}
+    both = {
+        name for key, numbers in check.accepted.items() for name in numbers if name in check.now.get(key, {})
+    }
     yield from [name for name in (*FIRST_SHOWN, *sorted(both)) if name in both][:1]
 
 

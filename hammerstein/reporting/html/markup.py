@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
@@ -14,9 +16,12 @@ from hammerstein.escaping import clean
 if TYPE_CHECKING:
     from jinja2 import Environment
     from markdown_it import MarkdownIt
+    from markdown_it.token import Token
 
 LARGEST_LINK_BYTES = 200_000
 """A larger file is linked where it lies beside the page, not carried along."""
+LONGEST_NUMBER = 36
+"""Characters of a cell; a longer one holds words."""
 MOST_DRAWING_BYTES = 1_000_000
 """Of all drawings of a page together; with text and tables it stays below 1.5 MB."""
 
@@ -101,9 +106,21 @@ def _reader() -> MarkdownIt:
     return reader
 
 
-def _table_open(*_: object) -> str:
+def _table_open(_: object, tokens: Sequence[Token], start: int, *__: object) -> str:
+    """Numbers stand to the right on one line; long words are broken; a table without heads lists facts."""
+    stop = next(i for i in range(start, len(tokens)) if tokens[i].type == "table_close")
+    cells: dict[str, list[str]] = {"th_open": [], "td_open": []}
+    for before, token in pairwise(tokens[start:stop]):
+        if token.type == "inline":
+            cells[before.type].append(token.content)
+    if not any(cells["th_open"]):
+        kind = "words facts"
+    elif max(map(len, cells["td_open"]), default=0) > LONGEST_NUMBER:
+        kind = "sortable words"
+    else:
+        kind = "sortable numbers"
     scroll = '<div class="scroll" tabindex="0" role="region" aria-label="table">'
-    return f'{scroll}<table class="sortable numbers">'
+    return f'{scroll}<table class="{kind}">'
 
 
 def _table_close(*_: object) -> str:

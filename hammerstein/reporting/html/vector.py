@@ -33,21 +33,30 @@ class Drawn:
 
 
 def pictures(files: Mapping[str, bytes], titles: Mapping[str, str], most_bytes: int) -> Iterator[Markup]:
-    """Each figure as SVG while they stay below ``most_bytes`` together, and as PNG from there on.
+    """Each figure as PNG at least; for narrow screens too, while all stay below ``most_bytes`` together.
+
+    What is left then is spent on SVG in place of PNG. A figure without a narrow drawing scrolls there.
 
     Parameters
     ----------
-    files : bytes of ``NAME.svg`` and ``NAME.png``
+    files : bytes of ``NAME.svg`` and ``NAME.png``, and of ``NAME.narrow``, a PNG for a narrow screen
     titles : text alternative of each name, in the order of the page
     most_bytes : of all drawings together
     """
-    left = most_bytes
-    for number, (name, title) in enumerate(titles.items(), start=1):
-        picture = inlined(files[f"{name}.svg"], f"f{number}", title)
-        if len(picture) > left:
-            picture = embedded(files[f"{name}.png"], title)
-        left -= len(picture)
-        yield picture
+    wide = [embedded(files[f"{name}.png"], title, "wide") for name, title in titles.items()]
+    left = most_bytes - sum(map(len, wide))
+    narrow = [embedded(files[f"{name}.narrow"], title, "narrow") for name, title in titles.items()]
+    for number, picture in enumerate(narrow):
+        fits = len(picture) <= left
+        left -= len(picture) * fits
+        narrow[number] = picture if fits else Markup()
+    for number, (name, title) in enumerate(titles.items()):
+        drawing = inlined(files[f"{name}.svg"], f"f{number + 1}", title)
+        if (more := len(drawing) - len(wide[number])) <= left:
+            wide[number] = drawing
+            left -= more
+    for large, small in zip(wide, narrow, strict=True):
+        yield large + small if small else Markup('<div class="alone">{}</div>').format(large)
 
 
 def inlined(svg: bytes, prefix: str, title: str) -> Markup:
@@ -69,7 +78,13 @@ def inlined(svg: bytes, prefix: str, title: str) -> Markup:
     for name in ("width", "height", "version"):
         root.attrib.pop(name, None)
     # what matplotlib says for every element of its file would hold for the whole page
-    root.attrib |= {"role": "img", "aria-label": title, "stroke-linejoin": "round", "stroke-linecap": "butt"}
+    root.attrib |= {
+        "class": "wide",
+        "role": "img",
+        "aria-label": title,
+        "stroke-linejoin": "round",
+        "stroke-linecap": "butt",
+    }
     return Markup(ElementTree.tostring(root, encoding="unicode"))  # serialised, not pasted
 
 
@@ -93,7 +108,7 @@ def _rounded(text: str) -> str:
     return _NUMBER.sub(lambda found: f"{float(found[0]):.2f}".rstrip("0").rstrip("."), text)
 
 
-def embedded(png: bytes, title: str) -> Markup:
-    """PNG as an element of a page."""
+def embedded(png: bytes, title: str, kind: str) -> Markup:
+    """PNG as an element of a page; kind: class of the screens that show it."""
     data = base64.b64encode(png).decode("ascii")
-    return Markup('<img alt="{}" src="data:image/png;base64,{}">').format(title, data)
+    return Markup('<img class="{}" alt="{}" src="data:image/png;base64,{}">').format(kind, title, data)
