@@ -7,7 +7,7 @@ import pytest
 import theory
 
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
-from hammerstein.compensators.exact.reach import reach
+from hammerstein.compensators.reach import reach
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii

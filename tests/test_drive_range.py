@@ -13,10 +13,10 @@ from hammerstein.blocks import Law
 from hammerstein.commands.cli import main
 from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
-from hammerstein.compensators.exact.reach import reach
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.compensators.no_compensation import NoCompensationLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
+from hammerstein.compensators.reach import reach
 from hammerstein.driving import DriveRange
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError

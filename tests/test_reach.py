@@ -3,11 +3,11 @@ import pytest
 import theory
 
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
-from hammerstein.compensators.exact.reach import reach, require_reach, shortfall
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
+from hammerstein.compensators.reach import reach, require_reach, shortfall
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import SimulationError
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Pair, Parallel, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
 
 T = 50e-6
@@ -17,6 +17,18 @@ NAMES = (("u", "v"), ("x", "y"))
 def _table(dynamics=None):
     hysteresis = PrandtlIshlinskii.from_arrays(theory.R_V, theory.W_UM_PER_V)
     return HammersteinModel("table", hysteresis, dynamics or StaticDynamics(n_outputs=2), 10.0, *NAMES)
+
+
+def test_a_kind_without_inverse_reaches_as_far():
+    """The same plays in two blocks side by side, which have no exact inverse; not about the rest voltage."""
+    range_v = (-2.0, 12.0)
+    half = PrandtlIshlinskii.from_arrays(theory.R_V, 0.5 * np.asarray(theory.W_UM_PER_V))
+    table = _table()
+    beside = HammersteinModel("beside", Parallel((half, half)), table.dynamics, 10.0, *NAMES)
+    whole, found = reach(table, range_v), reach(beside, range_v)
+    size = np.ptp(whole.alone_um, axis=1).min()
+    np.testing.assert_allclose(found.alone_um, whole.alone_um, atol=0.01 * size)
+    np.testing.assert_allclose(found.together_um, whole.together_um, atol=0.01 * size)
 
 
 def _tips(range_v):

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from hammerstein.blocks import Law, checked_reference
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.drive_csv import drive_csv
-from hammerstein.compensators.exact.reach import Reach, Shortfall, reach, require_reach, shortfall
+from hammerstein.compensators.reach import Reach, Shortfall, reach, require_reach, shortfall
 from hammerstein.driving import DriveRange
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, SimulationError
 from hammerstein.files import Content

@@ -273,6 +273,11 @@ def exact_inverse_of(
     )
 
 
+def has_exact_inverse(hysteresis: Hysteresis[Any]) -> bool:
+    """Whether the kind of a hysteresis has registered an exact inverse."""
+    return exact_inverse_of.dispatch(type(hysteresis)) is not exact_inverse_of.dispatch(object)
+
+
 @exact_inverse_of.register(PrandtlIshlinskii)
 @exact_inverse_of.register(Asymmetric)
 def _(hysteresis: Hysteresis[Any], model: HammersteinModel, *options: Any) -> ExactInverseLaw:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.blocks import Array, Law, checked_reference
-from hammerstein.compensators.exact.inverse import exact_inverse_of
+from hammerstein.compensators.exact.inverse import exact_inverse_of, has_exact_inverse
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.dynamics import discretise
 from hammerstein.errors import SimulationError
@@ -21,6 +23,9 @@ from hammerstein.model import HammersteinModel
 STROKE_SAMPLES = 50
 BISECTIONS = 40
 MISSED_UM = 1e-6
+ROUGH_BISECTIONS = 14
+"""Of a law without inverse, which is slow and leaves more than a finer search would find."""
+PASSES = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +55,9 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
 
     The middle between the tips of the loop is found by driving the model from its start once to the ends of
     the range and back. About it the exact inverse is driven to and fro until it stands at the range; so what
-    a cross-coupling takes away is counted. Dynamics are left out: at low frequency the displacement is that
-    of the static block, near a resonance the drive reaches further.
+    a cross-coupling takes away is counted. Of a kind without exact inverse it is the paper's law, in several
+    passes. Dynamics are left out: at low frequency the displacement is that of the static block, near a
+    resonance the drive reaches further.
 
     Parameters
     ----------
@@ -61,7 +67,7 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
 
     Raises
     ------
-    InputError, SimulationError : as ``ExactInverseLaw`` for a model without an inverse
+    InputError, SimulationError : as the law for a model without an inverse
 
     Examples
     --------
@@ -81,13 +87,19 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
     middle = 0.5 * (limits.low_v + limits.high_v)
     about = replace(limits, working_point_v=middle, start_v=middle, conditioned=False)
     counted = model.hysteresis.counted_from(middle)
-    law = exact_inverse_of(counted, model, about, 0.0, run_anyway)
+    if has_exact_inverse(counted):
+        law: Law[Any] = exact_inverse_of(counted, model, about, 0.0, run_anyway)
+        bisections = BISECTIONS
+    else:
+        about = replace(limits, start_v=middle, conditioned=False)
+        law, bisections = _iterated(model, about, run_anyway), ROUGH_BISECTIONS
     between = _centre(model, about)[:, None]
     half = 0.5 * limits.span_v
     most = float(np.abs(counted.amplitude(half)).sum()) * len(half)
-    alone = np.array([most * _largest(_strokes_fit(law, between, [most * row])) for row in np.eye(p)])
+    largest = partial(_largest, bisections)
+    alone = np.array([most * largest(_strokes_fit(law, between, [most * row])) for row in np.eye(p)])
     corners = [alone * np.array((1, *signs)) for signs in itertools.product((1, -1), repeat=p - 1)]
-    together = alone * _largest(_strokes_fit(law, between, corners))
+    together = alone * largest(_strokes_fit(law, between, corners))
     centre = _centre(model, limits)[:, None]
     return Reach(*(centre + np.stack([-size, size], axis=1) for size in (alone, together)))
 
@@ -107,10 +119,15 @@ def _inside(law: Law[Any], path_um: Array) -> bool:
     return bool(((drive < limits.high_v[:, None]) & (drive > limits.low_v[:, None])).all())
 
 
-def _largest(fits: Callable[[float], bool]) -> float:
+def _iterated(model: HammersteinModel, limits: DriveRange, run_anyway: bool) -> Law[Any]:
+    """The law of the paper on the grid of the model, with so many passes that it is as good as an inverse."""
+    return InverseMultiplicativeLaw(model, limits, SLOW_S, iterations=PASSES, run_anyway=run_anyway)
+
+
+def _largest(bisections: int, fits: Callable[[float], bool]) -> float:
     """Largest number from 0 to 1 that fits, by bisection."""
     low, high = 0.0, 1.0
-    for _ in range(BISECTIONS):
+    for _ in range(bisections):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if fits(middle) else (low, middle)
     return low
