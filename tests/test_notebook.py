@@ -133,3 +133,19 @@ def test_the_example_of_the_readme_runs():
     error = names["response"].outputs - names["reference"]
     assert np.sqrt(np.mean(error[:, 200:] ** 2)) < 2.0
     assert isinstance(names["chain"], control.InterconnectedSystem)
+
+
+def test_a_report_and_a_fit_are_a_line_and_their_first_figure(record):
+    scenario = {
+        "question": "How large is a loop?",
+        "actuator": "duo_bimorph_static",
+        "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0},
+    }
+    report = hammerstein.run(scenario)
+    assert repr(report).startswith("Report(")
+    assert _picture(report)[1].width > 500
+    assert "<img" not in report.without_traces()._repr_html_()
+    settings = hammerstein.Settings(operators=5, partition="voltage", dynamics="none")
+    _, fit = hammerstein.identify([record], settings)
+    assert re.fullmatch(r"Fit\(static_hysteresis: x [\d.]+ % of the range on the records .*\)", repr(fit))
+    assert _picture(fit)[1].width > 500

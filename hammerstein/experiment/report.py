@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hammerstein.escaping import cell
 from hammerstein.instruments import Instruments
 from hammerstein.metrics import Row
+from hammerstein.pictured import Pictured
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.assessment import Verdict
 from hammerstein.signals import Excitation, Reference
@@ -95,7 +96,7 @@ class Trace:
 
 
 @dataclass(frozen=True, eq=False)
-class Report:
+class Report(Pictured):
     """Result of one scenario.
 
     rows : figures, one row for each case and measured axis

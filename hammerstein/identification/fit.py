@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from hammerstein.identification.choice import Trial
@@ -12,6 +12,7 @@ from hammerstein.identification.linear.second_order import AxisFit
 from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.regressors import Start
+from hammerstein.pictured import Pictured
 from hammerstein.records.record import Record
 from hammerstein.voltages import Voltages
 
@@ -42,8 +43,8 @@ _OWN_FORM = frozenset(
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Pictured):
     """How a model was found and how far it can be trusted.
 
     Parameters
@@ -103,9 +104,16 @@ class Fit:
     invertible: bool
     invertibility: str
     verdict: str
-    candidates: Mapping[Kind, Candidate] = field(repr=False)
-    records: tuple[Record, ...] = field(repr=False)
-    held: tuple[Record, ...] = field(repr=False)
+    candidates: Mapping[Kind, Candidate]
+    records: tuple[Record, ...]
+    held: tuple[Record, ...]
+
+    def __repr__(self) -> str:
+        errors = self.judged[self.kind].nrmse_percent
+        left = ", ".join(f"{name} {e:.3g} %" for name, e in zip(self.outputs, errors, strict=True))
+        where = "on records held back" if self.validation else "on the records it was fitted to"
+        flagged = f"; {len(self.flags)} flags" if self.flags else ""
+        return f"Fit({self.kind}: {left} of the range {where}{flagged})"
 
     @property
     def judged(self) -> Mapping[Kind, Score]:

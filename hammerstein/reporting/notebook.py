@@ -9,9 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hammerstein.experiment.report import Report
+from hammerstein.identification.fit import Fit
 from hammerstein.model import HammersteinModel
 from hammerstein.records.loops import loop_table
 from hammerstein.records.record import Record
+from hammerstein.reporting.figures.choice import figures_of
+from hammerstein.reporting.figures.identified import measured_loops
 from hammerstein.reporting.figures.loops import LoopRun, loops_figure
 from hammerstein.reporting.figures.measured import loops_of_records
 from hammerstein.reporting.figures.path import PathRun, path_figure
@@ -75,3 +79,15 @@ def _(response: Response) -> Figure | None:
 def _(record: Record) -> Figure | None:
     """Loops of the record, if it has any."""
     return loops_of_records([record], [loop_table(record)])
+
+
+@picture_of.register(Report)
+def _(report: Report) -> Figure | None:
+    """The first figure that answers the scenario, if its traces are there still."""
+    return next(iter(figures_of(report).values()), None) if report.traces else None
+
+
+@picture_of.register(Fit)
+def _(fit: Fit) -> Figure | None:
+    """Loops as they were measured and as the model has them, if the records have any."""
+    return measured_loops(fit)
