@@ -293,6 +293,12 @@ def test_a_trial_that_is_too_short_is_named_by_its_file(tmp_path, capsys):
     assert f"{path}: has 250 samples; give whole periods" in capsys.readouterr().err
 
 
+def test_how_unsure_the_model_is_belongs_to_a_trial(tmp_path, capsys):
+    arguments = ("duo_bimorph", tmp_path / "path.csv", "--unsure", "0.1,0.1", "--out", tmp_path / "drive.csv")
+    assert _call("compensate", *arguments) == 2
+    assert "--unsure: says what --learn counts on" in capsys.readouterr().err
+
+
 def test_no_drive_is_sent_ahead_by_a_law_that_learns(tmp_path, capsys):
     pd.DataFrame({"time_s": T * np.arange(250), "x": circle()[0], "y": circle()[1]}).to_csv(
         tmp_path / "path.csv", index=False

@@ -376,8 +376,12 @@ def compensate(
         typer.Option(metavar="DRIVE MEASURED", help="A trial: write the next drive of the periodic path."),
     ] = None,
     unsure: Annotated[
-        str, typer.Option(metavar="W,R", help="Deviations of weights and resonances that --learn counts on.")
-    ] = "0.05,0.01",
+        str | None,
+        typer.Option(
+            metavar="W,R",
+            help="Deviations of weights and resonances that --learn counts on; 0.05,0.01 if not given.",
+        ),
+    ] = None,
     clip: Annotated[bool, typer.Option("--clip", help="Accept a path partly out of reach.")] = False,
     beyond_records: Annotated[
         bool, typer.Option("--beyond-records", help="Accept voltages that were never recorded.")
@@ -395,6 +399,8 @@ def compensate(
 
     if gain not in (None, "auto", "identity"):
         raise InputError("--gain", f"must be auto or identity, not {gain!r}; a matrix goes into a scenario")
+    if unsure is not None and learn is None:
+        raise InputError("--unsure", "says what --learn counts on; give --learn DRIVE MEASURED too")
     ahead = preview if preview_s is None else preview_s
     options = {"filter_hz": filter_hz, "preview_s": ahead, "softening_v": softening_v, "gain": gain}
     wanted = Table(table, table_scale, table_points)
@@ -406,7 +412,7 @@ def compensate(
     with told_by_options("compensate"):
         period = Period(model, reference, law, options, terms, out, wanted, as_json)
         if learn is not None:
-            write_lesson(period, learn, unsure)
+            write_lesson(period, learn, unsure or "0.05,0.01")
             return
         if cycle or table is not None:
             write_cycle(period)
