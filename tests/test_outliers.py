@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from hammerstein.records.outliers import without_outliers
 
@@ -26,3 +27,23 @@ def test_a_jump_that_does_not_come_back_is_none(scale):
     y[0, 2000:] += 30.0
     y[0, 2005:] -= 7.5
     assert not without_outliers(U, scale * y).lost_y.any()
+
+
+def test_the_highest_peaks_of_a_multisine_are_none():
+    """Voltages are spread like noise, and an actuator behind them rings, which no copies of them say well."""
+    generator, n = np.random.default_rng(4), 16_384
+    lines = np.arange(1, 1500)
+    phases = generator.uniform(0.0, 2.0 * np.pi, (2, len(lines)))
+    phases[:, ::11] = 0.0  # a part of them meets now and then
+    spectrum = np.zeros((2, n // 2 + 1), complex)
+    spectrum[:, lines] = np.exp(1j * phases)
+    u = np.fft.irfft(spectrum, n)
+    u /= u.std(axis=1, keepdims=True)
+    assert 3 < np.count_nonzero(np.abs(u) > 4.2) < 100
+    poles = np.poly(0.98 * np.exp([0.2j, -0.2j])).real
+    y = lfilter([poles.sum()], poles, u, axis=1)
+    found = without_outliers(u, y)
+    assert not found.lost_u.any()
+    assert not found.lost_y.any()
+    u[0, 9000] += 40.0  # and a spike that the actuator never saw is one
+    assert np.flatnonzero(without_outliers(u, y).lost_u[0]).tolist() == [9000]

@@ -38,8 +38,11 @@ APART = 3.0
 """Distance of a value that stands for nothing (-9999) from all others, in parts of their range."""
 SURE = 4.0
 """A suspect is left out if the fit misses it by this many times the usual large error."""
+BETTER = 0.7
+"""Error of the fit without a spike of the voltage, in parts of that with it, up to which it is left out:
+either right behind the spike or everywhere."""
 NO_WORSE = 1.05
-"""Error of the fit without a spike of the voltage, in parts of that with it, up to which it is left out."""
+"""The same error everywhere, up to which it may be better right behind the spike alone."""
 EXACT = 1e-12
 """Error below which a fit is exact [um]."""
 PLAYS = 8
@@ -110,19 +113,41 @@ def without_outliers(u: Array, y: Array) -> Mended:
     nothing = np.zeros_like(suspect_y)
     if not (suspect_u.any() or suspect_y.any()):
         return Mended(u, y, suspect_u, nothing)
-    lost_u, bridged = np.zeros_like(suspect_u), u
-    if suspect_u.any():
-        trial = np.array([_bridged(row, flags) for row, flags in zip(u, suspect_u, strict=True)])
-        aside = suspect_y | _widened(np.any(suspect_u, axis=0))
-        with_them, without = (_usual_error(y - _fit(v, y, aside), aside) for v in (u, trial))
-        worse = np.log(np.maximum(without, EXACT) / np.maximum(with_them, EXACT))
-        if float(worse.mean()) <= np.log(NO_WORSE):
-            lost_u, bridged = suspect_u, trial
+    lost_u = _spikes(u, y, suspect_u, suspect_y) if suspect_u.any() else suspect_u
+    bridged = np.array([_bridged(row, flags) for row, flags in zip(u, lost_u, strict=True)])
     if not suspect_y.any():
         return Mended(bridged, y, lost_u, nothing)
     lost_y, fit = _confirmed(bridged, y, suspect_y)
     mended = np.array([f + _bridged(row - f, flags) for row, f, flags in zip(y, fit, lost_y, strict=True)])
     return Mended(bridged, np.where(lost_y, mended, y), lost_u, lost_y)
+
+
+def _spikes(u: Array, y: Array, suspects: Flags, suspect_y: Flags) -> Flags:
+    """Suspected voltages without which the outputs are explained better: right behind each, or everywhere.
+
+    Right behind it they must be missed by far more than elsewhere; everywhere, for plays remember a spike. A
+    high peak that the actuator was driven with is explained by it.
+    """
+    trial = np.array([_bridged(row, flags) for row, flags in zip(u, suspects, strict=True)])
+    anywhere = np.any(suspects, axis=0)
+    aside = suspect_y | _widened(anywhere)
+    with_them, without = (y - _fit(v, y, aside) for v in (u, trial))
+    ratio = _ratio(_usual_error(without, aside), _usual_error(with_them, aside))
+    if ratio <= BETTER:
+        return suspects
+    lost, limit = np.zeros_like(suspects), SURE * _large_error(np.abs(with_them), aside)
+    for start, stop in runs(anywhere) if ratio <= NO_WORSE else ():
+        behind = np.s_[:, start : stop + LAGS[-1] + 2]
+        near = [np.sqrt(np.mean(error[behind] ** 2, axis=1)) for error in (without, with_them)]
+        missed = np.abs(with_them[behind]).max(axis=1) > limit
+        if missed.any() and _ratio(*near) <= BETTER:
+            lost[:, start : stop + 1] = suspects[:, start : stop + 1]
+    return lost
+
+
+def _ratio(errors: Array, others: Array) -> float:
+    """Mean ratio of errors (output,) to others."""
+    return float(np.exp(np.mean(np.log(np.maximum(errors, EXACT) / np.maximum(others, EXACT)))))
 
 
 def _confirmed(u: Array, y: Array, suspects: Flags) -> tuple[Flags, Array]:
