@@ -35,7 +35,7 @@ def moments_of_folds(
     ends = first + np.ceil((y.shape[1] - first) * np.arange(1, stretches + 1) / stretches).astype(int)
     parts: dict[int, list[tuple[Array, Array]]] = {fold: [] for fold in range(FOLDS)}
     for k, x in blocks:
-        inner = ends[(k < ends) & (ends < k + x.shape[1])]
+        inner = np.unique(ends[(k < ends) & (ends < k + x.shape[1])])  # of a short record some are empty
         edges = [k, *inner.tolist(), k + x.shape[1]]
         for a, b in itertools.pairwise(edges):
             stretch = int(np.searchsorted(ends, a, side="right"))
