@@ -2,7 +2,7 @@
 
 import pytest
 
-from hammerstein.commands import cli
+from hammerstein.commands import cli, watch
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.plan import jobs_that_fit, plan_of
 from hammerstein.experiment.run import run, simulate
@@ -139,7 +139,7 @@ def test_what_takes_long_says_so_and_wants_yes_of_a_person(tmp_path, monkeypatch
     def call(watched, *options):
         monkeypatch.setattr(cli.sys.stderr, "isatty", lambda: watched, raising=False)
         monkeypatch.setattr(cli.sys.stdin, "isatty", lambda: watched, raising=False)
-        monkeypatch.setattr(cli._Watch, "__enter__", lambda self: self)
+        monkeypatch.setattr(watch.Watch, "__enter__", lambda self: self)
         with pytest.raises(SystemExit) as caught:
             cli.main(["run", str(path), "--out", str(tmp_path / "r"), "--jobs", "1", *options])
         return caught.value.code, capsys.readouterr().err

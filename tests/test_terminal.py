@@ -119,3 +119,23 @@ def test_ctrl_c_is_one_line_from_our_first_line_on(folder, number, wait_s):
     if process.returncode != 0:  # it may have been quicker
         assert error == "interrupted; what was finished is written, and nothing else\n"
         assert process.returncode == 130
+
+
+def test_what_a_library_makes_of_ctrl_c_is_ctrl_c_still():
+    """An extension that is being imported turns it into an ImportError."""
+    code = """
+import signal
+from hammerstein.commands import cli
+
+def imported(arguments):
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except BaseException as error:
+        raise ImportError("initialization failed") from error
+
+cli.app = imported
+cli.main([])
+"""
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert found.returncode == 130
+    assert found.stderr == "interrupted; what was finished is written, and nothing else\n"

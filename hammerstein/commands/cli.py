@@ -21,7 +21,6 @@ from hammerstein.commands import (
 )
 from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.terminal import complain, show, tell, tell_json
-from hammerstein.errors import HammersteinError
 from hammerstein.runtime.leaving import (
     INTERRUPTED,
     INTERRUPTS,
@@ -134,6 +133,10 @@ def _interrupt(*_: object) -> None:
     raise _Interrupted
 
 
+def _asked_to_end() -> bool:
+    return any(signal.getsignal(number) is leave for number in INTERRUPTS)
+
+
 def _answer_interrupts() -> None:
     """Let every polite request to end come as one exception; what nohup has switched off stays off."""
     for number in INTERRUPTS:
@@ -175,12 +178,11 @@ def _answered(arguments: list[str] | None) -> int | str | None:
                 raise
             terminal.nobody_listens(error)  # a library has printed: our own files are opened by name
         terminal.settle()
-    except HammersteinError as error:
-        complain(str(error))
-        return error.exit_code
     except Exception as error:
         from hammerstein.runtime.faults import as_error
 
+        if _asked_to_end():  # a library that was being imported makes an error of its own of it
+            raise _Interrupted from error
         told = as_error(error)
         complain(str(told))
         return told.exit_code

@@ -91,7 +91,7 @@ def micromanipulator(folder: Path) -> Iterator[str]:
         model, fit = identify(
             records, Settings(**(STATIC | options)), validation=held, name="micromanipulator"
         )
-        delay = f"delay of {fit.delay_samples} sample; " if fit.delay_samples else ""
+        delay = f"delay of {fit.delay_samples:g} sample; " if fit.delay_samples else ""
         errors = (fit.fit, fit.validation)
         cells = [f"{scores[fit.kind].nrmse_percent[0]:.3f}" for scores in errors]
         linear = f"linear gain {fit.validation['linear'].nrmse_percent[0]:.2f}"
