@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import theory
@@ -10,7 +12,7 @@ from theory_linear import second_order_step
 
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
 from hammerstein.identification.axes_candidates import dynamics_of
-from hammerstein.identification.linear.axis_delay import checked_delay
+from hammerstein.identification.linear.axis_delay import _part_of_a_sample, checked_delay
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
 from hammerstein.identification.linear.second_order import AxisFit, fit_axes, refine, search_axes
 from hammerstein.identification.static.regressors import Start
@@ -228,3 +230,13 @@ def test_parameters_stay_within_what_the_records_can_show():
 def test_the_oracle_of_these_tests_is_the_step_response_of_theory():
     step = lagged(np.ones(400), 280.0, 0.12, sensor_hz=1e6)
     assert np.abs(step - second_order_step(T * np.arange(400), 280.0, 0.12)).max() < 1e-3
+
+
+def test_a_delay_at_which_nothing_is_left_is_kept():
+    """Beside it the squares are beyond any number of their own ratio."""
+
+    def left(delay, _):
+        return [SimpleNamespace(rms=0.0 if delay == 3.0 else 1e160, x=np.zeros(1))]
+
+    tried = {delay: left(delay, ()) for delay in (2.0, 3.0, 4.0)}
+    assert _part_of_a_sample(left, tried, 3.0) == 3.0

@@ -29,6 +29,8 @@ CLEARLY_BETTER = 0.98
 """Part of the error under which another delay takes the place of the one found first."""
 PART = 1.0 / 64.0
 """Parts of a sample to which a delay is told."""
+MOST_MORE = 60.0
+"""Logarithm of the ratio of squares from which one delay is as bad as any other."""
 MOST_PARTS = 4
 """Most parts of a sample that are tried."""
 
@@ -110,7 +112,8 @@ def _part_of_a_sample(
     """
 
     def squares(delay: float) -> float:
-        return math.exp(2.0 * (_log_rms(tried[delay]) - _log_rms(tried[whole])) / len(tried[whole]))
+        more = 2.0 * (_log_rms(tried[delay]) - _log_rms(tried[whole])) / len(tried[whole])
+        return math.exp(min(more, MOST_MORE))  # nothing at all may be left at the best one
 
     if whole == 0.0:
         tried[0.5] = points(0.5, [point.x for point in tried[whole]])
