@@ -286,6 +286,14 @@ def test_a_law_that_knows_the_actuator_itself_says_so():
     ]
 
 
+def test_samples_may_be_recorded_further_apart_than_a_stretch_is_long(monkeypatch):
+    monkeypatch.setattr("hammerstein.experiment.recording.STRETCH", 30)
+    drive = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 10.0, "axis": 1}
+    measure = {"settle_cycles": 1, "measured_cycles": 1, "record_every": 40}
+    (trace,) = run(_scenario(actuator="duo_bimorph_static", drive=drive, measure=measure)).traces
+    assert trace.response.drive_v.shape[1] == 2000 // 40
+
+
 def test_a_run_of_which_one_in_n_samples_is_recorded(tmp_path):
     """The same numbers as the whole run has on those samples; models predict from every sample."""
     content = {

@@ -58,9 +58,10 @@ def recorded(setup: SetUp, case: Case) -> Recording:
     """
     every = setup.scenario.measure.record_every or 1
     long = every > 1 and setup.runs_on(case)
+    stretch = max(STRETCH // every, 1) * every
     parts, targets = [], []
     memory: Mapping[str, PredictionState] = {}
-    for part in setup.stretches(case, STRETCH - STRETCH % every) if long else [setup.simulate(case)]:
+    for part in setup.stretches(case, stretch) if long else [setup.simulate(case)]:
         found, memory = targets_of(setup, case, part, memory)
         parts.append(part.every(every))
         targets.append([None if target is None else target.every(every) for target in found])

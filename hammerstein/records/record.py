@@ -275,7 +275,7 @@ def _refuse_arguments(
             mistakes.append(Mistake(kind, "give a list of at least one column"))
     chosen = [*inputs, *outputs, *([time] if time is not None else [])]
     for column in sorted({column for column in chosen if chosen.count(column) > 1}):
-        mistakes.append(Mistake("columns", f"{column} is named twice; an input cannot be an output as well"))
+        mistakes.append(Mistake("columns", f"{column} is named twice among inputs, outputs and time"))
     if (rate_hz is None) == (time is None):
         mistakes.append(
             Mistake("rate or time", "give one of them: the rate in Hz (--rate) or a column (--time)")
