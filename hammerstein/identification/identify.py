@@ -18,7 +18,7 @@ from hammerstein.identification.choice import Trial, chosen, crossed_squares, ju
 from hammerstein.identification.excitation import answers, excitation_statements, refuse_noise, refuse_one_way
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.kinds import with_hysteresis
-from hammerstein.identification.leftover import drift_is_left, leftover_statements
+from hammerstein.identification.leftover import faults_left, leftover_statements
 from hammerstein.identification.linear.delay import delay_in_samples
 from hammerstein.identification.linear.second_order import FirstGuess
 from hammerstein.identification.operators import (
@@ -54,7 +54,7 @@ from hammerstein.identification.verdict import (
 )
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
-from hammerstein.records.faults import Fault, faults
+from hammerstein.records.faults import Fault
 from hammerstein.records.preparation import FEWEST_AT_REST, dead_start, refuse_swapped
 from hammerstein.records.record import Record
 from hammerstein.voltages import Verdict, Voltages
@@ -349,33 +349,12 @@ def _account(
     """Everything that is said about the model."""
     fitted, judged, held, held_starts, answer, trials = errors
     record, settings, best = task.records[0], task.settings, built.best.candidate
-    named = [
-        fault
-        for one in task.records
-        for fault in faults(one)
-        if not fault.drift_um or drift_is_left(fault, best, task.records, task.starts)
-    ]
-    flags, bounds = _flags(task, built, named), []
+    named = faults_left(best, task.records, task.starts)
+    flags = _flags(task, built, named)
     where = (held, held_starts) if held else (task.records, task.starts)
     leftover = leftover_statements(best, *where, settings)
-    if settings.method == "invertible" and settings.hysteresis == "prandtl_ishlinskii":
-        spoiled = {name for fault in named for name in fault.outputs}
-        bounds = bound_notes(
-            task.records,
-            built.best.blocks.chosen,
-            built.best.blocks.free,
-            built.kind == "hammerstein",
-            spoiled,
-        )
     swing = half_swing(task.records)
-    amplitude = float(swing.max())
-    block, reached = best.hysteresis, amplitude
-    if settings.hysteresis != "prandtl_ishlinskii":
-        rest = np.array(voltages.working_point_v)
-        block, reached = block.counted_from(rest), np.array([voltages.lowest_v, voltages.highest_v]) - rest
-    invertible, sentence = invertibility_of(
-        block, best.dynamics, reached, record.sample_time_s, record.inputs
-    )
+    invertible, sentence = _invertible(task, best, voltages)
     return Fit(
         inputs=record.inputs,
         outputs=record.outputs,
@@ -384,7 +363,7 @@ def _account(
         validation=judged,
         method=settings.method,
         operators=best.hysteresis.operators,
-        amplitude_v=amplitude,
+        amplitude_v=float(swing.max()),
         amplitudes_v=tuple(swing.tolist()),
         voltages=voltages,
         delay_samples=delay_in_samples(best.dynamics.input_delay_s, record.sample_time_s),
@@ -399,7 +378,7 @@ def _account(
         error_curve=curve,
         not_identifiable=tuple(_unknown(task, built, answer)),
         flags=tuple(flags),
-        notes=(*_left_out([*task.records, *held]), *built.notes, *bounds),
+        notes=(*_left_out([*task.records, *held]), *built.notes, *_bounds(task, built, named)),
         invertible=invertible,
         invertibility=sentence,
         verdict=verdict(judged or fitted, bool(judged), flags, settings.dynamics, built.kind, leftover),
@@ -407,6 +386,25 @@ def _account(
         records=task.records,
         held=held,
     )
+
+
+def _bounds(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
+    """Slopes that the inverse needs and the records would have otherwise."""
+    settings, blocks = task.settings, built.best.blocks
+    if settings.method != "invertible" or settings.hysteresis != "prandtl_ishlinskii":
+        return []
+    spoiled = {name for fault in named for name in fault.outputs}
+    return bound_notes(task.records, blocks.chosen, blocks.free, built.kind == "hammerstein", spoiled)
+
+
+def _invertible(task: Task, best: Candidate, voltages: Voltages) -> tuple[bool, str]:
+    """Whether the model has an inverse over what was recorded, and the same as a sentence."""
+    record, block = task.records[0], best.hysteresis
+    reached: float | Array = float(half_swing(task.records).max())
+    if task.settings.hysteresis != "prandtl_ishlinskii":
+        rest = np.array(voltages.working_point_v)
+        block, reached = block.counted_from(rest), np.array([voltages.lowest_v, voltages.highest_v]) - rest
+    return invertibility_of(block, best.dynamics, reached, record.sample_time_s, record.inputs)
 
 
 def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:

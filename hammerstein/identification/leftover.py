@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
-from hammerstein.records.faults import Fault
+from hammerstein.records.faults import Fault, faults
 from hammerstein.records.noise import noise_rms
 from hammerstein.records.record import Record
 
@@ -54,7 +54,13 @@ def leftover_statements(
     return found
 
 
-def drift_is_left(
+def faults_left(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> list[Fault]:
+    """Faults of the records, but drift only where the model leaves it."""
+    named = [fault for record in records for fault in faults(record)]
+    return [f for f in named if not f.drift_um or _drift_is_left(f, candidate, records, starts)]
+
+
+def _drift_is_left(
     fault: Fault, candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]
 ) -> bool:
     """Whether a drift that was seen in a record is there still beside the model.
