@@ -191,7 +191,7 @@ REPORT = {
 def test_show_counts_what_is_met(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("claims.json").write_text(json.dumps(REPORT))
     assert call("show", "claims.json") == 0
-    assert "2 of 3 met" in capsys.readouterr().out
+    assert "2 of 3 claims met" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -186,7 +186,7 @@ def _report(found: _Report) -> Iterator[tuple[str, str]]:
     yield "rows", str(len(found.rows))
     if found.verdicts:
         met = sum(verdict.verdict == "met" for verdict in found.verdicts)
-        yield "verdicts", f"{met} of {len(found.verdicts)} met"
+        yield "verdicts", f"{met} of {len(found.verdicts)} claims met"
     for number, text in enumerate(found.statements[:MOST_STATEMENTS], start=1):
         yield f"statement {number}", text
 
