@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.identification.axes_candidates import guesses_of, with_checked_delay
-from hammerstein.identification.linear.second_order import FirstGuess
+from hammerstein.identification.linear.axis_search import FirstGuess
 from hammerstein.identification.operators import (
     CURVE_SAMPLES,
     CurvePoint,

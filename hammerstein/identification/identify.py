@@ -17,7 +17,7 @@ from hammerstein.identification.excitation import answers, refuse_noise, refuse_
 from hammerstein.identification.first_look import Progress, first_task, settle_s_of, start_mode
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.kinds import with_hysteresis
-from hammerstein.identification.linear.second_order import FirstGuess
+from hammerstein.identification.linear.axis_search import FirstGuess
 from hammerstein.identification.recorded import counted, voltages_of
 from hammerstein.identification.score import score
 from hammerstein.identification.settings import Settings
