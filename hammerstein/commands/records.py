@@ -127,7 +127,7 @@ def reader(
     output_scale: float | None,
 ) -> partial[tuple[Record, ...]]:
     """How the files of a command are read."""
-    from hammerstein.records.record import read_records
+    from hammerstein.records.reading import read_records
 
     return partial(
         read_records,
