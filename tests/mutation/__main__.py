@@ -1,6 +1,6 @@
 """Change single lines of the numerical modules, and see whether tests and ``hammerstein check`` notice.
 
-    python -m tests.mutation record               all tests and scenarios under coverage, once
+    python -m tests.mutation record               tests of numbers and scenarios under coverage, once
     python -m tests.mutation record tests/a.py    tests that were added since
     python -m tests.mutation run --number 200 --seed 0
     python -m tests.mutation known                changes that once went unnoticed
@@ -22,7 +22,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from .changes import Change, changes_of
-from .recording import ALL, ROOT, Recording, copied, record
+from .recording import ROOT, Recording, copied, record
 from .trial import load_libraries, outcome, restore
 
 KNOWN = Path(__file__).parent / "known.toml"
@@ -99,7 +99,7 @@ def main() -> int:
     tree = kept / "tree"
     if asked.what == "record":
         copied(tree, asked.paths if tree.exists() else ())
-        return 0 if record(kept, asked.paths or ALL) else 1
+        return 0 if record(kept, asked.paths) else 1
     restore(kept)
     changes = known(tree) if asked.what == "known" else sample(asked.number, asked.seed, tree)
     again = asked.again or asked.what == "known"

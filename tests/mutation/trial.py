@@ -48,8 +48,9 @@ def outcome(kept: Path, recording: Recording, change: Change, tests_s: float, ki
     killers : the test file that last noticed a change, by changed file; brought up to date
     """
     touching = recording.tests_of(kept / "tree", change.path, change.line)
-    scenarios = sorted(name for name in touching if name.split("::")[0].endswith(".toml"))
     seconds = recording.seconds
+    scenarios = [name for name in touching if name.split("::")[0].endswith(".toml")]
+    scenarios.sort(key=lambda name: (seconds[name], name))  # the first that fails ends it
     tests = {name: focus for name, focus in touching.items() if name not in scenarios}
     files = _chosen(tests, seconds, tests_s, killers.get(change.path))
     groups = [("tests", files[:FIRST]), ("tests", files[FIRST:]), ("check", [scenarios])]
