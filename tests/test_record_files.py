@@ -159,7 +159,9 @@ class TestTextFiles:
         )
 
     def test_one_column_named_twice(self, csv):
-        assert "u_x is named twice" in message(read, csv(), outputs=["u_x"])
+        assert "inputs (--inputs) and outputs (--outputs)  u_x is named twice" in message(
+            read, csv(), outputs=["u_x"]
+        )
         assert "named twice, by name and by number" in message(read, csv(), outputs=["2"])
 
 
