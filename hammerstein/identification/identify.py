@@ -163,7 +163,8 @@ def identify(
     largest = built.best.candidate
     answer = answers(largest, ready, task.starts)
     refuse_noise(ready, answer)
-    held_starts = judged_starts(held, largest.predict, _settle_s(guesses), _start_mode(settings))
+    simpler = [candidate.predict for candidate in built.candidates.values() if candidate is not largest]
+    held_starts = judged_starts(held, largest.predict, _settle_s(guesses), _start_mode(settings), simpler)
     tell("judging the models")
     built, trials = _kept(task, built, held, held_starts)
     if not plain:
