@@ -20,7 +20,8 @@ from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.verdict import invertibility_of, verdict
 from hammerstein.model import HammersteinModel
 from hammerstein.records.preparation import run_in
-from hammerstein.records.record import Record, read_records
+from hammerstein.records.reading import read_records
+from hammerstein.records.record import Record
 from hammerstein.reporting.figures.identified import identified_figures, spectrum
 from hammerstein.reporting.figures.write import images
 from hammerstein.reporting.fit_page import fit_json, fit_page

@@ -13,7 +13,7 @@ from record_cases import TIME, N, U, X, message, read, table_text
 from hammerstein.errors import InputError
 from hammerstein.records.checks import sample_time, time_mistakes
 from hammerstein.records.readers import read_array
-from hammerstein.records.record import read_records
+from hammerstein.records.reading import read_records
 
 
 class TestTextFiles:
