@@ -116,19 +116,26 @@ def identify(
     largest = built.best.candidate
     answer = answers(largest, ready, task.starts)
     refuse_noise(ready, answer)
-    held_starts = judged_starts(held, largest.predict, settle_s_of(guesses), start_mode(settings))
+    held_starts = _starts_of_held(held, built, settle_s_of(guesses), settings)
     tell("judging the models")
     built, trials = _kept(task, built, held, held_starts)
     if not plain:
         task, built = with_hysteresis(replace(task, settings=asked), built, held)
-        held_starts = judged_starts(
-            held, built.best.candidate.predict, settle_s_of(guesses), start_mode(settings)
-        )
+        held_starts = _starts_of_held(held, built, settle_s_of(guesses), settings)
     fitted = {kind: score(c, ready, task.starts) for kind, c in built.candidates.items()}
     judged = {kind: score(c, held, held_starts) for kind, c in built.candidates.items()} if held else {}
     errors = Judgement(fitted, judged, held, held_starts, answer, trials)
     fit = account(task, built, curve, errors, voltages_of(records, ready, task.starts))
     return model_of(task, fit, built.best.candidate, name, instruments), fit
+
+
+def _starts_of_held(
+    held: tuple[Record, ...], built: Built, settle_s: float, settings: Settings
+) -> tuple[Start, ...]:
+    """How the records held back begin, by the best model, or by one that explains what it does not."""
+    best = built.best.candidate
+    simpler = [candidate.predict for candidate in built.candidates.values() if candidate is not best]
+    return judged_starts(held, best.predict, settle_s, start_mode(settings), simpler)
 
 
 def _kept(

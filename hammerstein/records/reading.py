@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 
@@ -95,9 +95,7 @@ def _refuse_arguments(
     for kind, columns in (("inputs", inputs), ("outputs", outputs)):
         if isinstance(columns, str) or not columns:
             mistakes.append(Mistake(kind, "give a list of at least one column"))
-    chosen = [*inputs, *outputs, *([time] if time is not None else [])]
-    for column in sorted({column for column in chosen if chosen.count(column) > 1}):
-        mistakes.append(Mistake("columns", f"{column} is named twice among inputs, outputs and time"))
+    mistakes += _named_twice({"inputs": inputs, "outputs": outputs, "time": [] if time is None else [time]})
     if (rate_hz is None) == (time is None):
         mistakes.append(
             Mistake("rate or time", "give one of them: the rate in Hz (--rate) or a column (--time)")
@@ -110,6 +108,14 @@ def _refuse_arguments(
             mistakes.append(Mistake(option, f"is {scale:g}; it {SCALE.words()}, and not 0"))
     if mistakes:
         raise InputError("records", mistakes)
+
+
+def _named_twice(chosen: Mapping[str, Sequence[str]]) -> Iterator[Mistake]:
+    """What each column that is named more than once is named as, and with which options."""
+    named = [column for columns in chosen.values() for column in columns]
+    for column in sorted({column for column in named if named.count(column) > 1}):
+        kinds = " and ".join(f"{kind} (--{kind})" for kind, columns in chosen.items() if column in columns)
+        yield Mistake(kinds, f"{column} is named twice; a column is one input, one output or the time")
 
 
 def _record(
