@@ -11,7 +11,7 @@ at = np.uint64  # an index of unsigned type is not tested for Python's counting 
 BLOCK = 1024  # samples whose noise is drawn at once; it stays in the cache
 
 
-@compiled()
+@compiled(inline="always")
 def converted(value, low, high, step):  # type: ignore[no-untyped-def]
     """Clip to a range and round to a step, as a converter does; what is not a number stays that."""
     held = value
