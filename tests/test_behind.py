@@ -83,6 +83,17 @@ def test_the_rate_keeps_what_is_its_own_and_the_lag_what_is_not():
     assert fit.fit["hammerstein"].rms_um[0] == pytest.approx(0.005, rel=0.02)  # its noise
 
 
+def test_a_delay_of_parts_of_a_sample_is_found_beside_lag_and_dead_zones():
+    axis = Axis(lag_s=1e-3)
+    late = AxesDynamics(axes=(axis,), input_delay_s=1.4 * T)
+    path = discretise(late, T)
+    records = [record_of("asymmetric", path, *both, seed) for seed, both in enumerate(BOTH)]
+    kept = {"thresholds_v": R, "dynamics": "lag", "creep_modes": 0, "error_curve": False, "start": "rest"}
+    model, _ = identify(records, Settings(hysteresis="asymmetric", dead_zones=5, **kept))
+    assert model.dynamics.input_delay_s == pytest.approx(1.4 * T, abs=0.05 * T)
+    assert model.dynamics.axes[0].lag_s == pytest.approx(1e-3, rel=0.01)
+
+
 def test_growth_suits_the_weights_that_it_will_have():
     """A falling weight, which is held at zero: growth and lag are where bounded weights leave least."""
     path = discretise(AxesDynamics(axes=(Axis(lag_s=1e-3),)), T)

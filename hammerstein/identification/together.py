@@ -28,7 +28,7 @@ from hammerstein.identification.linear.second_order import (
 from hammerstein.identification.score import begun, path_before
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients
-from hammerstein.identification.static.rate_dependent import SEARCH_SAMPLES, STABLE, Slopes
+from hammerstein.identification.static.rate_dependent import SEARCH_SAMPLES, STABLE, Slopes, differences
 from hammerstein.identification.static.regressors import Columns, Filter, SideBySide, Start
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.task import Task
@@ -39,6 +39,8 @@ Array = NDArray[np.float64]
 MOST_STEPS = 30
 ENOUGH = 1e-5
 """Gain of a step, in parts of the error, under which the search has arrived."""
+NOWHERE = 1e-5
+"""Change of a logarithm under which a step goes nowhere."""
 ROUNDING = 1e-9
 """Rms error, in parts of the readings, below which nothing but rounding is left."""
 STEP = 1e-3
@@ -65,6 +67,10 @@ class _Place:
         first, *others = np.split(change, ends)
         return self.theta + first, tuple(x + d for x, d in zip(self.x, others, strict=True))
 
+    def distance(self, theta: Array, x: tuple[Array, ...]) -> float:
+        """Largest change of a number."""
+        return float(np.abs(np.concatenate([theta, *x]) - np.concatenate([self.theta, *self.x])).max())
+
 
 def fitted_together(task: Task, block: RateDependent, found: Behind) -> tuple[RateDependent, Behind]:
     """Growth and bandwidth of rate-dependent plays, and axes, at the least that both leave.
@@ -77,10 +83,13 @@ def fitted_together(task: Task, block: RateDependent, found: Behind) -> tuple[Ra
     search = _Search(
         replace(task, records=few, starts=starts, delay_samples=found.delay_samples), block, found
     )
-    here = search.place(search.theta_of(block), tuple(parameters_of(fit.axis)[1] for fit in found.axes))
+    here = search.place(search.theta_of(block), tuple(parameters_of(axis)[1] for axis in found.axes))
     damping = FIRST_DAMPING
     for _ in range(MOST_STEPS):
-        there = search.place(*search.inside(*here.moved(damping)))
+        where = search.inside(*here.moved(damping))
+        if here.distance(*where) < NOWHERE:
+            break
+        there = search.place(*where)
         gain = here.cost - there.cost
         here, damping = (there, 0.1 * damping) if gain > 0.0 else (here, 10.0 * damping)
         if 0.0 < gain < ENOUGH or damping > 1e6:
@@ -89,7 +98,7 @@ def fitted_together(task: Task, block: RateDependent, found: Behind) -> tuple[Ra
     tasks = search.axis_tasks(block)
     solved = search.slopes.solved([_moments(*both) for both in zip(tasks, here.x, strict=True)])
     fits = [fit_axis(_within(one, free), x) for one, x, (_, free) in zip(tasks, here.x, solved, strict=True)]
-    return block, Behind(tuple(fits), found.delay_samples)
+    return block, Behind(tuple(fit.axis for fit in fits), found.delay_samples, tuple(fits))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +136,8 @@ class _Search:
 
     def axis_tasks(self, block: RateDependent) -> list[AxisTask]:
         """Tasks of the axes behind a block, with differences of its plays as columns."""
-        units = np.eye(len(block.weights[0]))
-        kept = self._columns(block.with_weights([self.slopes.weights(unit) for unit in units]))
+        each = zip(self.task.records, self.task.starts, strict=True)
+        kept = tuple(_differences(block, *both) for both in each)
         return [self._axis_task(o, kept) for o in range(self.task.outputs)]
 
     def place(self, theta: Array, x: tuple[Array, ...]) -> _Place:
@@ -159,7 +168,7 @@ class _Search:
         return _Place(theta, x, cost, curvature, pull)
 
     def _axis_task(self, o: int, kept: tuple[Columns, ...]) -> AxisTask:
-        task, (shape, _) = self.task, parameters_of(self.found.axes[o].axis)
+        task, (shape, _) = self.task, parameters_of(self.found.axes[o])
         sensor, every = task.settings.sensor_bandwidth_hz, thinning(task.records)
         return AxisTask(task.records, task.starts, (), o, shape, task.delay_samples, sensor, every, kept)
 
@@ -186,6 +195,16 @@ class _Search:
             ]
             for i in range(len(self.task.records))
         ]
+
+
+def _differences(block: RateDependent, record: Record, start: Start) -> Columns:
+    """Differences of neighbouring plays over a record, and before it."""
+    before = path_before(record, start)[:, -1]
+    values, held = (
+        differences(u, block.inputs, record.sample_time_s, start, before)
+        for u in (record.u_v, before[:, None])
+    )
+    return Columns(values, held[:, 0])
 
 
 def _responded(block: RateDependent, record: Record, start: Start) -> Columns:

@@ -254,17 +254,17 @@ class _Task(NamedTuple):
         record, start = self.records[i], self.starts[i]
         u, y = delayed(record, start, self.delay_samples), record.y_um[list(outputs)]
         before = path_before(record, start)[:, -1]
-        x = _differences(u, plays, record.sample_time_s, start, before)
+        x = differences(u, plays, record.sample_time_s, start, before)
         if self.through:
             [path] = path_filters(self.through, i, outputs[0], len(x), len(record.y_um))
-            held = _differences(before[:, None], plays, record.sample_time_s, start, before)[:, 0]
+            held = differences(before[:, None], plays, record.sample_time_s, start, before)[:, 0]
             passed, state = path.respond(x, path.settled(held))
             x = path.respond(x, state)[0] if start.kind == "repeated" else passed
         parts = range(start.first, x.shape[1], BLOCK)
         return moments_of(((x[:, k : k + BLOCK], y[:, k : k + BLOCK]) for k in parts), len(x), len(y))
 
 
-def _differences(
+def differences(
     u_v: Array, plays: Sequence[RatePlays], sample_time_s: float, start: Start, before_v: Array
 ) -> Array:
     """Differences of neighbouring plays (column, sample), input by input, held at ``before_v`` (input,)."""
