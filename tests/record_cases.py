@@ -6,7 +6,7 @@ import theory
 
 from hammerstein.errors import InputError
 from hammerstein.identification.settings import Settings
-from hammerstein.records.record import read_records
+from hammerstein.records.reading import read_records
 
 N = 400
 TIME = 5e-3 * np.arange(N)

@@ -36,6 +36,29 @@ def test_quantity_selects_and_reduces(selection, expected):
     assert Quantity(metric="rms_um", **selection).value(ROWS) == expected
 
 
+BENT = [_row(50.0 * math.sqrt(50 / f) if f < 50 else f, f) for f in (500, 150, 0.5, 5, 20, 50, 60)]
+"""Errors that grow as f above 50 Hz, and as 1 / sqrt(f) below."""
+
+
+@pytest.mark.parametrize(
+    ("selection", "expected"),
+    [
+        ({"of": "octaves_above"}, 1.0),
+        ({"of": "octaves_above", "times": 3.0}, math.log2(3.0)),  # a frequency of the sweep
+        ({"of": "octaves_above", "times": 1e3}, math.log2(10.0)),  # its end
+        ({"of": "octaves_below"}, 2.0),
+        ({"of": "octaves_below", "times": 4.0}, 4.0),
+        ({"of": "octaves_below", "times": 1e3}, math.log2(100.0)),
+        ({"of": "octaves_below", "times": 1.0}, 0.0),
+    ],
+)
+def test_octaves_to_where_a_figure_has_grown(selection, expected):
+    quantity = Quantity(metric="rms_um", found_hz=50, **selection)
+    assert quantity.value(BENT) == pytest.approx(expected, rel=1e-12)
+    assert quantity.value([*BENT, _row(0.01, 60), _row(0.01, 20)]) == pytest.approx(expected, rel=1e-12)
+    assert math.isnan(quantity.value([row for row in BENT if row.frequency_hz != 50]))
+
+
 def _claim(agreement, paper=None, **fields):
     return Claim.model_validate(
         {
@@ -84,6 +107,7 @@ def test_the_cause_is_the_factor_that_brings_agreement_with_both_numbers():
     assert not verdict.agrees
     assert verdict.ratio == 2.0
     assert [a.value for a in verdict.answers] == [8.0, 1.5]
+    assert verdict.cause == "the dynamics"
     assert verdict.reason == (
         "the dynamics: 8, without dynamics 1.5 (one at a time: ideal 1.9; with 16 passes 7.5)"
     )
@@ -95,6 +119,7 @@ def test_a_factor_that_is_not_enough_and_none_at_all():
     assert half.reason.endswith("not enough alone: 8, ideal 4")
     (none,) = verdicts([claim], rows, _changed(("sensor", "ideal", 7.9)))
     assert none.reason == "no single factor: 8; ideal 7.9"
+    assert none.cause == ""
     (below,) = verdicts([claim], {"plant": (_row(0.2, 200),)}, _changed(("sensor", "ideal", 0.9)))
     assert below.reason.startswith("the sensor")
     assert verdicts([claim.model_copy(update={"calibrated": True})], rows, _changed())[0].changes == ()
@@ -175,7 +200,14 @@ def test_a_claim_that_selects_nothing_is_a_mistake():
 
 
 @pytest.mark.parametrize(
-    "fields", [{"agreement": {}}, {"agreement": {"within": 0.1}}, {"quantity": {"metric": "rms"}}]
+    "fields",
+    [
+        {"agreement": {}},
+        {"agreement": {"within": 0.1}},
+        {"quantity": {"metric": "rms"}},
+        {"quantity": {"metric": "rms_um", "of": "octaves_below"}},
+        {"quantity": {"metric": "rms_um", "found_hz": 50}},
+    ],
 )
 def test_refused(fields):
     with pytest.raises(ValidationError):
@@ -210,7 +242,10 @@ def test_the_page_opens_with_what_holds_where_and_puts_calibration_apart(tmp_pat
     text = (tmp_path / "page" / "README.md").read_text()
     opening = text.split("\n\n")[1]
     assert opening.startswith("Claims that hold, of 2: 1 of 2 that were asked under `duo_bimorph_static`")
-    assert "Under none of them holds C2." in opening
+    assert (
+        "Under none of them holds, with the factor that brings each nearest on its own actuator: "
+        "C2 (no single factor)." in opening
+    )
     counted, apart = text.split("The actuators were made to meet these")
     assert "| C3 |" in apart
     assert "| C3 |" not in counted

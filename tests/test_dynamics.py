@@ -159,6 +159,15 @@ def test_state_space_of_the_users_own_is_kept():
     assert again == dynamics
 
 
+@pytest.mark.parametrize(("pole", "sample_time_s"), [(0.0, None), (1.0, 1e-3), (-1.0, 1e-3)])
+def test_a_pole_on_the_border_of_stability_is_not_stable(pole, sample_time_s):
+    """An integrator, a sum, and a sum of alternating sign: each grows without bound."""
+    rows = {"A": ((pole,),), "B": ((1.0,),), "C": ((1.0,),), "D": ((0.0,),)}
+    assert "is not stable" in StateSpaceDynamics(**rows, sample_time_s=sample_time_s).instability()
+    inside = rows | {"A": ((0.99 * pole if sample_time_s else -1e-9,),)}
+    assert not StateSpaceDynamics(**inside, sample_time_s=sample_time_s).instability()
+
+
 def test_no_dynamics_passes_its_input():
     u = np.random.default_rng(2).normal(size=(2, 20))
     y, _ = discretise(StaticDynamics(n_outputs=2), T).respond(u)

@@ -13,6 +13,7 @@ import psutil
 import pytest
 
 from hammerstein.errors import LostProcessError
+from hammerstein.runtime import workers
 from hammerstein.runtime.fanning import in_order
 from hammerstein.runtime.processes import loaded_beforehand
 from hammerstein.runtime.workers import Processes, signal_name
@@ -142,14 +143,14 @@ def test_a_killed_worker_s_scenario_is_run_again(folder, started):
     run = started("run", "scenarios", "--jobs", "3", "--no-figures", "--out", "r")
     run.wait_for(folder / "r/a/report.json")
     run.family()
-    workers = [p for p in run.seen if p.ppid() != run.process.pid]
-    assert len(workers) == 3
-    for worker in workers[1:]:
+    seen = [p for p in run.seen if p.ppid() != run.process.pid]
+    assert len(seen) == 3
+    for worker in seen[1:]:
         worker.kill()
     code, out, error = run.end()
     assert (code, error) == (0, "")
     assert "4 of 4 reports" in out
-    assert_gone(workers)
+    assert_gone(seen)
 
 
 def ended_by(number, name, log):
@@ -170,6 +171,34 @@ def test_a_task_that_ends_its_process_is_tried_twice_and_does_not_stop_the_other
         futures.pop(2).result()
     assert [future.result() for future in futures] == [*"abdefg"]
     assert sorted(log.read_text()) == sorted("abccdefg")
+
+
+@pytest.mark.parametrize(
+    ("error", "times", "told"),
+    [
+        (EOFError, 1, (None, None)),
+        (ConnectionRefusedError, 2, (LostProcessError, None)),
+        (RuntimeError, 1, (RuntimeError, None)),
+    ],
+)
+def test_a_process_that_cannot_begin_is_tried_twice_and_nobody_waits_for_ever(
+    monkeypatch, error, times, told
+):
+    """As where the server that begins the processes is killed while it loads the libraries."""
+    left = [error()] * times
+
+    class Worker(workers._Worker):
+        def __init__(self):
+            if left:
+                raise left.pop()
+            super().__init__()
+
+    monkeypatch.setattr(workers, "_Worker", Worker)
+    with Processes(1) as processes:
+        futures = [processes.submit(size_of_a_result) for _ in told]
+        found = [future.exception(timeout=20.0) for future in futures]
+    assert tuple(error and type(error) for error in found) == told
+    assert all("could not begin, twice" in str(e) for e in found if isinstance(e, LostProcessError))
 
 
 def test_a_signal_without_a_name_is_told_by_its_number():

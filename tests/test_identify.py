@@ -9,17 +9,19 @@ import pytest
 import theory
 from record_cases import plain
 
-from hammerstein.dynamics import StateSpaceDynamics, discretise
+from hammerstein.dynamics import StateSpaceDynamics, StaticDynamics, discretise
 from hammerstein.errors import IdentificationError, InputError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.identify import identify
 from hammerstein.identification.linear.coupled import ModalCopies, behind_gain, fit_linear, fit_static_coupled
-from hammerstein.identification.score import Score
-from hammerstein.identification.static.history import cautious_start, closed
+from hammerstein.identification.score import Candidate, Score
+from hammerstein.identification.static.history import cautious_start, closed, judged_starts
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.verdict import invertibility_of, verdict
 from hammerstein.model import HammersteinModel
 from hammerstein.records.preparation import run_in
-from hammerstein.records.record import Record, read_records
+from hammerstein.records.reading import read_records
+from hammerstein.records.record import Record
 from hammerstein.reporting.figures.identified import identified_figures, spectrum
 from hammerstein.reporting.figures.write import images
 from hammerstein.reporting.fit_page import fit_json, fit_page
@@ -265,6 +267,20 @@ def test_starts_are_told_from_the_records():
     assert closed(loop)
     assert cautious_start(loop) == Start("repeated")
     assert identify([moving], plain(start="rest"))[1].starts == (Start("rest"),)
+
+
+def test_a_beginning_that_a_simpler_model_explains_is_not_left_out():
+    t = np.arange(2000) / 400
+    u = 5.0 - 5.0 * np.cos(2.0 * np.pi * t) * np.linspace(1.0, 0.5, 2000)
+    plays = (([0.0, 2.0, 6.0], [3.0, 1.0, 0.5]), ([0.0, 2.0], [3.0, 1.0]), ([0.0], [3.7]))
+    truth = [PrandtlIshlinskii([[Pair(r, w)]]) for r, w in plays]
+    right, late, linear = (Candidate(block, StaticDynamics(n_outputs=1)).predict for block in truth)
+    record = Record([u], truth[0].respond([u])[0], 1e-3)  # its play of 6 V moves in the first rise alone
+    (start,) = judged_starts([record], late, 0.0)
+    assert start.kind == "repeated"
+    assert start.first > 0
+    assert judged_starts([record], late, 0.0, simpler=[linear]) == (start,)
+    assert judged_starts([record], late, 0.0, simpler=[linear, right]) == (Start("rest"),)
 
 
 def test_a_dead_start_is_used_as_it_is():

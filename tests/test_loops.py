@@ -11,7 +11,8 @@ import theory
 from hammerstein.records.loops import branches, loop_table, pair_loops, telling_loops, without_loops
 from hammerstein.records.noise import dead_band, noise_rms, quantum
 from hammerstein.records.preparation import leads
-from hammerstein.records.record import Record, read_paired_records, read_records
+from hammerstein.records.reading import read_paired_records, read_records
+from hammerstein.records.record import Record
 from hammerstein.records.turning_points import find_cycles, turning_points
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

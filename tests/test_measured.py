@@ -12,7 +12,8 @@ from hammerstein.dynamics import StateSpaceDynamics
 from hammerstein.identification.identify import identify
 from hammerstein.records.preparation import driven_inputs, estimate_delay, leads
 from hammerstein.records.readers import read_columns
-from hammerstein.records.record import Record, read_paired_records, read_records
+from hammerstein.records.reading import read_paired_records, read_records
+from hammerstein.records.record import Record
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 DBO = DATA / "dbo_piezo_micromanipulator"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hammerstein.records.outliers import without_outliers
+from hammerstein.records.outliers import Outliers, without_outliers
 
 U = 10.0 * np.sin(np.linspace(0.0, 40.0, 4000))[None]
 
@@ -18,6 +18,19 @@ def test_a_short_jump_away_and_back_is_one_in_any_unit(scale):
     found = without_outliers(U, scale * y)
     assert np.flatnonzero(found.lost_y[0]).tolist() == list(range(middle, middle + 5))
     np.testing.assert_allclose(found.y, scale * 5.0 * U, atol=1e-3 * scale)
+
+
+def test_the_sample_before_the_last_may_be_one():
+    y = 5.0 * U
+    y[0, -2] += 30.0
+    assert np.flatnonzero(without_outliers(U, y).lost_y[0]).tolist() == [U.shape[1] - 2]
+
+
+@pytest.mark.parametrize("first", [1, 2, 3])
+def test_rows_are_told_from_the_first_on(first):
+    rows = np.array([first, first + 1, 30])
+    told = Outliers("x", rows, np.array([-9.0, -9.0, 200.0]), 4000).describe()
+    assert told == f"rows {first} to {first + 1} (-9), row 30 (200): 3 of 4000 samples"
 
 
 @pytest.mark.parametrize("scale", [1e-5, 1.0, 1e5])

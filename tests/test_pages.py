@@ -281,6 +281,14 @@ def test_a_browser_shows_it_without_complaint(folder: Path, page: Page, name: st
     assert page.value(f"{figures}.every(draw => {seen}.join() === '{kind}')")
 
 
+@pytest.mark.parametrize("width", [400, 1000, 1400])
+def test_the_table_of_claims_is_as_wide_as_the_page(folder: Path, page: Page, width: int) -> None:
+    opened(page, folder / "plain/swept/report.html", width)
+    table = "document.querySelector('#claims-of-the-paper ~ .scroll')"
+    assert page.value(f"{table}.textContent").count("onerror") == 3  # id, statement and actuator
+    assert page.value(f"{table}.scrollWidth - {table}.clientWidth") == 0
+
+
 ROWS = "[...document.querySelector('#numbers ~ .scroll table').tBodies[0].rows]"
 COLUMN = f"{ROWS}.map(row => parseFloat(row.cells[1].textContent))"
 TYPE = """{ const input = document.querySelector(".filter input"); input.value = "%s";

@@ -12,6 +12,7 @@ from record_faults import SHAPES, STEP_S, copied, measured
 
 from hammerstein.errors import HammersteinError
 from hammerstein.identification.identify import identify
+from hammerstein.identification.leftover import faults_left
 from hammerstein.records.record import Record
 
 WORDS = {
@@ -101,19 +102,30 @@ def test_a_fault_is_named_with_its_rows_and_none_of_the_others(fault, name, rows
     assert re.search(rows, said, re.DOTALL), said
 
 
-def test_creep_that_the_model_has_is_not_told_as_drift():
-    """A short record of a creeping axis has a trend, whatever plays and delayed voltages explain."""
+def creeping_record():
     stage = made_up.stage(
         3, resonances_hz=None, plays=9, rate_hz=2e3, noise_um=2e-3, creep=((0.07, 0.08),), loop=0.1
     )
-    stage = replace(
-        stage, thresholds_v=stage.thresholds_v[:1], weights_um_per_v=stage.weights_um_per_v[:1, :1]
-    )
+    one = {"thresholds_v": stage.thresholds_v[:1], "weights_um_per_v": stage.weights_um_per_v[:1, :1]}
+    stage = replace(stage, **one)
     u = made_up.triangles(stage, 0, cycles=4, hz=4.0)
-    record = Record(u, stage.record(u, np.random.default_rng(0)), 5e-4, source="short.csv")
-    settings = plain(operators=20, delay_samples=0)
+    return Record(u, stage.record(u, np.random.default_rng(0)), 5e-4, source="short.csv")
+
+
+def test_creep_that_the_model_has_is_not_told_as_drift():
+    """A short record of a creeping axis has a trend, whatever plays and delayed voltages explain."""
+    record, settings = creeping_record(), plain(operators=20, delay_samples=0)
     _, without = identify([record], settings)
     assert suspicions("\n".join(without.flags)) == {"drift"}
     _, fit = identify([record], replace(settings, dynamics="lag", creep_modes=1))
     assert fit.axes[0].axis.creep[0].gain == pytest.approx(0.07, rel=0.2)
     assert suspicions("\n".join(fit.flags)) == set()
+    model = fit.candidates["hammerstein"]
+    (mode,) = model.dynamics.axes[0].creep
+    for part, words in ((0.3, True), (0.0, False)):  # a model with too little creep may lack something else
+        modes = [mode.model_copy(update={"gain": part * mode.gain})] if part else []
+        axis = model.dynamics.axes[0].model_copy(update={"creep": tuple(modes)})
+        less = replace(model, dynamics=model.dynamics.model_copy(update={"axes": (axis,)}))
+        (left,) = faults_left(less, fit.records, fit.starts)
+        assert suspicions(left.text) == {"drift"}
+        assert ("hammerstein compare tries the others" in left.text) == words

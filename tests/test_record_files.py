@@ -13,7 +13,7 @@ from record_cases import TIME, N, U, X, message, read, table_text
 from hammerstein.errors import InputError
 from hammerstein.records.checks import sample_time, time_mistakes
 from hammerstein.records.readers import read_array
-from hammerstein.records.record import read_records
+from hammerstein.records.reading import read_records
 
 
 class TestTextFiles:
@@ -159,7 +159,9 @@ class TestTextFiles:
         )
 
     def test_one_column_named_twice(self, csv):
-        assert "u_x is named twice" in message(read, csv(), outputs=["u_x"])
+        assert "inputs (--inputs) and outputs (--outputs)  u_x is named twice" in message(
+            read, csv(), outputs=["u_x"]
+        )
         assert "named twice, by name and by number" in message(read, csv(), outputs=["2"])
 
 
@@ -305,6 +307,9 @@ class TestFiles:
         assert "complex numbers" in message(read, tmp_path / "complex.npy", inputs=["1"], outputs=["2"])
         assert "cut short" in message(read, tmp_path / "cut.npy")
         assert "is no .npz file" in message(read, tmp_path / "text.npz")
+        scipy.io.savemat(tmp_path / "whole.mat", {"u": U, "x": X})
+        (tmp_path / "cut.mat").write_bytes((tmp_path / "whole.mat").read_bytes()[:400])
+        assert message(read, tmp_path / "cut.mat").count("cut short") == 1
         assert "different numbers of samples: u 400, x 397" in message(
             read, tmp_path / "lengths.npz", inputs=["u"]
         )

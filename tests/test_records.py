@@ -8,7 +8,8 @@ from record_cases import N, U, X, message, plays
 
 from hammerstein.errors import InputError
 from hammerstein.records.preparation import driven_inputs
-from hammerstein.records.record import Record, read_paired_records, read_records
+from hammerstein.records.reading import read_paired_records, read_records
+from hammerstein.records.record import Record
 
 
 class TestRecord:

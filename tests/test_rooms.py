@@ -1,7 +1,11 @@
-"""How many rooms a scenario passes on its way to a report."""
+"""How many rooms a scenario passes on its way to a report, and how often it turns back upwards."""
 
+import ast
+import configparser
 import sys
 from pathlib import Path
+
+import pytest
 
 import hammerstein
 from hammerstein.reporting.folder import write_report
@@ -15,15 +19,25 @@ SCENARIO = {
 }
 
 
-def test_a_run_to_its_report_enters_nine_rooms(tmp_path):
-    def to_a_report(name):
-        write_report(hammerstein.run(SCENARIO), tmp_path / name, figures=False)
+@pytest.fixture(scope="module")
+def calls(tmp_path_factory):
+    """Pairs (caller, called) of files of the package in a run to its report."""
+    folder = tmp_path_factory.mktemp("reports")
 
-    entered = set()
+    def to_a_report(name):
+        write_report(hammerstein.run(SCENARIO), folder / name, figures=False)
+
+    found = set()
 
     def note(frame, event, argument):
-        if event == "call":
-            entered.add(frame.f_code.co_filename)
+        called = frame.f_code.co_filename
+        if event != "call" or not called.startswith(f"{PACKAGE}/"):
+            return
+        caller = frame.f_back
+        while caller is not None and not caller.f_code.co_filename.startswith(f"{PACKAGE}/"):
+            caller = caller.f_back
+        if caller is not None:
+            found.add((Path(caller.f_code.co_filename), Path(called)))
 
     to_a_report("first")  # what is imported on the way is no step of it
     sys.setprofile(note)
@@ -31,9 +45,49 @@ def test_a_run_to_its_report_enters_nine_rooms(tmp_path):
         to_a_report("second")
     finally:
         sys.setprofile(None)
-    files = [Path(name).relative_to(PACKAGE) for name in entered if name.startswith(f"{PACKAGE}/")]
-    rooms = {file.parts[0] for file in files if len(file.parts) > 1} - {"templates"}
-    assert rooms <= {
+    return found
+
+
+def room_of(file):
+    return file.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def test_a_run_to_its_report_enters_nine_rooms(calls):
+    rooms = {room_of(called) for _, called in calls if (PACKAGE / room_of(called)).is_dir()}
+    assert rooms - {"templates"} <= {
         *("scenario", "experiment", "compensators", "hysteresis", "dynamics", "metrics", "reporting"),
         *("runtime", "storage"),
     }
+
+
+def floors():
+    """Floor of each room, the highest first, as .importlinter has them."""
+    contract = configparser.ConfigParser()
+    contract.read(Path(__file__).parents[1] / ".importlinter")
+    lines = contract["importlinter:contract:layers"]["layers"].split("\n")
+    return {room.strip(): i for i, line in enumerate(filter(None, lines)) for room in line.split("|")}
+
+
+def imported_rooms(file):
+    """Rooms of the package that a file imports from, wherever it does."""
+    names = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.update({node.module, *(f"{node.module}.{alias.name}" for alias in node.names)})
+    return {name.split(".")[1] for name in names if name.startswith("hammerstein.")}
+
+
+def test_a_run_to_its_report_never_climbs(calls):
+    """What was handed down may be called: a task, a block behind its protocol. What is fetched lies below."""
+    floor = floors()
+    climbs = {
+        (str(caller.relative_to(PACKAGE)), room_of(called))
+        for caller, called in calls
+        if floor.get(room_of(called), 99) < floor.get(room_of(caller), 0)
+        and room_of(called) in imported_rooms(caller)
+    }
+    assert not climbs
+    assert {"experiment", "reporting", "hysteresis"} <= floor.keys()
+    assert any(floor.get(room_of(a), 99) < floor.get(room_of(b), 0) for a, b in calls)  # it comes down

@@ -13,8 +13,10 @@ from theory_linear import second_order_step
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
 from hammerstein.identification.axes_candidates import dynamics_of
 from hammerstein.identification.linear.axis_delay import _part_of_a_sample, checked_delay
+from hammerstein.identification.linear.axis_fit import AxisFit, fit_axes
+from hammerstein.identification.linear.axis_search import search_axes
+from hammerstein.identification.linear.axis_steps import refine
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
-from hammerstein.identification.linear.second_order import AxisFit, fit_axes, refine, search_axes
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.verdict import axis_identified, axis_statements

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from hammerstein.errors import InputError
-from hammerstein.signals import Circle, FromFile, Lissajous, Multisine, Sine, Spiral, Triangle, read_signal
+from hammerstein.signal_tables import read_signal
+from hammerstein.signals import Circle, FromFile, Lissajous, Multisine, Sine, Spiral, Triangle
 
 t = np.linspace(0.0, 0.1, 2001)
 

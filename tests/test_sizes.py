@@ -150,6 +150,13 @@ def test_what_takes_long_says_so_and_wants_yes_of_a_person(tmp_path, monkeypatch
     assert "start it with --yes" in said
     assert "iterations" in said
     assert begun == []
+    with monkeypatch.context() as little:  # nobody is asked for what is refused in the end
+        little.setattr("hammerstein.experiment.plan.free_bytes", lambda: 1e3)
+        little.setattr("hammerstein.experiment.batch.run", run)
+        code, said = call(True)
+        assert code == 3
+        assert "this takes about" not in said
+        assert "of memory, and 1e-06 GB are free" in said
     for watched, options in ((True, ["--yes"]), (False, [])):
         code, said = call(watched, *options)
         assert "this takes about" in said

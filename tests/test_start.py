@@ -198,6 +198,7 @@ def test_show_counts_what_is_met(folder: Path, capsys: pytest.CaptureFixture[str
     ("name", "text", "told"),
     [
         ("no.json", "{", "is not JSON"),
+        ("digits.json", "9" * 5000, "is not JSON: Exceeds the limit (4300 digits)"),
         ("other.json", "{}", "is no model"),
         ("none.csv", None, "does not exist"),
         ("report.html", "<p>1 2 3", "is a page to be read"),
@@ -218,6 +219,7 @@ def test_show_says_what_is_wrong(
     error = capsys.readouterr().err
     assert name in error
     assert told in re.sub("  +", "  ", error)
+    assert "sys." not in error
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with a name here")

@@ -12,6 +12,7 @@ from scipy.stats import qmc
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
 from hammerstein.experiment import study
+from hammerstein.experiment.plan import plan_of
 from hammerstein.experiment.run import run, simulate
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.study import Study
@@ -197,7 +198,54 @@ def test_a_dry_run_says_how_much_it_is(tmp_path, capsys):
     (tmp_path / "s.toml").write_text(TEXT.replace("= 8", "= 65536"))
     assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--dry-run") == 0
     assert "65536 runs of sobol values" in capsys.readouterr().err
+    (tmp_path / "s.toml").write_text(TEXT.partition("how")[0] + f'values = {{ "{CYCLES}" = [1, 1000000] }}')
+    assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--dry-run") == 0
+    assert "2 runs of product values, about 2 minutes" in capsys.readouterr().err  # 1e8 samples of 1.2 us
     assert not (tmp_path / "o.csv").exists()
+
+
+CYCLES = "measure.settle_cycles"
+
+
+def planned(values, **more):
+    scenario = Scenario.model_validate(SCENARIO | {"study": {"values": values} | more})
+    return study.plan_of_study(scenario, "s")
+
+
+def of_one(values):
+    scenario = Scenario.model_validate(SCENARIO)
+    return plan_of(study.varied(scenario, values))
+
+
+def test_a_study_is_as_long_as_its_runs_together_and_as_large_as_the_largest():
+    each = [of_one({CYCLES: cycles, SIZE: size}) for cycles in (0, 10_000) for size in (5.0, 10.0)]
+    found = planned({CYCLES: [0, 10_000], SIZE: [5.0, 10.0]})
+    assert found.seconds == pytest.approx(sum(one.seconds for one in each))
+    assert found.bytes == max(one.bytes for one in each) > 50 * each[0].bytes
+    zipped = planned({CYCLES: [0, 10_000], SIZE: [5.0, 10.0]}, how="zip")
+    assert zipped.seconds == pytest.approx(each[0].seconds + each[3].seconds)
+    impossible = planned({SIZE: [5.0, -1.0]})  # such a run is a row with an error
+    assert impossible.seconds == of_one({SIZE: 5.0}).seconds
+
+
+def test_of_a_large_study_some_runs_tell_how_long_it_is():
+    cycles, sizes = list(range(1000)), [float(size) for size in range(1, 51)]
+    middle = of_one({CYCLES: 500}).seconds
+    for how, values in (
+        ("product", {CYCLES: cycles, SIZE: sizes}),
+        ("zip", {CYCLES: cycles, SIZE: [sizes[0]] * 1000}),
+        ("sobol", {CYCLES: [0, 1000], SIZE: [1.0, 50.0]}),
+    ):
+        samples = {"samples": 1024} if how == "sobol" else {}
+        found = planned(values, how=how, **samples)
+        count = Study(how=how, values=values, **samples).count()
+        assert found.seconds == pytest.approx(count * middle, rel=0.25)  # of 100 runs: 6 % of the mean
+        assert found.bytes >= of_one({CYCLES: 999}).bytes
+
+
+def test_a_single_long_run_of_many_is_seen():
+    values = {CYCLES: [*([0] * 999), 10_000], SIZE: [10.0] * 1000}
+    assert planned(values, how="zip").seconds >= of_one({CYCLES: 10_000}).seconds
 
 
 def test_what_is_no_scenario_with_a_study_is_refused_before_anything_runs(tmp_path, capsys, monkeypatch):

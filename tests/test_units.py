@@ -9,7 +9,8 @@ from record_cases import TIME, N, U, X, message, read, table_text
 from hammerstein.errors import InputError
 from hammerstein.records.gains import doubtful_gains, pair_gains
 from hammerstein.records.readers import read_columns
-from hammerstein.records.record import Record, read_records
+from hammerstein.records.reading import read_records
+from hammerstein.records.record import Record
 
 
 @pytest.mark.parametrize(

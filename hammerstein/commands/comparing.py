@@ -9,52 +9,17 @@ from typing import Annotated
 
 import typer
 
-from hammerstein.commands.record_options import (
-    AcceptGain,
-    AsJson,
-    CreepModes,
-    DelaySamples,
-    DynamicsOption,
-    Files,
-    Inputs,
-    InputScale,
-    Operators,
-    Order,
-    Outputs,
-    OutputScale,
-    Placing,
-    Rate,
-    Ridge,
-    SensorBandwidth,
-    Thresholds,
-    Time,
-    Validate,
-    Weights,
-)
-from hammerstein.commands.records import Spinner, checked_gains, reader, refuse_fitted, told_by_options
+from hammerstein.commands.grouped import grouped
+from hammerstein.commands.record_options import AsJson, HeldBack, Identified, Recorded
 from hammerstein.commands.terminal import complain, show, tell, tell_json
+from hammerstein.commands.watch import Spinner
 
 
+@grouped
 def compare(
-    files: Files,
-    inputs: Inputs,
-    outputs: Outputs,
-    rate: Rate = None,
-    time: Time = None,
-    input_scale: InputScale = None,
-    output_scale: OutputScale = None,
-    accept_gain: AcceptGain = False,
-    validate: Validate = None,
-    operators: Operators = "auto",
-    partition: Placing = "auto",
-    thresholds: Thresholds = None,
-    method: Weights = "invertible",
-    ridge: Ridge = 0.0,
-    dynamics: DynamicsOption = "auto",
-    order: Order = None,
-    creep_modes: CreepModes = "auto",
-    delay_samples: DelaySamples = None,
-    sensor_bandwidth: SensorBandwidth = None,
+    recorded: Recorded,
+    held: HeldBack,
+    identified: Identified,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the comparison goes.")] = Path("compare"),
     jobs: Annotated[
         int, typer.Option(min=1, help="Identifications side by side.", show_default="the processors")
@@ -67,31 +32,16 @@ def compare(
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.comparison.compare import compare as compared
     from hammerstein.files import refuse_unwritable
-    from hammerstein.identification.settings import settings_of
     from hammerstein.reporting.compare_folder import ALWAYS, COMPARISON, write_comparison
     from hammerstein.storage.staging import prepare
 
-    with told_by_options("identification"):
-        settings = settings_of(
-            operators=operators,
-            thresholds=thresholds,
-            partition=partition,
-            method=method,
-            ridge=ridge,
-            dynamics=dynamics,
-            order=order,
-            creep_modes=creep_modes,
-            delay_samples=delay_samples,
-            sensor_bandwidth_hz=sensor_bandwidth,
-        )
-    held = validate or []
-    refuse_fitted(held, files)
+    settings = identified.settings()
+    held.refuse_fitted(recorded.files)
     refuse_unwritable("--out", out)
     prepare(out, COMPARISON, ALWAYS)
     compile_once(complain)
-    read = reader(inputs, outputs, rate, time, input_scale, output_scale)
-    records, validation = read(files), read(held, all_driven=False) if held else ()
-    checked_gains(records, accept_gain)
+    records, validation = recorded.read(), held.read(recorded)
+    recorded.gains(records)
     with Spinner() as spinner:
 
         def watch(what: str, done: int, total: int) -> None:

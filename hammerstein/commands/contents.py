@@ -106,7 +106,8 @@ def _json(path: Path) -> Contents:
     try:
         found = json.loads(text)
     except ValueError as error:
-        raise InputError(str(path), f"is not JSON: {error}") from None
+        reason = str(error).partition(";")[0]  # without what Python tells a programmer
+        raise InputError(str(path), f"is not JSON: {reason}") from None
     form = str(found.get("format", "")) if isinstance(found, dict) else ""
     if form.startswith("hammerstein-model/"):
         return Contents("model", tuple(_model(path)))

@@ -7,24 +7,16 @@ from typing import Annotated, Any
 
 import typer
 
-from hammerstein.commands.law_options import (
-    AcceptFlagged,
-    Conditioned,
-    FilterHz,
-    LawGain,
-    Preview,
-    PreviewS,
-    Range,
-    SofteningV,
-    Start,
-    volts,
-)
+from hammerstein.commands.grouped import grouped
+from hammerstein.commands.law_options import LawWords, Sent
 from hammerstein.commands.terminal import complain, tell, tell_json
 
 FORMATS = ("c", "fmu")
 
 
+@grouped
 def export(
+    *,
     model: Annotated[str | None, typer.Argument(help="Model file, or packaged actuator.")] = None,
     law: Annotated[
         str, typer.Option(help="As of compensate, or model: the actuator itself.")
@@ -37,16 +29,9 @@ def export(
     sample_time: Annotated[
         float | None, typer.Option(metavar="S", help="Time between samples; that of the model's drive.")
     ] = None,
-    preview_s: PreviewS = None,
-    preview: Preview = None,
-    filter_hz: FilterHz = None,
-    softening_v: SofteningV = None,
-    gain: LawGain = None,
-    range_v: Range = None,
-    start: Start = None,
-    conditioned: Conditioned = False,
+    words: LawWords,
+    sent: Sent,
     float32: Annotated[bool, typer.Option("--float32", help="Compute in single precision.")] = False,
-    accept_flagged: AcceptFlagged = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Turn a law, or the model itself, into code that runs without Python."""
@@ -59,15 +44,12 @@ def export(
         return
     if form not in FORMATS:
         raise InputError("--format", f"{form!r} is not one of {', '.join(FORMATS)}")
-    ahead = preview if preview_s is None else preview_s
-    given = {"preview_s": ahead, "filter_hz": filter_hz, "softening_v": softening_v, "gain": gain}
-    options = {name: value for name, value in given.items() if value is not None}
     request = {
-        "options": options,
-        "range_v": volts("--range", range_v),
-        "start_v": volts("--start", start),
-        "conditioned": conditioned,
-        "accept_flagged": accept_flagged,
+        "options": words.options(),
+        "range_v": sent.ends,
+        "start_v": sent.begins,
+        "conditioned": sent.conditioned,
+        "accept_flagged": sent.accept_flagged,
         "float32": float32,
         "form": form,
     }
@@ -90,7 +72,7 @@ def _check(folder: Path, as_json: bool) -> None:
 def _write(
     model: str, law: str, out: Path | None, sample_time: float | None, given: dict[str, Any], as_json: bool
 ) -> None:
-    from hammerstein.commands.records import told_by_options
+    from hammerstein.commands.refusals import told_by_options
     from hammerstein.commands.tables import kept_aside
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.errors import InputError

@@ -2,31 +2,72 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import typer
 
-FilterHz = Annotated[float | None, typer.Option(help="Bandwidth of the reference filter.")]
-SofteningV = Annotated[float | None, typer.Option(help="Voltage that spreads the jump.")]
-PreviewS = Annotated[
-    float | None, typer.Option("--preview-s", metavar="S", help="How far ahead the reference is known.")
-]
-Preview = Annotated[float | None, typer.Option("--preview", hidden=True)]  # as it was called before
-LawGain = Annotated[str | None, typer.Option(help="Of inverse_multiplicative: auto or identity.")]
-Range = Annotated[
-    str | None,
-    typer.Option("--range", metavar="LOW,HIGH", help="Voltages it may use; those of the records."),
-]
-Start = Annotated[
-    str | None,
-    typer.Option(metavar="V[,V]", help="Voltage before the first sample; the path counts from there."),
-]
-Conditioned = Annotated[
-    bool, typer.Option("--conditioned", help="It was driven to HIGH, then LOW, before the start.")
-]
-AcceptFlagged = Annotated[
-    bool, typer.Option("--accept-flagged", help="Accept a model that its fit report flags.")
-]
+
+@dataclass(frozen=True)
+class LawWords:
+    """Options of a law; each is taken by those laws that have it."""
+
+    filter_hz: Annotated[float | None, typer.Option(help="Bandwidth of the reference filter.")] = None
+    preview_s: Annotated[
+        float | None, typer.Option("--preview-s", metavar="S", help="How far ahead the reference is known.")
+    ] = None
+    preview: Annotated[float | None, typer.Option("--preview", hidden=True)] = None  # as it was called before
+    softening_v: Annotated[float | None, typer.Option(help="Voltage that spreads the jump.")] = None
+    gain: Annotated[str | None, typer.Option(help="Of inverse_multiplicative: auto or identity.")] = None
+
+    def options(self) -> dict[str, Any]:
+        """Those that were given, by their names in a scenario.
+
+        Raises InputError for a gain that no word stands for.
+        """
+        from hammerstein.errors import InputError
+
+        if self.gain not in (None, "auto", "identity"):
+            what = f"must be auto or identity, not {self.gain!r}; a matrix goes into a scenario"
+            raise InputError("--gain", what)
+        ahead = self.preview if self.preview_s is None else self.preview_s
+        asked = {
+            "filter_hz": self.filter_hz,
+            "preview_s": ahead,
+            "softening_v": self.softening_v,
+            "gain": self.gain,
+        }
+        return {name: value for name, value in asked.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Sent:
+    """What may be sent to the actuator, and where it stands before."""
+
+    range_v: Annotated[
+        str | None,
+        typer.Option("--range", metavar="LOW,HIGH", help="Voltages it may use; those of the records."),
+    ] = None
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="V[,V]", help="Voltage before the first sample; the path counts from there."),
+    ] = None
+    conditioned: Annotated[
+        bool, typer.Option("--conditioned", help="It was driven to HIGH, then LOW, before the start.")
+    ] = False
+    accept_flagged: Annotated[
+        bool, typer.Option("--accept-flagged", help="Accept a model that its fit report flags.")
+    ] = False
+
+    @property
+    def ends(self) -> tuple[float, ...] | None:
+        """Voltages of the range."""
+        return volts("--range", self.range_v)
+
+    @property
+    def begins(self) -> tuple[float, ...] | None:
+        """Voltages of the start."""
+        return volts("--start", self.start)
 
 
 def volts(option: str, words: str | None) -> tuple[float, ...] | None:

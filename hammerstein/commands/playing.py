@@ -15,7 +15,7 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.files import Content
 from hammerstein.model import HammersteinModel
 from hammerstein.records.units import axis_name
-from hammerstein.signals import read_signal
+from hammerstein.signal_tables import read_signal
 from hammerstein.simulation import Response
 
 Array = NDArray[np.float64]

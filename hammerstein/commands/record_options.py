@@ -2,57 +2,153 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-Files = Annotated[list[Path], typer.Argument(metavar="FILE", help="Records: CSV, .dat, .npy, .mat, Parquet.")]
-Inputs = Annotated[str, typer.Option(metavar="COL[,COL]", help="Voltage columns, by name or number from 1.")]
-Outputs = Annotated[
-    str, typer.Option(metavar="COL[,COL]", help="Displacement columns, by name or number from 1.")
-]
-Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Samples a second.")]
-Time = Annotated[str | None, typer.Option(metavar="COL", help="Time column in s, instead of --rate.")]
-InputScale = Annotated[
-    float | None,
-    typer.Option(metavar="S", help="Factor from the file's number to V; from its unit if not given."),
-]
-OutputScale = Annotated[
-    float | None,
-    typer.Option(metavar="S", help="Factor from the file's number to um; from its unit if not given."),
-]
-AcceptGain = Annotated[
-    bool, typer.Option("--accept-gain", help="Take a gain outside 0.001 to 1000 um/V as it is.")
-]
+if TYPE_CHECKING:
+    from hammerstein.identification.settings import Settings
+    from hammerstein.records.gains import Gain
+    from hammerstein.records.record import Record
+
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
-Validate = Annotated[
-    list[Path] | None, typer.Option(metavar="FILE", help="Records held back; may be repeated.")
-]
-Operators = Annotated[
-    str, typer.Option(help="Thresholds of each pair; auto: as many as the records call for.")
-]
-Placing = Annotated[
-    str,
-    typer.Option(
-        help="Thresholds: uniform in time or voltage, fitted to the records, or auto: fitted if it pays."
-    ),
-]
-Thresholds = Annotated[
-    str | None, typer.Option(metavar="V[,V]", help="Thresholds in V for all pairs, instead of these.")
-]
-Weights = Annotated[str, typer.Option(help="invertible, least_squares, nonnegative or closed_form.")]
-Ridge = Annotated[float, typer.Option(help="Penalty of the weights; 0: none.")]
-DynamicsOption = Annotated[
-    str, typer.Option(help="none, lag, second_order, state_space, or auto: what lowers the error.")
-]
-Order = Annotated[
-    int | None,
-    typer.Option(help="Order of a state-space model; found if not given."),
-]
-CreepModes = Annotated[str, typer.Option(help="Slow modes of each axis; auto: one if it lowers the error.")]
-DelaySamples = Annotated[int | None, typer.Option(help="Delay of the outputs; found if not given.")]
-SensorBandwidth = Annotated[
-    float | None, typer.Option(metavar="HZ", help="Of the sensor, from its data sheet.")
-]
+
+@dataclass(frozen=True)
+class Recorded:
+    """Records of one actuator, and how their files are read."""
+
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE", help="Records: CSV, .dat, .npy, .mat, Parquet.")
+    ]
+    inputs: Annotated[
+        str, typer.Option(metavar="COL[,COL]", help="Voltage columns, by name or number from 1.")
+    ]
+    outputs: Annotated[
+        str, typer.Option(metavar="COL[,COL]", help="Displacement columns, by name or number from 1.")
+    ]
+    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Samples a second.")] = None
+    time: Annotated[str | None, typer.Option(metavar="COL", help="Time column in s, instead of --rate.")] = (
+        None
+    )
+    input_scale: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Factor from the file's number to V; from its unit if not given."),
+    ] = None
+    output_scale: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Factor from the file's number to um; from its unit if not given."),
+    ] = None
+    accept_gain: Annotated[
+        bool, typer.Option("--accept-gain", help="Take a gain outside 0.001 to 1000 um/V as it is.")
+    ] = False
+
+    def read(self, held: Sequence[Path] | None = None, all_driven: bool = True) -> tuple[Record, ...]:
+        """Records of the files, or of those that are held back."""
+        from hammerstein.records.reading import read_records
+
+        return read_records(
+            self.files if held is None else held,
+            inputs=_columns(self.inputs),
+            outputs=_columns(self.outputs),
+            rate_hz=self.rate,
+            time=self.time,
+            input_scale=self.input_scale,
+            output_scale=self.output_scale,
+            all_driven=all_driven,
+        )
+
+    def gains(self, records: Sequence[Record]) -> list[Gain]:
+        """Gains of the records; a person is asked about those that no actuator has, a script is refused."""
+        from hammerstein.errors import InputError
+        from hammerstein.records.gains import doubtful_gains, pair_gains
+
+        gains = pair_gains(records)
+        doubts = [] if self.accept_gain else doubtful_gains(gains)
+        if doubts:
+            doubt = "; ".join(doubts)
+            asked = sys.stdin.isatty() and sys.stderr.isatty()
+            if not (asked and typer.confirm(f"{doubt}. Is that right?", err=True)):
+                source = records[0].source if len(records) == 1 else f"{len(records)} records"
+                remedy = "see --input-scale and --output-scale, or give --accept-gain if it is right"
+                raise InputError(source, f"{doubt}; {remedy}")
+        return gains
+
+
+def _columns(words: str) -> list[str]:
+    return [word.strip() for word in words.split(",") if word.strip()]
+
+
+@dataclass(frozen=True)
+class HeldBack:
+    """Records that are judged and not fitted."""
+
+    validate: Annotated[
+        list[Path] | None, typer.Option(metavar="FILE", help="Records held back; may be repeated.")
+    ] = None
+
+    def read(self, recorded: Recorded) -> tuple[Record, ...]:
+        """Records of its files, read as the others are."""
+        return recorded.read(self.validate, all_driven=False) if self.validate else ()
+
+    def refuse_fitted(self, files: Sequence[Path]) -> None:
+        """Refuse records that are held back and fitted at once."""
+        from hammerstein.errors import InputError
+
+        fitted = {file.resolve() for file in files}
+        twice = sorted({str(file) for file in self.validate or () if file.resolve() in fitted})
+        if twice:
+            raise InputError(
+                "--validate", f"{twice[0]} is among the records that are fitted; hold back another one"
+            )
+
+
+@dataclass(frozen=True)
+class Identified:
+    """How a model is identified; every name is that of a field of the settings."""
+
+    operators: Annotated[
+        str, typer.Option(help="Thresholds of each pair; auto: as many as the records call for.")
+    ] = "auto"
+    partition: Annotated[
+        str,
+        typer.Option(
+            help="Thresholds: uniform in time or voltage, fitted to the records, or auto: fitted if it pays."
+        ),
+    ] = "auto"
+    thresholds: Annotated[
+        str | None, typer.Option(metavar="V[,V]", help="Thresholds in V for all pairs, instead of these.")
+    ] = None
+    method: Annotated[
+        str, typer.Option(help="Weights: invertible, least_squares, nonnegative or closed_form.")
+    ] = "invertible"
+    ridge: Annotated[float, typer.Option(help="Penalty of the weights; 0: none.")] = 0.0
+    dynamics: Annotated[
+        str, typer.Option(help="none, lag, second_order, state_space, or auto: what lowers the error.")
+    ] = "auto"
+    order: Annotated[int | None, typer.Option(help="Order of a state-space model; found if not given.")] = (
+        None
+    )
+    creep_modes: Annotated[
+        str, typer.Option(help="Slow modes of each axis; auto: one if it lowers the error.")
+    ] = "auto"
+    delay_samples: Annotated[int | None, typer.Option(help="Delay of the outputs; found if not given.")] = (
+        None
+    )
+    sensor_bandwidth: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Of the sensor, from its data sheet.")
+    ] = None
+
+    def settings(self, **more: Any) -> Settings:
+        """The settings, with what one command alone asks for."""
+        from hammerstein.commands.refusals import told_by_options
+        from hammerstein.identification.settings import settings_of
+
+        asked = asdict(self)
+        asked["sensor_bandwidth_hz"] = asked.pop("sensor_bandwidth")
+        with told_by_options("identification"):
+            return settings_of(**asked, **more)

@@ -27,8 +27,8 @@ def init(
         paper_folder(folder)
         tell(f"scenarios in {folder}; {there}hammerstein run . or hammerstein check .")
         return
-    from hammerstein.commands.records import Spinner
     from hammerstein.commands.warm_up import compile_once
+    from hammerstein.commands.watch import Spinner
 
     refuse_started(folder)
     compile_once(complain)
@@ -102,7 +102,7 @@ def play(
 ) -> None:
     """Play voltages on a model and write what comes out: the counterpart of compensate."""
     from hammerstein.commands.playing import PLAYED, played
-    from hammerstein.commands.records import refuse_output
+    from hammerstein.commands.refusals import refuse_output
     from hammerstein.commands.tables import played_table
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.files import write_atomic

@@ -16,7 +16,6 @@ from hammerstein.commands.terminal import complain, tell
 if TYPE_CHECKING:
     from hammerstein.experiment.study import Sampled
     from hammerstein.scenario import Scenario
-    from hammerstein.scenario.study import Study
 
 PARQUET = (".parquet", ".pq")
 LINES_AT_ONCE = 1000  # of a Parquet file
@@ -54,14 +53,14 @@ def sweep(
     ((_, scenario),) = load_all([path]).items()
     study = study_of(scenario, str(path))
     if dry_run:
-        complain(_announced(scenario, study, jobs)[0])
+        complain(_announced(scenario, path, jobs)[0])
         return
     store, useless = kept_results.opened(fresh)
     if useless:
         complain(useless)
     failed = 0
     with workers(jobs, cluster) as crew, _written(out) as table:
-        announce(*_announced(scenario, study, workers_of(crew)), yes)
+        announce(*_announced(scenario, path, workers_of(crew)), yes)
         if store is not None:
             store = store.computed(getattr(crew, "elsewhere", ""))
         for one in sampled(scenario, str(path), crew, None, store):
@@ -74,15 +73,15 @@ def sweep(
     tell(f"{study.count()} runs written in {out}")
 
 
-def _announced(scenario: Scenario, study: Study, jobs: int) -> tuple[str, float]:
+def _announced(scenario: Scenario, path: Path, jobs: int) -> tuple[str, float]:
     """How many runs there are and how long they take, in words and in seconds."""
-    from hammerstein.experiment.plan import duration, plan_of, size
+    from hammerstein.experiment.plan import duration, size
+    from hammerstein.experiment.study import plan_of_study
 
-    one, count = plan_of(scenario.model_copy(update={"uncertainty": None})), study.count()
-    seconds = count * one.seconds / jobs
+    (part,) = plan_of_study(scenario, str(path)).parts
+    seconds = part.seconds / jobs
     return (
-        f"{count} runs of {study.how} values, at most {duration(seconds)} with {jobs} jobs, "
-        f"{size(jobs * one.bytes)} of memory",
+        f"{part.what}, about {duration(seconds)} with {jobs} jobs, {size(jobs * part.bytes)} of memory",
         seconds,
     )
 

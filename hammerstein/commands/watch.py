@@ -1,4 +1,4 @@
-"""How far a run is, for a person who watches."""
+"""How far a command is, for a person who watches."""
 
 from __future__ import annotations
 
@@ -48,3 +48,27 @@ class Watch:
         if self.bar is not None:
             self.bar.update(self.task, advance=1, description=clean(name))
             self.bar.update(self.inner, visible=False)
+
+
+class Spinner:
+    """What is being done, on stderr, when a person watches."""
+
+    def __enter__(self) -> Spinner:
+        self.status = None
+        if sys.stderr.isatty() and not hushed():
+            from rich.console import Console
+
+            self.status = Console(stderr=True).status("reading")
+            self.status.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.status is not None:
+            self.status.stop()
+
+    def tell(self, what: str) -> None:
+        """Show what is being done."""
+        if self.status is not None:
+            from rich.text import Text
+
+            self.status.update(Text(clean(what)))

@@ -181,7 +181,7 @@ def _write_path(place: Path) -> None:
 def _identify(files: list[Path], place: Path, say: Say) -> None:
     from hammerstein.identification.identify import identify
     from hammerstein.identification.settings import Settings
-    from hammerstein.records.record import read_records
+    from hammerstein.records.reading import read_records
     from hammerstein.reporting.fit_folder import write_fit
 
     inputs, outputs = COLUMNS

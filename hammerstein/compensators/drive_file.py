@@ -20,7 +20,7 @@ from hammerstein.driving import DriveRange
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, SimulationError
 from hammerstein.files import Content
 from hammerstein.model import HammersteinModel
-from hammerstein.signals import read_signal
+from hammerstein.signal_tables import read_signal
 from hammerstein.validation import mistakes_of
 
 Array = NDArray[np.float64]

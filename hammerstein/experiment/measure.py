@@ -276,8 +276,8 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
         )
         if result.unsettled:
             statements.append(f"{where}: the loop has not settled; {result.unsettled}.")
-        if row.saturated_samples:
-            statements.append(f"{where}: the drive's range cut {row.saturated_samples} samples.")
+        if cut := row.saturated_samples:
+            statements.append(f"{where}: the drive's range cut {cut} sample{'s' * (cut != 1)}.")
         if result.clipped:
             statements.append(
                 f"{where}: the sensor's range cut {result.clipped} samples of the reading; use a larger "

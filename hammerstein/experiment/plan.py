@@ -94,12 +94,12 @@ class Plan:
 
 
 def plans_of(scenarios: Mapping[str, Scenario]) -> list[Plan]:
-    """Plans of the scenarios whose files can be read; what is wrong with the others is told when they run."""
-    plans = []
+    """Plans of the scenarios that can be run; what is wrong with the others is told when it is their turn."""
+    plans, free = [], free_bytes()
     for scenario in scenarios.values():
         with contextlib.suppress(InputError, SimulationError):
             plans.append(plan_of(scenario))
-    return plans
+    return [plan for plan in plans if free is None or plan.bytes <= free]
 
 
 def together(plans: Sequence[Plan]) -> Plan:

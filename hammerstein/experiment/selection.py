@@ -144,6 +144,15 @@ def number(value: float | None) -> str:
     return "" if value is None or math.isnan(value) else significant(value)
 
 
+def percent(share: float) -> str:
+    """Write a part in percent with two digits that count, and never an exponent.
+
+    >>> percent(0.0378), percent(0.996), percent(1.024)
+    ('3.8 %', '100 %', '102 %')
+    """
+    return f"{100.0 * share:.{'2g' if abs(share) < 0.995 else '0f'}} %"
+
+
 def selected_frequencies(frequencies: Sequence[float], marked: Iterable[float], most: int) -> list[float]:
     """At most so many frequencies: the ends, those marked, and others spread evenly between them.
 

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from hammerstein.errors import HammersteinError, InputError, Mistake
 from hammerstein.experiment.kept import rows_from
+from hammerstein.experiment.plan import Part, Plan, plan_of
 from hammerstein.experiment.prepare import Progress
 from hammerstein.experiment.run import run
 from hammerstein.metrics import Row
@@ -26,6 +27,7 @@ from hammerstein.validation import mistakes_of
 
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([1-9]\d*)\])?")
 _LAST = re.compile(r"[A-Za-z_]\w*")
+LOOKED_AT = 100
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ def sampled(
     InputError : there is no study, or a key is no number of the scenario
     """
     study = study_of(scenario, name)
-    whole = {key for key in study.values if _is_whole(scenario, name, key, study.values[key][0])}
+    whole = _whole_keys(scenario, study, name)
     if study.samples is None:
         _refuse_fractions(study, whole, name)
     count, keys = study.count(), dict[int, str]()
@@ -98,6 +100,38 @@ def study_of(scenario: Scenario, name: str) -> Study:
     if scenario.study is None:
         raise InputError(name, "has no table [study] that says which values to run")
     return scenario.study
+
+
+def plan_of_study(scenario: Scenario, name: str) -> Plan:
+    """What the runs of a study need: the time of all of them, and the memory of the largest.
+
+    Of many runs some are looked at, and those in which a key has its least or largest value.
+
+    Raises
+    ------
+    InputError : there is no study, or a key is no number of the scenario
+    """
+    study = study_of(scenario, name)
+    whole = _whole_keys(scenario, study, name)
+
+    def needs(values: Mapping[str, float]) -> tuple[float, float]:
+        try:
+            plan = plan_of(varied(scenario, _rounded(values, whole), name))
+        except HammersteinError:
+            return 0.0, 0.0  # such a run is a row with an error
+        return plan.seconds, plan.bytes
+
+    count = study.count()
+    some = [needs(values) for values in study.some(LOOKED_AT)]
+    ends = [needs(values) for values in study.ends()] if count > LOOKED_AT else []
+    mean_s = sum(seconds for seconds, _ in some) / len(some)
+    longest_s, largest = (max(numbers) for numbers in zip(*some, *ends, strict=True))
+    words = f"{count} runs of {study.how} values"
+    return Plan((Part(words, largest, max(count * mean_s, longest_s), "the values in [study]"),))
+
+
+def _whole_keys(scenario: Scenario, study: Study, name: str) -> set[str]:
+    return {key for key, values in study.values.items() if _is_whole(scenario, name, key, values[0])}
 
 
 def _refuse_fractions(study: Study, whole: set[str], name: str) -> None:

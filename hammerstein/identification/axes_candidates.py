@@ -15,21 +15,17 @@ from hammerstein.dynamics import (
 )
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_delay import checked_delay
-from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
-from hammerstein.identification.linear.second_order import (
+from hammerstein.identification.linear.axis_fit import AxesFit, AxisFit, fit_axes, fit_axis
+from hammerstein.identification.linear.axis_search import (
     TINY,
-    AxesFit,
-    AxisFit,
     FirstGuess,
-    fit_axes,
-    fit_axis,
-    parameters_of as axis_parameters,
-    rms_behind,
     search_axes,
     search_creep,
     search_lag,
     thinning,
 )
+from hammerstein.identification.linear.axis_steps import rms_behind
+from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, parameters_of as axis_parameters
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.fitted_thresholds import criterion, gained
 from hammerstein.identification.static.history import shortened

@@ -1,7 +1,7 @@
 """Lag, resonance, creep and delay behind hysteresis of any kind, found together with its weights.
 
 Every kind is linear in its weights. Its response to each weight alone is a column; once they have passed the
-axis, the weights are linear unknowns as slopes of plays are, and the search is that of ``second_order``.
+axis, the weights are linear unknowns as slopes of plays are, and the search is that of ``axis_steps``.
 """
 
 from __future__ import annotations
@@ -18,19 +18,21 @@ from numpy.typing import NDArray
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.linear.axis_delay import best_delay
-from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, duration_s
-from hammerstein.identification.linear.second_order import (
+from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
+from hammerstein.identification.linear.axis_search import (
     CREEP_SPANS,
     LAG_SAMPLES,
     SEARCH_GRID,
     TINY,
-    AxisFit,
-    Point,
-    fit_axis,
-    parameters_of,
-    refine,
-    rms_behind,
     thinning,
+)
+from hammerstein.identification.linear.axis_steps import Point, refine, rms_behind
+from hammerstein.identification.linear.axis_task import (
+    AxisShape,
+    AxisTask,
+    axis_of,
+    duration_s,
+    parameters_of,
 )
 from hammerstein.identification.score import begun, path_before
 from hammerstein.identification.static.regressors import Columns, Start

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from hammerstein.identification.choice import Trial
-from hammerstein.identification.linear.second_order import AxisFit
+from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.regressors import Start

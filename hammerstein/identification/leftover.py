@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.dynamics import AxesDynamics
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
@@ -22,6 +23,10 @@ LEAST_PART = 5e-4
 """Rms of what is left, in parts of the range, below which it does not matter."""
 STILL_DRIFTS = 0.25
 """Trend of what is left, in parts of the drift that was seen, from which it is drift and not creep."""
+OF_A_CREEPING_MODEL = (
+    ". The model creeps, and leaves a part of it, which may be what this kind of model lacks: hammerstein "
+    "compare tries the others"
+)
 SLOW_CYCLES = 5.0
 """Cycles in the longest record up to which something is slow."""
 
@@ -57,7 +62,11 @@ def leftover_statements(
 def faults_left(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> list[Fault]:
     """Faults of the records, but drift only where the model leaves it."""
     named = [fault for record in records for fault in faults(record)]
-    return [f for f in named if not f.drift_um or _drift_is_left(f, candidate, records, starts)]
+    left = [f for f in named if not f.drift_um or _drift_is_left(f, candidate, records, starts)]
+    dynamics = candidate.dynamics
+    creeps = isinstance(dynamics, AxesDynamics) and any(axis.creep for axis in dynamics.axes)
+    more = OF_A_CREEPING_MODEL if creeps else ""
+    return [f._replace(text=f.text + more) if f.drift_um else f for f in left]
 
 
 def _drift_is_left(

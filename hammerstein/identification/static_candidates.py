@@ -15,10 +15,8 @@ from hammerstein.dynamics import (
 )
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.fit import Kind
+from hammerstein.identification.linear.axis_search import thinning
 from hammerstein.identification.linear.delay import static_delay
-from hammerstein.identification.linear.second_order import (
-    thinning,
-)
 from hammerstein.identification.operators import CURVE_SAMPLES
 from hammerstein.identification.static.fitted_thresholds import fit_thresholds, gained
 from hammerstein.identification.static.history import closed, shortened

@@ -19,10 +19,8 @@ from hammerstein.dynamics import (
 )
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.fit import Kind
+from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.linear.delay import delay_in_samples
-from hammerstein.identification.linear.second_order import (
-    AxisFit,
-)
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start

@@ -2,7 +2,7 @@
 
 Thresholds that grow with the rate and a low-pass explain much the same: fitted in turn, each takes for itself
 what belongs to the other, and they hardly approach their best values from turn to turn. All of them are
-moved at once here, as ``second_order`` moves the parameters of an axis.
+moved at once here, as ``axis_steps`` moves the parameters of an axis.
 """
 
 from __future__ import annotations
@@ -16,15 +16,10 @@ from numpy.typing import NDArray
 
 from hammerstein.hysteresis import RateDependent
 from hammerstein.identification.behind import Behind
-from hammerstein.identification.linear.axis_task import AxisTask
-from hammerstein.identification.linear.second_order import (
-    FIRST_DAMPING,
-    LARGEST_CHANGE,
-    TINY,
-    fit_axis,
-    parameters_of,
-    thinning,
-)
+from hammerstein.identification.linear.axis_fit import fit_axis
+from hammerstein.identification.linear.axis_search import TINY, thinning
+from hammerstein.identification.linear.axis_steps import FIRST_DAMPING, LARGEST_CHANGE
+from hammerstein.identification.linear.axis_task import AxisTask, parameters_of
 from hammerstein.identification.score import begun, path_before
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients

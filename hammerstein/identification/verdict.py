@@ -14,7 +14,7 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.fit import KIND_NAMES, Kind
-from hammerstein.identification.linear.second_order import AxisFit
+from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import StaticFit

@@ -16,7 +16,7 @@ from hammerstein.errors import InputError
 from hammerstein.learning.lesson import MEASURED, Lesson, lesson
 from hammerstein.learning.unsure import Unsure
 from hammerstein.model import HammersteinModel
-from hammerstein.signals import read_signal
+from hammerstein.signal_tables import read_signal
 
 Array = NDArray[np.float64]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -30,11 +31,16 @@ FactorName = Literal[
 """A part of the chain that can be changed alone, to find the cause of a figure."""
 
 
+SIDES: dict[str, float] = {"octaves_below": -1.0, "octaves_above": 1.0}
+"""Where a figure is followed from the frequency that a model was found at, and the sign of that."""
+
+
 class Quantity(BaseModel):
     """A number found in the rows of a report.
 
-    ``metric`` of the rows that ``where`` selects, reduced by ``of``; in ``spread`` the largest is divided
-    by the smallest.
+    ``metric`` of the rows that are selected, reduced by ``of``: in ``spread`` the largest is divided by the
+    smallest; ``octaves_below`` and ``octaves_above`` count the octaves from ``found_hz`` to where it first
+    is more than ``times`` what it is there, or to the end of the sweep.
     """
 
     model_config = _STRICT
@@ -49,11 +55,23 @@ class Quantity(BaseModel):
     amplitude_v: Size | None = None
     amplitude_um: Size | None = None
     trial: Trial | None = None
-    of: Literal["max", "min", "mean", "spread"] = "max"
+    of: Literal["max", "min", "mean", "spread", "octaves_below", "octaves_above"] = "max"
+    found_hz: Frequency | None = Field(default=None, description="where octaves are counted from")
+    times: Agreed = Field(default=2.0, description="figure that ends the octaves, over that at found_hz")
+
+    @model_validator(mode="after")
+    def _counts_octaves_from_somewhere(self) -> Self:
+        if (self.of in SIDES) != (self.found_hz is not None):
+            raise ValueError("octaves_below and octaves_above go with found_hz, where they are counted from")
+        return self
 
     def value(self, rows: Iterable[Row]) -> float:
         """The number; NaN where no row is selected."""
-        return self.reduced([value for _, value in self.known(rows)])
+        known = self.known(rows)
+        if self.found_hz is None:
+            return self.reduced([value for _, value in known])
+        octaves = [(SIDES[self.of] * math.log2(row.frequency_hz / self.found_hz), v) for row, v in known]
+        return held(octaves, self.times)
 
     def reduced(self, values: Sequence[float]) -> float:
         """One number of several; NaN of none."""
@@ -69,6 +87,26 @@ class Quantity(BaseModel):
         same = all(getattr(self, name) in (None, getattr(row, name)) for name in KEY)
         above = self.from_hz is None or row.frequency_hz >= self.from_hz
         return same and above and (self.to_hz is None or row.frequency_hz <= self.to_hz)
+
+
+def held(figures: Iterable[tuple[float, float]], times: float) -> float:
+    """Octaves from the first frequency to where a figure is first more than ``times`` what it is there.
+
+    Between two frequencies the figure is a power of the frequency. NaN where it is not known at zero octaves.
+
+    figures : octaves from the first frequency, negative on the other side, and the figure there
+    """
+    largest: dict[float, float] = {}
+    for octave, value in figures:
+        largest[octave] = max(value, largest.get(octave, value))
+    if 0.0 not in largest:
+        return math.nan
+    most = times * largest[0.0]
+    path = sorted((octave, value) for octave, value in largest.items() if octave >= 0.0)
+    for (start, before), (stop, after) in pairwise(path):
+        if after > most:
+            return start + (stop - start) * math.log(most / before) / math.log(after / before)
+    return path[-1][0]
 
 
 class Agreement(BaseModel):

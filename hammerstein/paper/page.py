@@ -124,9 +124,17 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
         verdicts={report.name: claimed(report) for report in reports},
         readings=[Met.of(name, counted) for name in actuators],
         tables=[_table(group, actuators) for group in (counted, [v for v in verdicts if v.calibrated])],
-        unmet=[v.id for v in counted if not any(answer.agrees for answer in v.answers)],
+        unmet=_by_cause([v for v in counted if not any(answer.agrees for answer in v.answers)]),
         total=len(counted),
     )
+
+
+def _by_cause(verdicts: Sequence[ClaimVerdict]) -> dict[str, list[str]]:
+    """Claims by the cause that was measured for each on its scenario's own actuator."""
+    found: dict[str, list[str]] = {}
+    for verdict in verdicts:
+        found.setdefault(verdict.cause or "no single factor", []).append(verdict.id)
+    return found
 
 
 @dataclass(frozen=True)

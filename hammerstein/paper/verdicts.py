@@ -54,7 +54,10 @@ class Change:
 
 @dataclass(frozen=True)
 class ClaimVerdict(Verdict):
-    """A claim and what the simulated actuators answer; the first is the scenario's own."""
+    """A claim and what the simulated actuators answer; the first is the scenario's own.
+
+    reason : why that one does not agree, with numbers; cause : the factor alone, empty if there is none
+    """
 
     statement: str
     paper: float | None
@@ -64,6 +67,7 @@ class ClaimVerdict(Verdict):
     reason: str
     calibrated: bool = False
     changes: tuple[Change, ...] = ()
+    cause: str = ""
 
     @property
     def ratio(self) -> float | None:
@@ -136,9 +140,10 @@ def verdicts(
         if math.isnan(answers[0].value):
             raise InputError(f"claim {claim.id}", "selects no row that has this metric; look into rms.csv")
         changes = () if answers[0].agrees or claim.calibrated else tuple(changes_of(claim))
-        said = [_cut(claim, next(iter(rows_by_actuator.values())))]
+        said, cause = [_cut(claim, next(iter(rows_by_actuator.values())))], ""
         if not answers[0].agrees:
-            said += [_cause(claim, answers[0].value, changes), claim.note]
+            cause, why = _cause(claim, answers[0].value, changes)
+            said += [why, claim.note]
         found.append(
             ClaimVerdict(
                 claim.id,
@@ -150,6 +155,7 @@ def verdicts(
                 ". ".join(text for text in said if text),
                 claim.calibrated,
                 changes,
+                cause,
             )
         )
     return tuple(found)
@@ -161,17 +167,21 @@ def _cut(claim: Claim, rows: Sequence[Row]) -> str:
     return f"the reference exceeds the range: the drive cut {cut:g} samples" if cut else ""
 
 
-def _cause(claim: Claim, value: float, changes: Sequence[Change]) -> str:
-    """The factor that brings the figure nearest to agreement, of several the one that moves it most."""
+def _cause(claim: Claim, value: float, changes: Sequence[Change]) -> tuple[str, str]:
+    """The factor that brings the figure nearest to agreement, of several the one that moves it most.
+
+    Gives its name, empty where none explains it, and what every factor makes of the figure.
+    """
     known = [change for change in changes if math.isfinite(change.value)]
     if not known:
-        return ""
+        return "", ""
     gaps = {change: claim.agreement.gap(change.value, claim.paper) for change in known}
     first, *others = sorted(known, key=lambda change: (gaps[change], -abs(change.value - value)))
     own = claim.agreement.gap(value, claim.paper)
     rest = "; ".join(f"{change.words} {change.value:.3g}" for change in others)
     if gaps[first] > NO_CAUSE * own:
-        return f"no single factor: {value:.3g}; {first.words} {first.value:.3g}; {rest}".rstrip("; ")
+        return "", f"no single factor: {value:.3g}; {first.words} {first.value:.3g}; {rest}".rstrip("; ")
+    cause = CAUSES[first.factor]
     enough = "" if gaps[first] == 0.0 else ", not enough alone"
-    text = f"{CAUSES[first.factor]}{enough}: {value:.3g}, {first.words} {first.value:.3g}"
-    return f"{text} (one at a time: {rest})" if rest else text
+    text = f"{cause}{enough}: {value:.3g}, {first.words} {first.value:.3g}"
+    return cause, f"{text} (one at a time: {rest})" if rest else text

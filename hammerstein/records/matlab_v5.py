@@ -65,7 +65,7 @@ class Reader:
             return Element(kind, data[place + 4 : place + 4 + size]), place + 8
         begin = place + 8
         if begin + size > len(data):
-            raise ValueError(f"an element of {size} bytes reaches beyond its end; was it cut short?")
+            raise ValueError(f"an element of {size} bytes reaches beyond its end")
         content = data[begin : begin + size]
         return Element(kind, content), begin + (size if kind == COMPRESSED else 8 * math.ceil(size / 8))
 

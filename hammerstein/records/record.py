@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -13,28 +12,21 @@ from numpy.typing import ArrayLike, NDArray
 from hammerstein.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.pictured import Pictured
-from hammerstein.quantities import POSITION_UM, RATE_HZ, SCALE, VOLTAGE_V
+from hammerstein.quantities import POSITION_UM, VOLTAGE_V
 from hammerstein.records.checks import (
     clipping_mistakes,
     far_mistakes,
     gap_mistakes,
     length_mistakes,
-    moves,
-    still_mistake,
     still_mistakes,
     unit_mistake,
     where,
 )
 from hammerstein.records.outliers import Outliers, listed, outlier_mistakes, without_outliers
-from hammerstein.records.readers import Columns, read_array, read_columns
-from hammerstein.records.scales import factors_of, refuse_other_time, sample_time_of
-from hammerstein.records.units import axis_name
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 PathLike = str | Path
-
-AXES = ("sample", "channel", "experiment", "period")
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,224 +197,3 @@ def _unit_mistakes(names: Sequence[str], values: Array, kind: str) -> list[Mista
     largest = int(np.argmax(spans))
     mistake = unit_mistake(where(names[largest]), float(spans[largest]), kind)
     return [mistake] if mistake else []
-
-
-def read_records(
-    paths: Sequence[PathLike],
-    *,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    rate_hz: float | None = None,
-    time: str | None = None,
-    input_scale: float | None = None,
-    output_scale: float | None = None,
-    all_driven: bool = True,
-) -> tuple[Record, ...]:
-    """Records of one actuator from files: CSV and other text, ``.npy``, ``.npz``, ``.mat``, Parquet.
-
-    Several files are several experiments. A column is named as in the file, or by its number from 1; see
-    `hammerstein.records.readers` for arrays with more than two axes and files with several variables.
-
-    Parameters
-    ----------
-    paths : files
-    inputs, outputs : columns with the voltages and the displacements
-    rate_hz : samples a second [Hz], or
-    time : column with the time [s]; one of the two
-    input_scale, output_scale : factors that turn the file's numbers into V and um; if not given, by the unit
-        in the name of a column (``u [mV]``, ``x_nm``) or in a row of units, else 1
-    all_driven : whether every input must be driven in some record, as identification needs it
-
-    Raises
-    ------
-    InputError : every mistake of every file at once, with column and row
-    """
-    _refuse_arguments(paths, inputs, outputs, rate_hz, time, input_scale, output_scale)
-    records: list[Record] = []
-    failures: list[InputError] = []
-    for path in paths:
-        try:
-            wanted = [*inputs, *outputs, *([time] if time is not None else [])]
-            columns = read_columns(path, wanted)
-            records.append(_record(columns, len(inputs), len(outputs), rate_hz, input_scale, output_scale))
-            if rate_hz is not None:
-                refuse_other_time(path, rate_hz, wanted)
-        except InputError as error:
-            failures.append(error)
-    if failures:
-        raise _together(failures)
-    if all_driven:
-        _refuse_never_driven(records)
-    return tuple(records)
-
-
-def _refuse_arguments(
-    paths: Sequence[PathLike],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    rate_hz: float | None,
-    time: str | None,
-    input_scale: float | None,
-    output_scale: float | None,
-) -> None:
-    mistakes = []
-    if isinstance(paths, str | Path):
-        mistakes.append(Mistake("paths", "give a list of files"))
-    elif not paths:
-        mistakes.append(Mistake("paths", "no file was given"))
-    for kind, columns in (("inputs", inputs), ("outputs", outputs)):
-        if isinstance(columns, str) or not columns:
-            mistakes.append(Mistake(kind, "give a list of at least one column"))
-    chosen = [*inputs, *outputs, *([time] if time is not None else [])]
-    for column in sorted({column for column in chosen if chosen.count(column) > 1}):
-        mistakes.append(Mistake("columns", f"{column} is named twice among inputs, outputs and time"))
-    if (rate_hz is None) == (time is None):
-        mistakes.append(
-            Mistake("rate or time", "give one of them: the rate in Hz (--rate) or a column (--time)")
-        )
-    if rate_hz is not None and not RATE_HZ.holds(rate_hz):
-        mistakes.append(Mistake("rate (--rate)", f"is {rate_hz:g} Hz; it {RATE_HZ.words()}"))
-    for name, scale in (("input scale", input_scale), ("output scale", output_scale)):
-        if scale is not None and (not SCALE.holds(scale) or scale == 0):
-            option = f"{name} (--{name.replace(' ', '-')})"
-            mistakes.append(Mistake(option, f"is {scale:g}; it {SCALE.words()}, and not 0"))
-    if mistakes:
-        raise InputError("records", mistakes)
-
-
-def _record(
-    columns: Columns,
-    m: int,
-    p: int,
-    rate_hz: float | None,
-    input_scale: float | None,
-    output_scale: float | None,
-) -> Record:
-    found, factors = factors_of(columns, m, p, (input_scale, output_scale))
-    mistakes = [*columns.mistakes, *found]
-    step = 1.0 / rate_hz if rate_hz is not None else 1.0
-    if rate_hz is None:
-        found, step = sample_time_of(columns)
-        mistakes += found
-    if mistakes:
-        raise InputError(columns.source, mistakes)
-    values = factors[:, None] * columns.values[: m + p]
-    names = tuple(axis_name(name) for name in columns.names[: m + p])
-    return Record(values[:m], values[m:], step, names[:m], names[m:], columns.source, columns.rows)
-
-
-def _together(failures: Sequence[InputError]) -> InputError:
-    """One error for all files: the only one as it is, several with the file before each place."""
-    if len(failures) == 1:
-        return failures[0]
-    mistakes = [
-        Mistake(f"{error.source}, {m.where}" if m.where else error.source, m.what)
-        for error in failures
-        for m in error.mistakes
-    ]
-    return InputError(f"{len(failures)} records", mistakes)
-
-
-def _refuse_never_driven(records: Sequence[Record]) -> None:
-    """An axis may rest in one experiment, but not in all of them; nor may its unit be impossible."""
-    source = records[0].source if len(records) == 1 else f"{len(records)} records"
-    groups = (
-        ("input", records[0].inputs, [record.u_v for record in records]),
-        ("output", records[0].outputs, [record.y_um for record in records]),
-    )
-    mistakes = list(chain.from_iterable(_axis_mistakes(*group) for group in groups))
-    if mistakes:
-        raise InputError(source, mistakes)
-
-
-def _axis_mistakes(kind: str, names: Sequence[str], values: Sequence[Array]) -> list[Mistake]:
-    mistakes = []
-    for k, name in enumerate(names):
-        place = where(name)
-        if not any(moves(value[k]) for value in values):
-            mistakes.append(still_mistake(place, values[0][k], kind))
-            continue
-        span = max(float(np.ptp(value[k])) for value in values)
-        mistake = unit_mistake(place, span, kind)
-        mistakes += [mistake] if mistake else []
-    return mistakes
-
-
-def read_paired_records(
-    u_file: PathLike,
-    y_file: PathLike,
-    *,
-    axes: Sequence[str] = ("sample", "channel"),
-    rate_hz: float,
-    input_scale: float = 1.0,
-    output_scale: float = 1.0,
-    variables: tuple[str | None, str | None] = (None, None),
-) -> tuple[Record, ...]:
-    """Records whose voltages and displacements stand in two files of arrays, ``.npy``, ``.npz`` or ``.mat``.
-
-    One record for every experiment (realisation, repetition, column of nested loops); the periods of a
-    periodic experiment follow each other in time, and the record keeps their length.
-
-    Parameters
-    ----------
-    u_file, y_file : files with the voltages and the displacements; same axes, channels may differ in number
-    axes : what each axis of the arrays is, of ``sample``, ``channel``, ``experiment`` and ``period``;
-        ``("sample", "channel", "experiment", "period")`` reads an array of four axes,
-        ``("sample", "experiment")`` reads loops that stand side by side, one a column
-    rate_hz : samples a second [Hz]
-    input_scale, output_scale : factors that turn the files' numbers into V and um
-    variables : names of the two variables, where a file holds more than one
-
-    Raises
-    ------
-    InputError : every mistake of every experiment at once
-    """
-    _refuse_axes(axes)
-    _refuse_arguments([u_file], ["u"], ["y"], rate_hz, None, input_scale, output_scale)
-    u = _by_experiment(read_array(u_file, variables[0]), axes, str(u_file))
-    y = _by_experiment(read_array(y_file, variables[1]), axes, str(y_file))
-    source = f"{u_file} and {Path(y_file).name}"
-    if (len(u), *u.shape[2:]) != (len(y), *y.shape[2:]):
-        raise InputError(source, f"hold arrays of different size: {_sizes(u)} against {_sizes(y)}")
-    period = u.shape[3] if "period" in axes else None
-    records: list[Record] = []
-    failures: list[InputError] = []
-    for k in range(len(u)):
-        try:
-            records.append(
-                Record(
-                    input_scale * u[k].reshape(u.shape[1], -1),
-                    output_scale * y[k].reshape(y.shape[1], -1),
-                    1.0 / rate_hz,
-                    source=source if len(u) == 1 else f"{source}, experiment {k + 1}",
-                    period_samples=period,
-                )
-            )
-        except InputError as error:
-            failures.append(error)
-    if failures:
-        raise _together(failures)
-    return tuple(records)
-
-
-def _refuse_axes(axes: Sequence[str]) -> None:
-    unknown = [axis for axis in axes if axis not in AXES]
-    if unknown or len(set(axes)) != len(axes) or "sample" not in axes:
-        raise InputError(
-            "axes", f"are {', '.join(axes)}; name sample, and each of {', '.join(AXES[1:])} once"
-        )
-
-
-def _by_experiment(array: Array, axes: Sequence[str], source: str) -> Array:
-    """(experiment, channel, period, sample), with axes of length 1 for those that the file has not."""
-    if array.ndim != len(axes):
-        raise InputError(source, f"holds an array of shape {array.shape}, but the axes are {', '.join(axes)}")
-    order = ("experiment", "channel", "period", "sample")
-    present = [axes.index(axis) for axis in order if axis in axes]
-    missing = tuple(k for k, axis in enumerate(order) if axis not in axes)
-    return np.expand_dims(array.transpose(present), missing)
-
-
-def _sizes(array: Array) -> str:
-    experiments, _, periods, samples = array.shape
-    return f"{experiments} experiments, {periods} periods, {samples} samples"

@@ -10,6 +10,7 @@ from pathlib import PurePath
 import numpy as np
 
 from hammerstein.escaping import markdown
+from hammerstein.experiment.selection import percent
 from hammerstein.hysteresis import PrandtlIshlinskii, slopes_of
 from hammerstein.identification.choice import Trial
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
@@ -68,10 +69,10 @@ def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> 
 def headline(model: HammersteinModel, fit: Fit) -> str:
     """How far the model is off, in one sentence."""
     score = fit.judged[fit.kind]
-    percent, rms = score.nrmse_percent, score.rms_um
+    shares, rms = score.nrmse_percent, score.rms_um
     off = " and ".join(
-        f"{um:.3g} um of {name} ({share:.2g} % of its range)"
-        for name, um, share in zip(fit.outputs, rms, percent, strict=True)
+        f"{um:.3g} um of {name} ({percent(share / 100.0)} of its range)"
+        for name, um, share in zip(fit.outputs, rms, shares, strict=True)
     )
     where = (
         "on records that it was not fitted to"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from hammerstein.escaping import code, markdown
 from hammerstein.experiment.report import Report, Trace
-from hammerstein.experiment.selection import identified_at, number
+from hammerstein.experiment.selection import identified_at, number, percent
 from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
@@ -192,10 +192,10 @@ def _lag(report: Report) -> str:
     highest = max(row.frequency_hz for row in report.rows)
     if math.isinf(bandwidth):
         return ""
-    percent = 100.0 * math.sin(math.atan(highest / bandwidth))
+    opened = math.sin(math.atan(highest / bandwidth))
     return (
         f"The curves are readings: the lag of the {bandwidth:g} Hz sensor alone opens a straight loop by "
-        f"{percent:.2g} % of its height at {highest:g} Hz."
+        f"{percent(opened)} of its height at {highest:g} Hz."
     )
 
 

@@ -15,6 +15,7 @@ from hammerstein.experiment.selection import (
     labels_of,
     largest,
     number,
+    percent,
     told_apart,
 )
 from hammerstein.metrics import KEY, METRICS, Row
@@ -213,7 +214,7 @@ def _share(condition: Condition, value: float, merit: Merit) -> str:
     """The worst distance as a part of the path's size."""
     if not condition.amplitude or condition.unit != "um" or "max" not in merit.name:
         return ""
-    return f" ({100.0 * value / condition.amplitude:.2g} %)"
+    return f" ({percent(value / condition.amplitude)})"
 
 
 def _over_frequency(

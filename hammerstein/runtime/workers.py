@@ -123,7 +123,11 @@ class Processes(_Crew):
         """Let one process do what comes, and another one when that dies."""
         worker: _Worker | None = None
         for future, task in self._coming():
-            worker = self._done(future, task, worker)
+            try:
+                worker = self._done(future, task, worker)
+            except BaseException as error:  # of whatever kind: who waits for the task must hear of it
+                worker = None
+                future.set_exception(error)
         if worker is not None:
             worker.end()
 
@@ -131,7 +135,12 @@ class Processes(_Crew):
         """Do a task; give the process that has done it, if it lives."""
         how = "was ended"
         for _ in range(TRIES):
-            if (worker := self._begun(worker)) is None:
+            try:
+                worker = self._begun(worker)
+            except (EOFError, OSError):  # what begins the processes was ended itself; it comes again
+                how = "could not begin"
+                continue
+            if worker is None:
                 break
             try:
                 done, result = worker.answer(task)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import random
 from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
@@ -61,6 +62,23 @@ class Study(BaseModel):
             return self.samples
         lengths = [len(values) for values in self.values.values()]
         return lengths[0] if self.how == "zip" else math.prod(lengths)
+
+    def some(self, count: int) -> Iterator[dict[str, float]]:
+        """Values of so many runs that stand for all, or of all of them where there are no more."""
+        if self.samples is not None or self.count() <= count:
+            yield from itertools.islice(self.points(), count)
+            return
+        chance = random.Random(self.seed)
+        for _ in range(count):
+            place = chance.random()
+            places = {key: place if self.how == "zip" else chance.random() for key in self.values}
+            yield {key: values[int(len(values) * places[key])] for key, values in self.values.items()}
+
+    def ends(self) -> Iterator[dict[str, float]]:
+        """Values of the runs in which a key is least or largest, and the others stand beside it."""
+        for values, end in itertools.product(self.values.values(), (min, max)):
+            place = values.index(end(values))
+            yield {key: others[min(place, len(others) - 1)] for key, others in self.values.items()}
 
     def points(self) -> Iterator[dict[str, float]]:
         """Values of every run by key, one after the other; only a few are in the memory at a time."""

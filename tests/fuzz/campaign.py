@@ -21,6 +21,7 @@ import pandas as pd
 from hammerstein.commands.cli import main
 from hammerstein.errors import HammersteinError
 from hammerstein.experiment.plan import plan_of
+from hammerstein.experiment.study import plan_of_study
 from hammerstein.scenario import Scenario, load_scenario
 
 CODES = {0, 1, 2, 3, 4}
@@ -102,12 +103,14 @@ def file_case(data: bytes, folder: Path, *others: str) -> int:
     path = folder / "case.toml"
     path.write_bytes(data)
     try:
-        plan = plan_of(scenario := load_scenario(path))
+        scenario = load_scenario(path)
+        studied = _is_studied(scenario)
+        plan = plan_of_study(scenario, "case") if studied else plan_of(scenario)
     except HammersteinError:
-        plan = None
+        plan, studied = None, False
     if plan is not None and (plan.seconds > LONGEST_S or plan.bytes > LARGEST):
         return -1
-    if plan is not None and _is_studied(scenario):
+    if studied:
         return study_case(path, folder)
     code = named(
         "run", call("run", path, "--no-figures", "--out", folder / "out", "--jobs", 1), "case", *others

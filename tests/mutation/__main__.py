@@ -1,6 +1,6 @@
 """Change single lines of the numerical modules, and see whether tests and ``hammerstein check`` notice.
 
-    python -m tests.mutation record               all tests and scenarios under coverage, once
+    python -m tests.mutation record               tests of numbers and scenarios under coverage, once
     python -m tests.mutation record tests/a.py    tests that were added since
     python -m tests.mutation run --number 200 --seed 0
     python -m tests.mutation known                changes that once went unnoticed
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import random
 import sys
 import time
@@ -22,7 +23,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from .changes import Change, changes_of
-from .recording import ALL, ROOT, Recording, copied, record
+from .recording import ROOT, Recording, copied, record
 from .trial import load_libraries, outcome, restore
 
 KNOWN = Path(__file__).parent / "known.toml"
@@ -58,7 +59,7 @@ def known(root: Path) -> list[Change]:
 
 
 def tried(
-    kept: Path, changes: Iterable[Change], budget_s: float, tests_s: float, again: bool
+    kept: Path, changes: Iterable[Change], budget_s: float, most_s: tuple[float, float], again: bool
 ) -> dict[Change, str]:
     """What came of each change, from earlier runs or now, until the budget ends."""
     results = kept / "results.jsonl"
@@ -74,7 +75,7 @@ def tried(
             found[change] = before[change]
         elif time.monotonic() < end:
             begun = time.monotonic()
-            found[change] = outcome(kept, recording, change, tests_s, killers)
+            found[change] = outcome(kept, recording, change, most_s, killers)
             took = time.monotonic() - begun
             told = change.told((kept / "tree" / change.path).read_text())
             print(f"{found[change]:9} {took:5.1f} s  {told}", flush=True)
@@ -92,6 +93,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--budget-s", type=float, default=7200.0)
     parser.add_argument("--tests-s", type=float, default=90.0, help="most time of tests for one change")
+    parser.add_argument(
+        "--check-s", type=float, default=math.inf, help="most time of scenarios for one change"
+    )
     parser.add_argument("--again", action="store_true", help="try survivors of earlier runs again")
     parser.add_argument("--kept", type=Path, default=ROOT / "reports" / "mutation")
     asked = parser.parse_args()
@@ -99,11 +103,11 @@ def main() -> int:
     tree = kept / "tree"
     if asked.what == "record":
         copied(tree, asked.paths if tree.exists() else ())
-        return 0 if record(kept, asked.paths or ALL) else 1
+        return 0 if record(kept, asked.paths) else 1
     restore(kept)
     changes = known(tree) if asked.what == "known" else sample(asked.number, asked.seed, tree)
     again = asked.again or asked.what == "known"
-    found = tried(kept, changes, asked.budget_s, asked.tests_s, again)
+    found = tried(kept, changes, asked.budget_s, (asked.tests_s, asked.check_s), again)
     survivors = [change for change, came in found.items() if came in UNNOTICED]
     print(f"\n{len(found)} of {len(changes)} tried: {dict(Counter(found.values()))}")
     for change in survivors:

@@ -15,6 +15,17 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 ALL = ("tests", "hammerstein", "scenarios")
+BESIDE = (
+    "faults", "fuzz", "mutation", "test_cache.py", "test_campaign.py", "test_cli.py", "test_cluster.py",
+    "test_damaged_files.py", "test_examples.py", "test_export_targets.py", "test_fanning.py",
+    "test_faults.py", "test_figures.py", "test_first_command.py", "test_fmu.py", "test_guide.py",
+    "test_interrupted.py", "test_kept.py", "test_notebook.py", "test_nothing_lost.py", "test_packaging.py",
+    "test_pages.py", "test_parallel.py", "test_plugins.py", "test_pytest_plugin.py", "test_readme.py",
+    "test_rooms.py", "test_silence.py", "test_staging.py", "test_start.py", "test_strangers.py",
+    "test_terminal.py", "test_warm_up.py",
+)  # fmt: skip
+"""Tests of files, pages, processes and terminals, half of the time of all: they reach numbers on their way to
+something else, so that they are not recorded unless they are named."""
 SETUP = "|setup"
 """At the end of a context: what a fixture does for the first of its tests, it does for all of its file."""
 
@@ -52,8 +63,16 @@ class Recorder:
             self.failed.add(report.nodeid)
 
 
+def asked_of_pytest(paths: Sequence[str]) -> list[str]:
+    """Paths that are recorded: those that are named, or all but those beside the numbers."""
+    return [*paths] if paths else [*ALL, *(f"--ignore=tests/{name}" for name in BESIDE)]
+
+
 def record(kept: Path, paths: Sequence[str]) -> int:
-    """Run tests of the tree in ``kept`` under coverage and write what they touch; in a process of its own."""
+    """Run tests of the tree in ``kept`` under coverage and write what they touch; in a process of its own.
+
+    paths : of tests; all but those beside the numbers where none is given
+    """
     import os
 
     import coverage
@@ -66,7 +85,7 @@ def record(kept: Path, paths: Sequence[str]) -> int:
     watch = coverage.Coverage(source=["hammerstein"], data_file=None, config_file=False)
     recorder = Recorder(watch)
     watch.start()
-    pytest.main(["-q", "-p", "no:cacheprovider", "--tb=short", *paths], plugins=[recorder])
+    pytest.main(["-q", "-p", "no:cacheprovider", "--tb=short", *asked_of_pytest(paths)], plugins=[recorder])
     watch.stop()
     touched = _touched(watch.get_data(), tree, recorder.failed)
     seconds = {name: s for name, s in recorder.seconds.items() if name not in recorder.failed}

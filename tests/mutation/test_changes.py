@@ -6,7 +6,7 @@ import pytest
 
 from .__main__ import known, sample
 from .changes import changes_of, in_source
-from .recording import ROOT, Recording
+from .recording import BESIDE, ROOT, Recording, asked_of_pytest
 
 
 @pytest.mark.parametrize(
@@ -52,6 +52,12 @@ def test_a_larger_sample_holds_the_smaller_one():
 
 def test_known_survivors_still_stand_in_their_files():
     assert len(known(ROOT)) > 20
+
+
+def test_what_is_beside_the_numbers_is_recorded_only_where_it_is_named():
+    assert [name for name in BESIDE if not (ROOT / "tests" / name).exists()] == []
+    assert "--ignore=tests/test_cli.py" in asked_of_pytest([])
+    assert asked_of_pytest(["tests/test_cli.py"]) == ["tests/test_cli.py"]
 
 
 def test_lines_are_touched_by_tests_by_fixtures_of_their_file_and_through_names(tmp_path):

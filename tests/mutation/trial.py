@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import signal
@@ -38,19 +39,25 @@ def load_libraries() -> None:
         importlib.import_module(name)
 
 
-def outcome(kept: Path, recording: Recording, change: Change, tests_s: float, killers: dict[str, str]) -> str:
+def outcome(
+    kept: Path, recording: Recording, change: Change, most_s: tuple[float, float], killers: dict[str, str]
+) -> str:
     """What notices a change: ``tests``, ``check``, ``time`` (it hangs), or nothing: ``survived``.
 
     Parameters
     ----------
     kept : folder that holds the recording and the tree it was made in
-    tests_s : most time of tests [s]
+    most_s : most time of tests, and of scenarios [s]
     killers : the test file that last noticed a change, by changed file; brought up to date
     """
     touching = recording.tests_of(kept / "tree", change.path, change.line)
-    scenarios = sorted(name for name in touching if name.split("::")[0].endswith(".toml"))
     seconds = recording.seconds
-    tests = {name: focus for name, focus in touching.items() if name not in scenarios}
+    scenarios = [name for name in touching if name.split("::")[0].endswith(".toml")]
+    tests_s, check_s = most_s
+    scenarios.sort(key=lambda name: (seconds[name], name))  # the first that fails ends it
+    spent = itertools.accumulate(seconds[name] for name in scenarios)
+    scenarios = [name for name, so_far in zip(scenarios, spent, strict=True) if so_far <= check_s]
+    tests = {name: focus for name, focus in touching.items() if not name.split("::")[0].endswith(".toml")}
     files = _chosen(tests, seconds, tests_s, killers.get(change.path))
     groups = [("tests", files[:FIRST]), ("tests", files[FIRST:]), ("check", [scenarios])]
     with _changed(kept, change) as loops:

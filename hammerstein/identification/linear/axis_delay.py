@@ -9,16 +9,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.identification.linear.axis_search import GUESS_SAMPLES, TINY, FirstGuess, thinning
+from hammerstein.identification.linear.axis_steps import Point, refine
 from hammerstein.identification.linear.axis_task import AxisTask
 from hammerstein.identification.linear.delay import MOST_DELAY
-from hammerstein.identification.linear.second_order import (
-    GUESS_SAMPLES,
-    TINY,
-    FirstGuess,
-    Point,
-    refine,
-    thinning,
-)
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record

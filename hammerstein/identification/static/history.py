@@ -68,8 +68,12 @@ def judged_starts(
     predict: Callable[[Record, Start], Array],
     settle_s: float,
     mode: StartMode = "auto",
+    simpler: Sequence[Callable[[Record, Start], Array]] = (),
 ) -> tuple[Start, ...]:
     """Start of each record, with a model at hand: the one that leaves the least error.
+
+    A beginning that no start explains is left out. Where one of the ``simpler`` models explains it as well as
+    the model explains the rest, it stays: it is the model that is wrong there.
 
     Parameters
     ----------
@@ -77,14 +81,19 @@ def judged_starts(
     predict : readings (output, sample) of the model to a record [um]
     settle_s : time in which the dynamics forget [s]
     mode : ``auto``; ``rest`` or ``repeated`` if it is known
+    simpler : what other models predict, which are judged on the same samples
     """
     if mode == "rest":
         return (Start("rest"),) * len(records)
-    return tuple(_judged(record, predict, settle_s, mode) for record in records)
+    return tuple(_judged(record, predict, settle_s, mode, simpler) for record in records)
 
 
 def _judged(
-    record: Record, predict: Callable[[Record, Start], Array], settle_s: float, mode: StartMode
+    record: Record,
+    predict: Callable[[Record, Start], Array],
+    settle_s: float,
+    mode: StartMode,
+    simpler: Sequence[Callable[[Record, Start], Array]],
 ) -> Start:
     """Start with the least error; what is left out of the record if none explains its beginning."""
     cautious = cautious_start(record)
@@ -97,10 +106,16 @@ def _judged(
     if mode == "repeated":
         return cautious if short else forgotten
     best = _least(record, predict)
-    error = record.y_um - predict(record, best)
-    before, after = _around(error, begun, forgotten.first)
+    before, after = _around(record.y_um - predict(record, best), begun, forgotten.first)
     allowed = ALIKE * after + ALIKE_FLOOR * np.ptp(record.y_um, axis=1)
-    return best if short or bool((before <= allowed).all()) else forgotten
+    if short or bool((before <= allowed).all()):
+        return best
+    for other in simpler:
+        start = _least(record, other)
+        before, _ = _around(record.y_um - other(record, start), begun, forgotten.first)
+        if (before <= allowed).all():
+            return start
+    return forgotten
 
 
 def _around(error: Array, begun: int, first: int) -> tuple[Array, Array]:

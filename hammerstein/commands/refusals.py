@@ -1,0 +1,54 @@
+"""What commands refuse before they begin, in the words of their options."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hammerstein.files import Content
+
+_ALONE = ("start", "range")
+"""Options whose own values make a message of their own."""
+_OPTIONS = {
+    "sample_time_s": "sample-time",
+    "range_v": "range",
+    "start_v": "start",
+    "sensor_bandwidth_hz": "sensor-bandwidth",
+    "thresholds_v": "thresholds",
+}
+
+
+def refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
+    """Refuse an output that cannot be written, holds something else, or is one of the files that are read."""
+    from hammerstein.errors import InputError
+    from hammerstein.files import refuse_overwriting, refuse_unwritable
+
+    refuse_unwritable("--out", out.parent)
+    if any(path.resolve() == out.resolve() for path in inputs):
+        raise InputError("--out", f"{out} is one of the files that are read; choose another name")
+    refuse_overwriting("--out", out, content)
+
+
+@contextmanager
+def told_by_options(source: str) -> Iterator[None]:
+    """Let the mistakes in what a function was told name the options that told it."""
+    from hammerstein.errors import InputError
+
+    try:
+        yield
+    except InputError as error:
+        if error.source in _ALONE:
+            raise InputError(f"--{error.source}", error.mistakes) from None
+        if error.source != source:
+            raise
+        named = [m._replace(where=_option_of(m.where)) for m in error.mistakes]
+        raise InputError("options", named) from None
+
+
+def _option_of(where: str) -> str:
+    """Option that gave a setting; nothing where the mistake is of them together."""
+    name = where.partition("[")[0]
+    return f"--{_OPTIONS.get(name, name.replace('_', '-'))}" * bool(name)

@@ -1,0 +1,221 @@
+"""What is said of an identified model, and its file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import StateSpaceDynamics
+from hammerstein.identification.choice import Trial
+from hammerstein.identification.excitation import excitation_statements
+from hammerstein.identification.fit import Fit, Kind
+from hammerstein.identification.leftover import faults_left, leftover_statements
+from hammerstein.identification.linear.delay import delay_in_samples
+from hammerstein.identification.operators import CurvePoint
+from hammerstein.identification.score import Candidate, Score, ranges
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import direct_pairs, half_swing
+from hammerstein.identification.task import Built, Task
+from hammerstein.identification.verdict import (
+    axis_statements,
+    bound_notes,
+    butterfly_flags,
+    invertibility_of,
+    record_flags,
+    shape_flags,
+    verdict,
+)
+from hammerstein.instruments import Instruments
+from hammerstein.model import HammersteinModel
+from hammerstein.records.faults import Fault
+from hammerstein.records.record import Record
+from hammerstein.voltages import Verdict, Voltages
+
+Array = NDArray[np.float64]
+
+
+class Judgement(NamedTuple):
+    """Errors of every kind of model on the records fitted and held back, and how far each input is heard."""
+
+    fitted: dict[Kind, Score]
+    judged: dict[Kind, Score]
+    held: tuple[Record, ...]
+    held_starts: tuple[Start, ...]
+    answer: Array
+    trials: tuple[Trial, ...]
+
+
+def _left_out(records: Sequence[Record]) -> list[str]:
+    """Outliers that the records were read without."""
+    return [
+        f"{record.source}: outliers of {found.column} are left out: {found.describe()}"
+        for record in records
+        for found in record.outliers
+    ]
+
+
+def account(
+    task: Task,
+    built: Built,
+    curve: tuple[CurvePoint, ...],
+    errors: Judgement,
+    voltages: Voltages,
+) -> Fit:
+    """Everything that is said about the model."""
+    fitted, judged, held, held_starts, answer, trials = errors
+    record, settings, best = task.records[0], task.settings, built.best.candidate
+    named = faults_left(best, task.records, task.starts)
+    flags = _flags(task, built, named)
+    where = (held, held_starts) if held else (task.records, task.starts)
+    leftover = leftover_statements(best, *where, settings)
+    swing = half_swing(task.records)
+    invertible, sentence = _invertible(task, best, voltages)
+    return Fit(
+        inputs=record.inputs,
+        outputs=record.outputs,
+        kind=built.kind,
+        fit=fitted,
+        validation=judged,
+        method=settings.method,
+        operators=best.hysteresis.operators,
+        amplitude_v=float(swing.max()),
+        amplitudes_v=tuple(swing.tolist()),
+        voltages=voltages,
+        delay_samples=delay_in_samples(best.dynamics.input_delay_s, record.sample_time_s),
+        sample_time_s=record.sample_time_s,
+        sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
+        offsets_um=tuple(tuple(row) for row in _offsets(best, task).tolist()),
+        starts=task.starts,
+        held_starts=held_starts,
+        axes=built.best.axes,
+        trials=trials,
+        order=len(best.dynamics.A) if isinstance(best.dynamics, StateSpaceDynamics) else None,
+        error_curve=curve,
+        not_identifiable=tuple(_unknown(task, built, answer)),
+        flags=tuple(flags),
+        notes=(*_left_out([*task.records, *held]), *built.notes, *_bounds(task, built, named)),
+        invertible=invertible,
+        invertibility=sentence,
+        verdict=verdict(judged or fitted, bool(judged), flags, settings.dynamics, built.kind, leftover),
+        candidates=built.candidates,
+        records=task.records,
+        held=held,
+    )
+
+
+def _bounds(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
+    """Slopes that the inverse needs and the records would have otherwise."""
+    settings, blocks = task.settings, built.best.blocks
+    if settings.method != "invertible" or settings.hysteresis != "prandtl_ishlinskii":
+        return []
+    spoiled = {name for fault in named for name in fault.outputs}
+    return bound_notes(task.records, blocks.chosen, blocks.free, built.kind == "hammerstein", spoiled)
+
+
+def _invertible(task: Task, best: Candidate, voltages: Voltages) -> tuple[bool, str]:
+    """Whether the model has an inverse over what was recorded, and the same as a sentence."""
+    record, block = task.records[0], best.hysteresis
+    reached: float | Array = float(half_swing(task.records).max())
+    if task.settings.hysteresis != "prandtl_ishlinskii":
+        rest = np.array(voltages.working_point_v)
+        block, reached = block.counted_from(rest), np.array([voltages.lowest_v, voltages.highest_v]) - rest
+    return invertibility_of(block, best.dynamics, reached, record.sample_time_s, record.inputs)
+
+
+def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
+    """What spoils the records, and what a model of this kind cannot represent."""
+    blocks, outputs = built.best.blocks, task.records[0].outputs
+    spoiled = {(fault.source, name) for fault in named for name in fault.outputs}
+    direct = [
+        (o, k)
+        for o, k in direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))
+        if outputs[o] not in {name for _, name in spoiled}
+    ]
+    flags = [fault.text for fault in named]
+    flags += record_flags(built.best.candidate, task.records, task.starts, spoiled)
+    if built.kind in ("linear", "static_hysteresis"):
+        flags += butterfly_flags(task.records, direct)
+    if blocks.one_sign is not None and task.settings.hysteresis == "prandtl_ishlinskii":
+        spans = ranges(task.records, task.starts)
+        flags += shape_flags(task.records, blocks.free, blocks.one_sign, spans, direct)
+    return flags
+
+
+def _unknown(task: Task, built: Built, answer: Array) -> list[str]:
+    """What the excitation cannot tell."""
+    record = task.records[0]
+    sums = [
+        f"single weights between {record.inputs[k]} and {record.outputs[o]}: only sums of them are told"
+        for o, k in built.best.blocks.chosen.open
+    ]
+    axes = axis_statements(record.outputs, built.axes) if built.axes else []
+    return [*axes, *sums, *_open_places(task, built), *excitation_statements(task.records, answer)]
+
+
+def _open_places(task: Task, built: Built) -> list[str]:
+    """Fitted thresholds whose place the records leave open."""
+    block = built.best.blocks.chosen.hysteresis
+    if block.threshold_covariance is None:
+        return []
+    grids = [pair.thresholds_v for pair in block.pairs[0]]
+    places = [(name, r) for name, grid in zip(task.records[0].inputs, grids, strict=True) for r in grid]
+    found: dict[str, list[str]] = {}
+    for i in block.threshold_covariance.open:
+        found.setdefault(places[i][0], []).append(f"{places[i][1]:.3g}")
+    return [
+        f"the place of {len(own)} of the thresholds of input {name} ({', '.join(own)} V): its standard error "
+        "is more than half of the way to a neighbour. The errors of the others hold with these where they are"
+        for name, own in found.items()
+    ]
+
+
+def _offsets(best: Candidate, task: Task) -> Array:
+    """Reading (record, output) that belongs to an output of zero [um]."""
+    return np.array(
+        [
+            (record.y_um - best.predict(record, start))[:, start.first :].mean(axis=1)
+            for record, start in zip(task.records, task.starts, strict=True)
+        ]
+    )
+
+
+def model_of(
+    task: Task, fit: Fit, best: Candidate, name: str, instruments: Instruments | None
+) -> HammersteinModel:
+    """What the model file holds: blocks, voltages as recorded, instruments and verdict."""
+    record = task.records[0]
+    bandwidth = fit.sensor_bandwidth_hz
+    if instruments is None:
+        instruments = Instruments.ideal(record.sample_time_s)
+        if bandwidth is not None:
+            sensor = instruments.sensor.model_copy(update={"bandwidth_hz": bandwidth})
+            instruments = instruments.model_copy(update={"sensor": sensor})
+    return HammersteinModel(
+        name=name,
+        hysteresis=best.hysteresis,
+        dynamics=best.dynamics,
+        amplitude_v=fit.amplitude_v,
+        inputs=record.inputs,
+        outputs=record.outputs,
+        instruments=instruments,
+        provenance={
+            "records": [Path(r.source).name for r in task.records],
+            "method": fit.method,
+            "amplitudes_v": list(fit.amplitudes_v),
+            "delay_samples": fit.delay_samples,
+            "invertible": fit.invertible,
+            "invertibility": fit.invertibility,
+        },
+        voltages=fit.voltages,
+        verdict=Verdict(
+            flagged=bool(fit.flags),
+            statements=fit.flags,
+            held_out=bool(fit.held),
+            sentence=fit.verdict,
+            nrmse_percent=fit.judged[fit.kind].nrmse_percent,
+        ),
+    )

@@ -1,0 +1,137 @@
+"""How records begin, their delays and their thresholds: what is found before a model is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import StaticDynamics
+from hammerstein.identification.axes_candidates import guesses_of, with_checked_delay
+from hammerstein.identification.linear.axis_search import FirstGuess
+from hammerstein.identification.operators import (
+    CURVE_SAMPLES,
+    CurvePoint,
+    enough_operators,
+    error_curve,
+    input_grids,
+)
+from hammerstein.identification.score import Candidate
+from hammerstein.identification.settings import Settings
+from hammerstein.identification.static.history import StartMode, found_starts, judged_starts, shortened
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import fit_static
+from hammerstein.identification.static_candidates import late_static
+from hammerstein.identification.task import Task
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+DELAY_OPERATORS = 15
+"""Operators with which the delay is found where their number is still open."""
+DEFAULT_OPERATORS, MOST_FITTED = 15, 20
+"""Operators where no number is asked for nor tried, and the most of an input whose thresholds are fitted."""
+FIRST_OPERATORS = 20
+FIRST_SAMPLES = 50_000
+"""Operators and samples of the first model, which only tells how the records begin."""
+
+
+def start_mode(settings: Settings) -> StartMode:
+    """Without a model of how it rings, a start from rest cannot be told from the records."""
+    return "repeated" if settings.dynamics == "state_space" and settings.start == "auto" else settings.start
+
+
+def settle_s_of(guesses: Sequence[FirstGuess]) -> float:
+    """Time after which what rang before the records has settled in every model guessed [s]."""
+    return max((guess.settle_s for guess in guesses), default=0.0)
+
+
+def _first_starts(
+    records: tuple[Record, ...], settings: Settings, guess: FirstGuess | None = None
+) -> tuple[Start, ...]:
+    """How the records begin, with quick models of the static block behind the axes guessed so far."""
+    mode = start_mode(settings)
+    if mode == "rest":
+        return (Start("rest"),) * len(records)
+
+    def fit(starts: Sequence[Start]) -> Callable[[Record, Start], Array]:
+        return _first_model(records, starts, guess, settings).predict
+
+    return found_starts(records, fit, guess.settle_s if guess else 0.0, mode)
+
+
+def _first_model(
+    records: tuple[Record, ...], starts: Sequence[Start], guess: FirstGuess | None, settings: Settings
+) -> Candidate:
+    """A quick model that tells how the records begin, with axes guessed, if there are any."""
+    quick, begun = shortened(records, starts, FIRST_SAMPLES)
+    delay = guess.delay_samples if guess else settings.delay_samples or 0
+    row = input_grids(quick, FIRST_OPERATORS, "voltage")
+    task = Task(quick, begun, [list(row) for _ in quick[0].y_um], delay, settings, lambda _: None)
+    dynamics = guess.dynamics() if guess else StaticDynamics(n_outputs=task.outputs)
+    found = fit_static(
+        quick,
+        task.thresholds_v,
+        method="least_squares",
+        starts=begun,
+        delay_samples=task.whole_delay,
+        through=task.paths(dynamics) or None,
+    )
+    return task.candidate(found.hysteresis, dynamics)
+
+
+def first_task(
+    records: tuple[Record, ...], settings: Settings, tell: Progress
+) -> tuple[Task, tuple[FirstGuess, ...], tuple[CurvePoint, ...]]:
+    """Starts, delays and thresholds of the records, and axes near the best ones."""
+    tell("looking at how the records begin")
+    begun = _first_starts(records, settings)
+    guesses = guesses_of(records, begun, settings, tell)
+    last = guesses[-1] if guesses else None
+    starts = _first_starts(records, settings, last) if last else begun
+    if starts != begun:
+        guesses = guesses_of(records, starts, settings, tell)
+        last = guesses[-1]
+    first = _first_model(records, starts, last, settings)
+    starts = judged_starts(records, first.predict, settle_s_of(guesses), start_mode(settings))
+    static = _static_delay(records, starts, settings, tell)
+    delay = guesses[-1].delay_samples if guesses else static
+    task = Task(records, starts, (), delay, settings, tell, static)
+    if guesses:
+        fine = replace(task, thresholds_v=_fine(settings).thresholds(records, DELAY_OPERATORS))
+        guesses = tuple(with_checked_delay(fine, guess) for guess in guesses)
+        task = replace(task, delay_samples=guesses[-1].delay_samples)
+    curve: tuple[CurvePoint, ...] = ()
+    wanted = settings.error_curve or (settings.operators == "auto" and settings.thresholds_v is None)
+    if wanted and settings.uses_axes:
+        tell("trying numbers of operators")
+        paths = task.paths(guesses[-1].dynamics() if guesses else first.dynamics)
+        place, whole = settings.begun_with, task.whole_delay
+        curve = error_curve(records, starts, partition=place, delay_samples=whole, through=paths)
+    chosen = enough_operators(curve) if curve else DEFAULT_OPERATORS
+    if settings.fits_thresholds and settings.operators == "auto":
+        chosen = min(chosen, MOST_FITTED)
+    return replace(task, thresholds_v=settings.thresholds(records, chosen)), guesses, curve
+
+
+def _static_delay(
+    records: tuple[Record, ...], starts: tuple[Start, ...], settings: Settings, tell: Progress
+) -> int:
+    """Delay that suits a model without dynamics, with thresholds that are not fitted yet."""
+    if settings.dynamics == "state_space":
+        return settings.delay_samples or 0
+    tell("searching the delay")
+    few, begun = shortened(records, starts, CURVE_SAMPLES)
+    thresholds_v = _fine(settings).thresholds(few, DELAY_OPERATORS)
+    return late_static(
+        Task(few, begun, thresholds_v, settings.delay_samples or 0, settings, tell)
+    ).whole_delay
+
+
+def _fine(settings: Settings) -> Settings:
+    """Settings with so many operators that a delay does not stand in for thresholds that are missing."""
+    few = isinstance(settings.operators, int) and settings.operators < DELAY_OPERATORS
+    return replace(settings, operators=DELAY_OPERATORS) if few else settings

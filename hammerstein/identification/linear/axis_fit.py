@@ -1,0 +1,189 @@
+"""Resonance, damping, lag and creep of each axis as the records tell them, with standard errors."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import AxesDynamics, Axis
+from hammerstein.identification.linear.axis_search import FirstGuess, uniform_grids
+from hammerstein.identification.linear.axis_steps import Point, alone, refine, residuals
+from hammerstein.identification.linear.axis_task import AxisTask, axis_of, duration_s
+from hammerstein.identification.static.regressors import Filter, SideBySide, Start
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+CREEP_OPERATORS = 6
+STRETCHES = 16
+"""Stretches of a record within which errors may be related."""
+NEAR = 1.15
+"""Ratio of frequencies that belong to a resonance."""
+EXCITED = 2.0
+"""Amplitude near a resonance, in parts of what the model leaves there, from which it counts as excited."""
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """One axis with what the records say about it.
+
+    Parameters
+    ----------
+    axis : resonance, damping, lag, creep
+    resonance_error_percent, damping_error_percent : standard errors, in percent of the value; None without
+        a resonance
+    creep_gain_errors : standard errors of the creep gains
+    rms_um : rms of what is left [um]
+    static_rms_um : the same without dynamics [um]
+    lag_error_percent : standard error of the time constant, in percent of it; None without a lag
+    excited : whether the resonance shows in the records: the model has more power near it than it leaves
+    """
+
+    axis: Axis
+    resonance_error_percent: float | None
+    damping_error_percent: float | None
+    creep_gain_errors: tuple[float, ...]
+    rms_um: float
+    static_rms_um: float
+    lag_error_percent: float | None = None
+    excited: bool = True
+
+
+def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
+    """Fit one axis from parameters near the best ones; creep is begun anew if ``begin`` holds none."""
+    shape = task.shape
+    static = alone(task, task.sensor)[1]
+    x = begin if len(begin) == shape.parameters else np.concatenate([begin[: shape.slow], _first_creep(task)])
+    if not shape.parameters:
+        return AxisFit(Axis(), None, None, (), static, static)
+    if shape.creep_modes and task.columns > len(task.grids):
+        x = refine(
+            replace(task, grids=uniform_grids(task.records, CREEP_OPERATORS)), x
+        ).x  # many steps, each of them cheaper
+    point = refine(task, x)
+    errors = 100.0 * standard_errors(task, point)
+    return AxisFit(
+        axis=axis_of(shape, point.x),
+        resonance_error_percent=float(errors[0]) if shape.resonance else None,
+        damping_error_percent=float(errors[1]) if shape.resonance else None,
+        creep_gain_errors=tuple((0.01 * errors[shape.slow :: 2]).tolist()),
+        rms_um=point.rms,
+        static_rms_um=static,
+        lag_error_percent=float(errors[shape.slow - 1]) if shape.lag else None,
+        excited=not shape.resonance or _excited(task, point),
+    )
+
+
+def standard_errors(task: AxisTask, point: Point) -> Array:
+    """Standard errors of the parameters, with what the model misses.
+
+    The larger of two: for errors that are independent from sample to sample, and
+
+        (H^-1 (sum over stretches of g g^T) H^-1)_ii,    g = sum over the stretch of psi e
+
+    with the derivatives psi of the output behind the slopes, and H = psi^T psi: errors may be related
+    within a stretch (White, Econometrica 48 (1980) 817-838; Liang and Zeger, Biometrika 73 (1986) 13-22).
+    """
+    n = task.columns
+    inverse = np.linalg.pinv(point.curvature, rcond=1e-14, hermitian=True)
+    spread = np.zeros_like(inverse)
+    path = partial(task.path, point.x)
+    left = residuals(task, path, point.slopes)
+    for i, (record, error) in enumerate(zip(task.records, left, strict=True)):
+        time = record.sample_time_s
+        filters: list[Filter] = [
+            SideBySide(path(time), n),
+            task.derivatives(point.x, point.slopes, time),
+        ]
+        moves = np.hstack([x[n:] - point.drag.T @ x[:n] for _, x in task.blocks(i, filters)])
+        moves -= moves.mean(axis=1, keepdims=True)
+        ends = np.linspace(0, len(error), STRETCHES + 1).astype(int)
+        scores = [moves[:, a:b] @ error[a:b] for a, b in itertools.pairwise(ends)]
+        spread += np.sum([np.outer(g, g) for g in scores], axis=0)
+    related = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0))
+    return np.asarray(np.maximum(related, point.errors))
+
+
+def _excited(task: AxisTask, point: Point) -> bool:
+    """Whether the model has more power near its resonance than it leaves there."""
+    path = partial(task.path, point.x)
+    hz = math.exp(point.x[0])
+    said = left = 0.0
+    for record, error in zip(task.records, residuals(task, path, point.slopes), strict=True):
+        read = record.y_um[task.output, -len(error) :]
+        # Differences leave nothing of slow motion to leak into the band, and keep ringing at the very start.
+        spectra = [np.fft.rfft(np.diff(x)) for x in (read - error, error)]
+        frequency_hz = np.fft.rfftfreq(len(error) - 1, record.sample_time_s)
+        near = (frequency_hz > hz / NEAR) & (frequency_hz < hz * NEAR)
+        said += float(np.sum(np.abs(spectra[0][near]) ** 2))
+        left += float(np.sum(np.abs(spectra[1][near]) ** 2))
+    return said > EXCITED**2 * left
+
+
+def _first_creep(task: AxisTask) -> Array:
+    """Gains and time constants to begin with: spread over what the longest record shows of slow modes."""
+    span = duration_s(task.records)
+    times = span * np.geomspace(0.02, 0.5, task.shape.creep_modes + 2)[1:-1]
+    return np.column_stack([np.full(len(times), 0.02), np.log(times)]).ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class AxesFit:
+    """Dynamics of all axes and the delay of the inputs."""
+
+    axes: tuple[AxisFit, ...]
+    delay_samples: float
+
+    def dynamics(self, sample_time_s: float) -> AxesDynamics:
+        """Give the linear block of the model."""
+        axes = tuple(fit.axis for fit in self.axes)
+        return AxesDynamics(axes=axes, input_delay_s=self.delay_samples * sample_time_s)
+
+
+def fit_axes(
+    records: Sequence[Record],
+    grids: Sequence[Array],
+    starts: Sequence[Start],
+    guess: FirstGuess,
+    *,
+    creep_modes: int | None = 0,
+    sensor_bandwidth_hz: float | None = None,
+    every: int = 1,
+    progress: Progress | None = None,
+) -> AxesFit:
+    """Parameters of every axis, each with its own static block in front.
+
+    Parameters
+    ----------
+    records : all with the same axes; sample times may differ where there is no delay
+    grids : thresholds of each input [V]
+    starts : what went before each record
+    guess : where to begin
+    creep_modes : slow modes of each axis; None: as many as the guess has
+    sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz]
+    every : samples of which one is counted in the sums
+    progress : told what is being done
+    """
+    tell = progress or (lambda _: None)
+    fits = []
+    for o, (shape, begin) in enumerate(zip(guess.shapes, guess.parameters, strict=True)):
+        tell(f"fitting the axis {records[0].outputs[o]}")
+        task = AxisTask(
+            tuple(records),
+            tuple(starts),
+            tuple(grids),
+            o,
+            shape if creep_modes is None else replace(shape, creep_modes=creep_modes),
+            guess.delay_samples,
+            sensor_bandwidth_hz,
+            every,
+        )
+        fits.append(fit_axis(task, begin))
+    return AxesFit(tuple(fits), guess.delay_samples)

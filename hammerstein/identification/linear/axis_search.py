@@ -1,0 +1,222 @@
+"""Where the search for resonance, lag, creep and delay of each axis begins."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.dynamics import AxesDynamics
+from hammerstein.identification.linear.axis_steps import Point, alone, refine, residuals, rms_behind
+from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, duration_s
+from hammerstein.identification.linear.delay import MOST_DELAY, shortest_delay
+from hammerstein.identification.static.history import shortened
+from hammerstein.identification.static.partition import thresholds_uniform_in_voltage
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import half_swing
+from hammerstein.records.record import Record
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+TINY = 1e-300
+WORSE_DELAYS = 2
+GUESS_SAMPLES = 60_000
+GUESS_OPERATORS = 20
+SEARCH_TURNS = 2
+"""How often the hysteresis that the axis is searched with is found anew, behind the axis found."""
+COUNTED_SAMPLES = 15_000
+"""Samples that are counted in the sums of a search; more than so many are thinned out evenly."""
+SEARCH_BEGINS = 3
+PEAK_DAMPING = 0.03
+LEAST_WINDOW, WINDOW = 256, 4096
+PROMINENT = 0.7
+"""Logarithm of the ratio by which an amplitude must stand out."""
+LAG_SAMPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+"""Time constants of a low-pass to begin with, in samples."""
+CREEP_SPANS = (0.03, 0.3)
+"""Time constants of a creep mode to begin with, in parts of the longest record."""
+SEARCH_GRID, CLOSE_GRID = (1.3, 0.15), (1.06, 0.03)
+"""Ratio of neighbouring frequencies tried, and their damping: within reach of the Gauss-Newton steps."""
+
+
+@dataclass(frozen=True, eq=False)
+class FirstGuess:
+    """Axes near the best ones, found quickly.
+
+    Parameters
+    ----------
+    shapes : what each axis consists of
+    parameters : of each axis, see ``AxisShape``
+    delay_samples : samples by which the outputs come late
+    delay_rms_um : (delay, output) rms of what is left for every delay tried; empty if it was given
+    """
+
+    shapes: tuple[AxisShape, ...]
+    parameters: tuple[Array, ...]
+    delay_samples: float
+    delay_rms_um: Array
+
+    def dynamics(self) -> AxesDynamics:
+        """Give the axes, without delay."""
+        return AxesDynamics(axes=tuple(map(axis_of, self.shapes, self.parameters)))
+
+    @property
+    def settle_s(self) -> float:
+        """Time in which the slowest axis rings down to a thousandth [s]."""
+        rates = [2.0 * math.pi * math.exp(x[0] + x[1]) for s, x in self._each() if s.resonance]
+        rates += [math.exp(-x[s.slow - 1]) for s, x in self._each() if s.lag]
+        return math.log(1e3) / min(rates) if rates else 0.0
+
+    def _each(self) -> list[tuple[AxisShape, Array]]:
+        return list(zip(self.shapes, self.parameters, strict=True))
+
+
+def search_axes(
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    *,
+    grids: Sequence[Array] | None = None,
+    delay_samples: int | None = 0,
+    most_delay: int = MOST_DELAY,
+    sensor_bandwidth_hz: float | None = None,
+    lag: bool = False,
+    resonance: bool = True,
+    progress: Progress | None = None,
+) -> FirstGuess:
+    """Resonance, damping and lag of every axis, and the delay, from the beginnings of the records.
+
+    Parameters
+    ----------
+    records : all with the same axes
+    starts : what went before each record
+    grids : thresholds of each input [V]; uniform in voltage if not given
+    delay_samples : whole samples by which the outputs come late; None: found, up to ``most_delay``, if all
+        records have one sample time
+    sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; none if not given
+    lag, resonance : what each axis consists of
+    progress : told what is being done
+    """
+    tell = progress or (lambda _: None)
+
+    quick, begun = shortened(records, starts, GUESS_SAMPLES)
+    every = thinning(quick)
+    plays = uniform_grids(quick, GUESS_OPERATORS) if grids is None else tuple(grids)
+    tasks, begins = [], []
+    for o, name in enumerate(records[0].outputs):
+        tell(f"searching the {'resonance' if resonance else 'lag'} of {name}")
+        shape = AxisShape(resonance, lag)
+        full = AxisTask(quick, begun, plays, o, shape, delay_samples or 0, sensor_bandwidth_hz, every)
+        task, x = _searched(full, closely=grids is not None)
+        tasks.append(task)
+        begins.append(x)
+    shapes = tuple(one.shape for one in tasks)
+    if delay_samples is not None or len({record.sample_time_s for record in records}) > 1:
+        return FirstGuess(shapes, tuple(begins), delay_samples or 0, np.empty((0, len(tasks))))
+    tell("searching the delay")
+    points = _delay_search(tasks, begins, most_delay)
+    rms = np.array([[point.rms for point in row] for row in points])
+    found = shortest_delay(rms)
+    return FirstGuess(shapes, tuple(point.x for point in points[found]), found, rms)
+
+
+def _searched(full: AxisTask, closely: bool) -> tuple[AxisTask, Array]:
+    """Axis near the best one, and the task with few columns that it was found with."""
+    shape = full.shape
+    task = full.mixed(alone(full, full.sensor)[0])
+    x = np.empty(0)
+    for turn in range(SEARCH_TURNS):
+        if shape.resonance:
+            ringing = replace(task, shape=AxisShape())
+            x = (
+                refine(ringing, x[:2]).x
+                if turn
+                else search(ringing, replace(full, shape=ringing.shape), closely)
+            )
+        if shape.lag:
+            x = search_lag(task, x[: 2 * shape.resonance]).x
+        task = full.mixed(alone(full, partial(full.path, x))[0])
+    return task, refine(task, x).x
+
+
+def thinning(records: Sequence[Record]) -> int:
+    """Every how many samples are counted in the sums of a search."""
+    return max(sum(record.samples for record in records) // COUNTED_SAMPLES, 1)
+
+
+def _delay_search(tasks: Sequence[AxisTask], begins: Sequence[Array], most_delay: int) -> list[list[Point]]:
+    """Axes fitted anew for each delay, until two longer ones in a row are worse than the best."""
+    points: list[list[Point]] = []
+    errors: list[float] = []
+    for d in range(most_delay + 1):
+        points.append(
+            [refine(replace(task, delay_samples=d), x) for task, x in zip(tasks, begins, strict=True)]
+        )
+        first = [point.rms for point in points[0]]
+        errors.append(sum(point.rms / max(rms, TINY) for point, rms in zip(points[-1], first, strict=True)))
+        if d - int(np.argmin(errors)) >= WORSE_DELAYS:
+            break
+    return points
+
+
+def search(task: AxisTask, judged: AxisTask, closely: bool = False) -> Array:
+    """Resonance and damping near the best ones.
+
+    Begun with the best places of a coarse grid over all that the records can show, and with the frequencies
+    that stand out of what a static block leaves. ``closely`` adds a grid so fine that no resonance of little
+    damping is missed. ``judged`` has all columns: the few of ``task`` hide what thresholds can make good.
+    """
+    lower, upper = task.limits
+    begins: list[Array] = []
+    for ratio, damping in (SEARCH_GRID, *((CLOSE_GRID,) if closely else ())):
+        frequencies = np.arange(math.log(10.0) + lower[0], upper[0], math.log(ratio))
+        grid = [np.array([f, math.log(damping)]) for f in frequencies]
+        errors = [rms_behind(task, x) for x in grid]
+        begins += [grid[int(i)] for i in np.argsort(errors, kind="stable")[:SEARCH_BEGINS]]
+    begins += [np.log([f, PEAK_DAMPING]) for f in ringing_hz(task) if lower[0] < math.log(f) < upper[0]]
+    found = [refine(task, x).x for x in begins]
+    return min(found, key=lambda x: rms_behind(judged, x))
+
+
+def ringing_hz(task: AxisTask) -> list[float]:
+    """Frequencies at which what a static block leaves stands out of its neighbourhood, clearest first."""
+    from scipy.signal import find_peaks, welch
+
+    slopes, _ = alone(task, task.sensor)
+    found: list[tuple[float, float]] = []
+    for record, left in zip(task.records, residuals(task, task.sensor, slopes), strict=True):
+        if len(left) < 2 * LEAST_WINDOW:
+            continue
+        frequency_hz, power = welch(left, 1.0 / record.sample_time_s, nperseg=min(len(left), WINDOW))
+        level = 0.5 * np.log(np.maximum(power[1:], np.finfo(float).tiny))
+        peaks, shape = find_peaks(level, prominence=PROMINENT)
+        found += [
+            (-float(p), float(frequency_hz[1:][i])) for p, i in zip(shape["prominences"], peaks, strict=True)
+        ]
+    return [f for _, f in sorted(found)[:SEARCH_BEGINS]]
+
+
+def search_creep(task: AxisTask, before: Array) -> Point:
+    """One slow mode beside the parameters ``before``, and all of them near the best ones."""
+    span = duration_s(task.records)
+    begins = [np.concatenate([before, [0.02, math.log(part * span)]]) for part in CREEP_SPANS]
+    return min((refine(task, x) for x in begins), key=lambda point: point.rms)
+
+
+def search_lag(task: AxisTask, before: Array) -> Point:
+    """Low-pass near the best one, beside the parameters (ln frequency, ln damping) of a resonance if any."""
+    times = np.log(min(r.sample_time_s for r in task.records) * np.array(LAG_SAMPLES))
+    lower, upper = task.limits
+    begins = [np.append(before, time) for time in times if lower[-1] <= time <= upper[-1]]
+    errors = [rms_behind(task, x) for x in begins]
+    return refine(task, begins[int(np.argmin(errors))])
+
+
+def uniform_grids(records: Sequence[Record], operators: int) -> tuple[Array, ...]:
+    """Thresholds of each input, uniform in voltage; none for one that does not move."""
+    reach = half_swing(records)
+    return tuple(thresholds_uniform_in_voltage(r, operators) if r else np.empty(0) for r in reach)

@@ -1,0 +1,73 @@
+"""CSV tables of times and one column an axis: voltages to play, paths to follow."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hammerstein.errors import InputError
+from hammerstein.files import read_limited
+from hammerstein.quantities import POSITION_UM
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+
+def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
+    """Read a CSV file with a column ``time_s`` and one column an axis.
+
+    Returns times (row,) [s], values (axis, row), and the names of the axes' columns.
+    InputError names the row and column that are wrong.
+    """
+    import pandas as pd
+
+    text = read_limited(path, what="CSV file")
+    frame = _table(text, path)
+    if "time_s" not in frame.columns or frame.shape[1] < 2:
+        raise InputError(str(path), "needs a header with a column time_s and one column for each axis")
+    lines = enumerate(text.splitlines(), start=1)
+    rows = [number for number, line in lines if line.strip() and not line.lstrip().startswith("#")][1:]
+    numbers = frame.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    bad = np.argwhere(~(np.abs(numbers) <= POSITION_UM.high))
+    if len(bad):
+        row, column = (int(i) for i in bad[0])
+        value = frame.iloc[row, column]
+        what = "is no number" if str(value) == "nan" else f"{value!s} is not a finite number within 1e9"
+        raise InputError(str(path), f"row {rows[row]}, column {frame.columns[column]}: {what}")
+    times = frame["time_s"].to_numpy(dtype=float)
+    if len(times) < 2:
+        raise InputError(str(path), "has a single row; a signal needs at least two")
+    late = np.nonzero(np.diff(times) <= 0)[0]
+    if len(late):
+        raise InputError(str(path), f"row {rows[int(late[0]) + 1]}: time_s does not increase")
+    axes = frame.drop(columns="time_s")
+    return times, axes.to_numpy(dtype=float).T, [str(name) for name in axes.columns]
+
+
+def _table(text: str, path: Path) -> pd.DataFrame:
+    """Table of a CSV file; InputError where a row has more cells than the header."""
+    import pandas as pd
+
+    # Not as pandas would have it: a cell too many in every row makes the first column an index there.
+    form = {"skipinitialspace": True, "comment": "#", "index_col": False, "low_memory": False}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            return pd.read_csv(io.StringIO(text), **form)  # type: ignore[call-overload,no-any-return]
+    except pd.errors.ParserWarning:
+        what = "its rows have more cells than its header; give every column a name"
+    except pd.errors.EmptyDataError:
+        what = "holds no table"
+    except pd.errors.ParserError as error:
+        cells = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
+        told = "row {1} has {2} cells, and the header {0}".format(*cells.groups()) if cells else str(error)
+        what = f"is not a CSV table: {told.strip()}"
+    raise InputError(str(path), what)

@@ -1,0 +1,46 @@
+"""The committed scan of readings says of the packaged actuators what their accepted numbers say."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+REPORTS = Path(__file__).parents[1] / "reports"
+SCAN = REPORTS / "paper/readings/readings.csv"
+
+
+def accepted(actuator: str) -> dict[str, float]:
+    """What an actuator answers to each claim, from the baselines."""
+    rows = [
+        row for path in (REPORTS / "baseline").glob("*.json") for row in json.loads(path.read_text())["rows"]
+    ]
+    mine = [row for row in rows if "claim" in row["key"] and row["key"]["actuator"] == actuator]
+    return {row["key"]["claim"]: row["numbers"]["value"] for row in mine}
+
+
+@pytest.mark.parametrize(
+    ("actuator", "reading"),
+    [
+        ("duo_bimorph", ["-3 dB", "0.12", "True", "1", "False"]),
+        ("duo_bimorph_resonant", ["resonance", "0.15", "True", "1", "False"]),
+        ("duo_bimorph_paper", ["+3 dB", "0.01", "False", "4", "False"]),
+        ("duo_bimorph_static_read", ["none", "0.0", "True", "1", "False"]),
+    ],
+)
+def test_the_scan_holds_the_accepted_numbers(actuator: str, reading: list[str]) -> None:
+    header, *lines = csv.reader(SCAN.read_text(encoding="utf-8").splitlines())
+    (line,) = [line for line in lines if line[:5] == reading]
+    scanned = {claim: float(value) for claim, value in zip(header[6:], line[6:], strict=True)}
+    assert len(scanned) > 30
+    known = accepted(actuator)
+    assert scanned == pytest.approx({claim: known[claim] for claim in scanned}, rel=1e-3)
+
+
+def test_the_packaged_reading_meets_as_many_claims_as_any_other() -> None:
+    lines = list(csv.DictReader(SCAN.read_text(encoding="utf-8").splitlines()))
+    dynamic = [line for line in lines if line["bandwidth"] != "none"]
+    packaged = [
+        line for line in dynamic if list(line.values())[:5] == ["+3 dB", "0.01", "False", "4", "False"]
+    ]
+    assert packaged[0]["met"] == max((line["met"] for line in dynamic), key=int)
