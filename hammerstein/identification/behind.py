@@ -103,14 +103,13 @@ def search_behind(task: Task, hysteresis: Hysteresis[Any], begin: Behind, free_d
     if free_delay and all(len(x) for x in begins):
         task.progress("searching the delay")
         delay, begins = _delay(many, few, delay, begins)
-    whole = [replace(one, delay_samples=delay) for one in every_column]
-    near = tuple(_nearer(one, x) for one, x in zip(whole, begins, strict=True))
-    return Behind(near, delay)
+    last = every_column if begin.axes else many  # a block that was found without axes stands in for them
+    return Behind(tuple(_nearer(one, x, delay) for one, x in zip(last, begins, strict=True)), delay)
 
 
-def _nearer(one: AxisTask, x: Array) -> Axis:
+def _nearer(one: AxisTask, x: Array, delay: float) -> Axis:
     """The axis nearer to its best."""
-    return axis_of(one.shape, refine(one, x, SEARCHED).x if len(x) else x)
+    return axis_of(one.shape, refine(replace(one, delay_samples=delay), x, SEARCHED).x if len(x) else x)
 
 
 def _delay(

@@ -18,7 +18,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from hammerstein.comparison.compare import compare
-from hammerstein.comparison.fitting import KINDS, LINEAR, WITH_DYNAMICS
+from hammerstein.comparison.fitting import KINDS, LINEAR
 from hammerstein.comparison.result import Comparison
 from hammerstein.identification.fit import Fit
 from hammerstein.identification.identify import identify
@@ -58,9 +58,9 @@ What `hammerstein compare` says of the [same records](../README.md): for each ki
 one of its models, without a linear block or with the one that suits plays; rms errors in percent of the
 range, on the record held back where there is one. Kinds that could not be fitted have no number: one rate
 cannot tell how thresholds grow. The rule behind the recommendation stands on each page; single loops, with
-nothing held back, are judged by their fit. Nothing is given but the records, of the magnets that they have no
-dynamics, and of the mirror that it needs a state space of order 28: only plays are had in front of one, so
-that the other kinds stand there without it (*alone*). Written by
+nothing held back, are judged by their fit. Nothing is given but the records, and of the magnets that they
+have no dynamics. The mirror is left out: it needs a state space of order 28, in front of which only plays are
+had, and its reports show that hysteresis does not improve that. Written by
 `python reports/measured/make.py FOLDER comparisons`.
 
 | record | judged on | recommended | {kinds} |
@@ -107,9 +107,6 @@ MIRROR: dict[str, Any] = {
     "creep_modes": 0,
     "error_curve": False,
 }
-
-
-MIRROR_MV, PARTS = (100, 200, 300), ("train", "test")
 
 
 def mirror_records(folder: Path, level: int, part: str) -> tuple[Record, ...]:
@@ -178,10 +175,6 @@ def comparisons(folder: Path) -> Iterator[str]:
     found = compare(read("Model_Vi_Do.dat"), Settings(), validation=read("Test_Vi_Do_Di.dat"))
     write_comparison(found, HERE / "compared" / "micromanipulator")
     yield compared("[micromanipulator](micromanipulator/compare.md)", found)
-    for level in MIRROR_MV:
-        records, held = (named(mirror_records(folder / "cubespec_fsm", level, part)) for part in PARTS)
-        found = compare(records, Settings(**MIRROR), validation=held)
-        yield compared(f"mirror, {level} mV", found)
     for pattern, name in MAGNETS:
         field, flux = (folder / "ja_magnetic_loops" / pattern.format(quantity) for quantity in "HB")
         records = named(read_paired_records(field, flux, axes=("sample", "experiment"), rate_hz=100.0))
@@ -196,12 +189,11 @@ def named(records: Sequence[Record]) -> tuple[Record, ...]:
 
 
 def compared(name: str, found: Comparison) -> str:
-    """Line of one record; a kind that cannot have the linear block asked for is marked."""
+    """Line of one record."""
     errors = []
-    alone = {one.hysteresis for one in found.failed if one.name.endswith(WITH_DYNAMICS)}
     for kind in (LINEAR, *KINDS):
         own = [entry.judged.mean_percent for entry in found.entries if entry.hysteresis == kind]
-        errors.append(f"{min(own):.3f}{' alone' * (kind in alone)}" if own else "")
+        errors.append(f"{min(own):.3f}" if own else "")
     return row(name, "held back" if found.held else "fitted", found.recommended, *errors)
 
 
