@@ -16,6 +16,7 @@ from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import BoucWen, BoucWenPair
 from hammerstein.hysteresis.invertibility import invertibility
+from hammerstein.hysteresis.kind import Hysteresis
 from hammerstein.model import HammersteinModel
 
 SEED = 16
@@ -206,6 +207,13 @@ def test_python_control_and_the_model_file_give_the_same_numbers(tmp_path):
     again = HammersteinModel.load(tmp_path / "m.json")
     np.testing.assert_array_equal(again.hysteresis.respond(u)[0], block().respond(u)[0])
     assert again.digest() == model_of(block()).digest()
+
+
+def test_where_a_kind_says_no_more_memory_after_a_path_is_that_of_a_jump_to_it():
+    path, onward = np.array([[3.0, 6.0, -4.0], [1.0, -7.0, 3.0]]), np.array([[-2.0, 5.0], [0.0, -1.0]])
+    whole = block().respond(np.hstack([path, onward]))[0]
+    memory = Hysteresis.after(block(), path)
+    np.testing.assert_array_equal(block().respond(onward, memory)[0], whole[:, 3:])
 
 
 def test_slopes_lie_between_the_ends_and_reach_them():

@@ -100,6 +100,17 @@ def test_slopes_of_a_direct_pair_are_held_where_there_were_no_inverse():
     assert bound.rms_um[0] > free.rms_um[0]
 
 
+def test_of_two_axes_the_slopes_of_one_are_held_and_the_other_is_as_it_was():
+    steep = np.array([[9.0, -0.3], [0.2, 3.0]])
+    d = np.array([[5.0, 0.6], [-0.5, 12.0]])
+    records = [Record(u, theory.bouc_wen(u, d, steep, BETA, GAMMA), T) for u in voltages(1000)]
+    free, bound = (fit_bouc_wen(records, invertible=which) for which in (False, True))
+    assert bound.held == ((0, 0),)
+    low, held = (min(fit.hysteresis.pairs[0][0].slopes_um_per_v) for fit in (free, bound))
+    assert low < 0.0 < held
+    np.testing.assert_allclose(numbers(bound.hysteresis)[0][1], d[1], atol=1e-3)
+
+
 def test_an_input_that_never_moves_is_refused():
     u = voltages(500)[0]
     with pytest.raises(IdentificationError, match="never moves"):

@@ -155,6 +155,14 @@ def test_operators_that_the_range_never_engages_do_not_count():
     assert invertibility(hysteresis, 5.0).invertible
 
 
+def test_without_a_range_loops_of_twice_the_largest_threshold_complete_the_model():
+    """Slopes 1 and -0.1 beside 0.27: gains (1 - 0.55, 0.27) at 16 V make all determinants positive."""
+    wide = PrandtlIshlinskii([[Pair([0.0, 8.0], [1.0, -1.1]), Pair([0.0, 3.0], [0.27, 1e-6])]])
+    assert invertibility(wide).invertible
+    assert invertibility(wide, amplitude_v=16.0).invertible
+    assert not invertibility(wide, amplitude_v=6.0).invertible
+
+
 def test_both_ways_to_examine_determinants_agree():
     generator = np.random.default_rng(8)
     for _ in range(40):

@@ -429,3 +429,9 @@ def test_a_state_refuses_plays_that_no_voltage_leads_to():
 def test_what_play_cannot_play_is_one_message(u, r, start, said):
     with pytest.raises(InputError, match=said):
         play(u, r, start)
+
+
+def test_a_pair_says_what_it_is():
+    assert repr(Pair.absent()) == "Pair(absent)"
+    told = "Pair(2 operators, thresholds 0.5 to 1.25 V, summed weight 3.5 um/V)"
+    assert repr(Pair([0.5, 1.25], [3.0, 0.5])) == told

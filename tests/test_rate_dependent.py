@@ -258,6 +258,8 @@ def test_behind_dynamics_the_preview_law_takes_it():
         ([0.0, 1.0], [0.0], "one each"),
         ([1.0, 0.5], [0.0, 0.0], "increasing"),
         ([0.0, 1.0], [1.0, 0.0], "not fall"),
+        ([0.0, np.inf], [0.0, 0.0], "thresholds_v:? +and growth_s must be finite"),
+        ([0.0, 1.0], [0.0, np.nan], "thresholds_v:? +and growth_s must be finite"),
     ],
 )
 def test_plays_refuse(r, b, says):

@@ -7,7 +7,7 @@ import pytest
 from record_cases import TIME, N, U, X, message, read, table_text
 
 from hammerstein.errors import InputError
-from hammerstein.records.gains import doubtful_gains, pair_gains
+from hammerstein.records.gains import Gain, doubtful_gains, pair_gains
 from hammerstein.records.readers import read_columns
 from hammerstein.records.reading import read_records
 from hammerstein.records.record import Record
@@ -126,6 +126,11 @@ def test_gains_of_all_pairs_and_doubts():
         doubts = doubtful_gains(pair_gains([Record([U], [scale * 5.0 * U], 1e-3)]))
         assert len(doubts) == 1
         assert word in doubts[0]
+
+
+@pytest.mark.parametrize(("um_per_v", "doubted"), [(9e-4, 1), (1.5e-3, 0), (900.0, 0), (1100.0, 1)])
+def test_a_gain_is_doubted_where_no_actuator_has_it(um_per_v, doubted):
+    assert len(doubtful_gains([Gain("u", "x", 100.0, 100.0 * um_per_v, -um_per_v)])) == doubted
 
 
 def test_a_column_is_found_without_its_unit(tmp_path):

@@ -7,6 +7,7 @@ import json
 import os
 import platform
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -95,6 +96,7 @@ class Table:
 
     def __init__(self, short: bool):
         self.short = short
+        self.machine = machine()
         self.rows: list[Row] = []
 
     def add(self, row: Row) -> Row:
@@ -118,7 +120,7 @@ class Table:
         return lines
 
     def _header(self) -> list[str]:
-        facts = [f"{key}: {value}" for key, value in machine().items()]
+        facts = [f"{key}: {value}" for key, value in self.machine.items()]
         form = "short form" if self.short else "full form"
         return [
             f"Benchmarks, {form}, {date.today().isoformat()}. Command: `{self.command()}`",
@@ -131,14 +133,15 @@ class Table:
 
     def command(self) -> str:
         """Give the command that makes this table."""
-        return "python -m pytest tests/benchmarks" + (" --short" if self.short else "")
+        paths = " ".join(argument for argument in sys.argv[1:] if argument.startswith("tests"))
+        return f"python -m pytest {paths or 'tests/benchmarks'}" + (" --short" if self.short else "")
 
     def write(self, folder: Path) -> None:
         """Write ``benchmarks.md`` and ``benchmarks.json``."""
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "benchmarks.md").write_text("\n".join(self.lines()) + "\n", encoding="utf-8")
         rows = [asdict(row) | {"verdict": row.verdict} for row in self.rows]
-        about = {"date": date.today().isoformat(), "command": self.command(), "machine": machine()}
+        about = {"date": date.today().isoformat(), "command": self.command(), "machine": self.machine}
         text = json.dumps(about | {"rows": rows}, indent=1, sort_keys=True)
         (folder / "benchmarks.json").write_text(text + "\n", encoding="utf-8")
 
@@ -155,10 +158,11 @@ def _digits(value: float) -> str:
 
 
 def machine() -> dict[str, str]:
-    """Processor, its number of cores, and the versions that matter."""
+    """Processor, its number of cores, how many processes want them, and the versions that matter."""
     names = [line.split(":")[1].strip() for line in _cpu_lines() if line.startswith("model name")]
     about = {"processor": names[0] if names else platform.processor() or platform.machine()}
     about |= {"cores": str(os.cpu_count()), "python": platform.python_version()}
+    about |= {"load": f"{os.getloadavg()[0]:.1f}"} if hasattr(os, "getloadavg") else {}
     return about | {name: version(name) for name in ("numpy", "numba", "control")}
 
 

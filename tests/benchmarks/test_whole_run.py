@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -17,7 +18,9 @@ from hammerstein.records.record import Record
 
 ROOT = Path(__file__).resolve().parents[2]
 RUN = "Waiting time on the wall (ratio: part of what is allowed)"
+A_SCENARIO_S = 0.9
 BUSY = 2.0  # times the limit before a benchmark fails: time on the wall is what else the machine does
+SPENT = "Processor time of what a person waits for (ratio: part of the time on the wall)"
 PARTS = "Where the time of all shipped scenarios goes, in one process (ratio: part of the whole)"
 
 SPLIT = """
@@ -64,9 +67,16 @@ for what, seconds in spent.items():
 """
 
 
+class Ran(NamedTuple):
+    """Time on the wall and of all processors [s], and the output, of a Python of its own."""
+
+    wall_s: float
+    spent_s: float
+    out: str
+
+
 def python(*arguments, **environment):
-    """Seconds on the wall, and the output, of a Python of its own."""
-    start = time.perf_counter()
+    start, before = time.perf_counter(), os.times()
     answer = subprocess.run(
         [sys.executable, *map(str, arguments)],
         capture_output=True,
@@ -75,21 +85,25 @@ def python(*arguments, **environment):
         cwd=ROOT,
         env=os.environ | environment,
     )
-    return time.perf_counter() - start, answer.stdout
+    wall, after = time.perf_counter() - start, os.times()
+    spent = after.children_user + after.children_system - before.children_user - before.children_system
+    return Ran(wall, spent, answer.stdout)
 
 
-def waited(bench, what, seconds, allowed):
-    """Ratio of a waiting time to what is allowed, in the table."""
-    row = Row(RUN, what, "limit", seconds, allowed, "s", seconds / allowed, "<=", 1.0)
+def waited(bench, what, ran, allowed):
+    """Ratio of a waiting time to what is allowed, in the table, with the time of the processors."""
+    bench.table.add(Row(SPENT, what, "on the wall", ran.spent_s, ran.wall_s, "s", ran.spent_s / ran.wall_s))
+    row = Row(RUN, what, "limit", ran.wall_s, allowed, "s", ran.wall_s / allowed, "<=", 1.0)
     return bench.table.add(row).ratio
 
 
 def test_help_comes_at_once(bench):
     """Against a Python that loads one library, for a busy machine slows both."""
     helped, numpy_alone = ("-m", "hammerstein", "--help"), ("-c", "import numpy")
-    pairs = [(python(*helped)[0], python(*numpy_alone)[0]) for _ in range(6)][1:]
-    ours, other = (min(times) for times in zip(*pairs, strict=True))
-    waited(bench, "hammerstein --help", ours, 0.3)
+    pairs = [(python(*helped), python(*numpy_alone)) for _ in range(6)][1:]
+    quickest, other = (min(ran) for ran in zip(*pairs, strict=True))
+    waited(bench, "hammerstein --help", quickest, 0.3)
+    ours, other = quickest.wall_s, other.wall_s
     row = Row(
         RUN, "hammerstein --help", "python -c 'import numpy'", ours, other, "s", ours / other, "<=", 2.0
     )
@@ -99,11 +113,15 @@ def test_help_comes_at_once(bench):
 def test_all_shipped_scenarios(bench, tmp_path):
     if bench.short:
         pytest.skip("the full form times all scenarios")
-    command = ("-m", "hammerstein", "run", "scenarios", "--jobs", "2", "--out", tmp_path)
-    python(*command)
+    command = ("-m", "hammerstein", "run", "scenarios", "--jobs", "2", "--out", tmp_path / "reports")
+    own = {"HAMMERSTEIN_CACHE": str(tmp_path / "cache"), "HAMMERSTEIN_CACHE_MB": "1000"}
+    python(*command, **own)  # compiles what is not compiled yet
     count = len(list((ROOT / "scenarios").glob("*.toml")))
-    assert waited(bench, f"{count} scenarios with figures, two jobs", python(*command)[0], 20.0) <= BUSY
-    _, printed = python("-c", SPLIT, "scenarios", tmp_path)
+    fresh, again = python(*command, "--fresh", **own), python(*command, **own)
+    what = f"all scenarios, {count}, with figures, two jobs"
+    assert waited(bench, what, fresh, A_SCENARIO_S * count) <= BUSY
+    assert waited(bench, "the same again, nothing changed", again, 0.1 * fresh.wall_s) <= BUSY
+    printed = python("-c", SPLIT, "scenarios", tmp_path / "reports", **own).out
     parts = [(float(line.split(" ", 1)[0]), line.split(" ", 1)[1]) for line in printed.splitlines()]
     whole = sum(seconds for seconds, _ in parts)
     for seconds, what in sorted(parts, reverse=True):
@@ -116,8 +134,9 @@ def test_first_run_after_installation(bench, tmp_path):
     scenario = ROOT / "scenarios" / "beyond_circles.toml"
     command = ("-m", "hammerstein", "run", scenario, "--no-figures", "--out", tmp_path / "reports")
     caches = {"NUMBA_CACHE_DIR": str(tmp_path / "numba")}
-    first, later = (python(*command, **caches)[0] for _ in range(2))
-    assert waited(bench, "first run after installation, more than later", first - later, 20.0) <= BUSY
+    first, later = (python(*command, **caches) for _ in range(2))
+    more = Ran(first.wall_s - later.wall_s, first.spent_s - later.spent_s, "")
+    assert waited(bench, "first run after installation, more than later", more, 20.0) <= BUSY
 
 
 def test_least_squares_on_a_long_record(bench, published):
@@ -127,8 +146,8 @@ def test_least_squares_on_a_long_record(bench, published):
     record = Record(u, published.hysteresis.respond(u)[0] + noise, SAMPLE_TIME_S)
     settings = Settings(operators=15, partition="time", dynamics="none", creep_modes=0, error_curve=False)
     identify([record.part(0, 20_000)], settings)
-    start = time.process_time()
+    start, begun = time.process_time(), time.perf_counter()
     _, fit = identify([record], settings)
-    seconds = time.process_time() - start
+    ran = Ran(time.perf_counter() - begun, time.process_time() - start, "")
     assert max(fit.fit["static_hysteresis"].rms_um) < 0.08
-    assert waited(bench, f"identify, 2 x 2, 15 operators, {bench.samples:,} samples", seconds, 5.0) <= BUSY
+    assert waited(bench, f"identify, 2 x 2, 15 operators, {bench.samples:,} samples", ran, 5.0) <= BUSY
