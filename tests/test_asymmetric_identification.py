@@ -14,6 +14,7 @@ from hammerstein.identification.recorded import counted
 from hammerstein.identification.static.asymmetric import breakpoints_in, fit_asymmetric
 from hammerstein.identification.static.asymmetric_choice import chosen_asymmetric
 from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import fit_static
 from hammerstein.records.record import Record
 
 SEED = 16
@@ -116,6 +117,19 @@ def test_the_invertible_fit_is_the_best_of_all_that_are_within_the_inequalities(
     assert least > 0.0
     assert ours <= best * (1.0 + 1e-9)
     assert ours == pytest.approx(best, rel=1e-3)
+
+
+def test_without_dead_zones_bounds_of_ragged_pairs_are_those_of_plays_alone():
+    rows = [[np.array([0.0, 0.6]), R], [R, R]]
+    plays = [[Pair(rows[0][0], [3.0, -3.4]), Pair(R, [0.2, -0.1, 0.05, 0.02])],
+             [Pair(R, [0.1, 0.1, -0.2, 0.1]), Pair(R, [2.5, 0.3, 0.8, 0.2])]]  # fmt: skip
+    records = records_of(PrandtlIshlinskii(plays))
+    fit = fit_asymmetric(records, rows, [np.empty(0)] * 2)
+    alone = fit_static(records, rows)
+    assert fit.held == ((0, 0),)
+    for ours, theirs in zip(fit.hysteresis.plays.pairs, alone.hysteresis.pairs, strict=True):
+        for one, other in zip(ours, theirs, strict=True):
+            np.testing.assert_allclose(one.weights_um_per_v, other.weights_um_per_v, rtol=1e-6, atol=1e-9)
 
 
 def test_through_a_linear_block_the_weights_are_found_all_the_same():

@@ -23,6 +23,7 @@ from hammerstein.hysteresis import (
 from hammerstein.identification.identify import identify
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
+from hammerstein.identification.static.rate_dependent import fit_rate_dependent
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 
@@ -80,6 +81,43 @@ def test_the_rate_keeps_what_is_its_own_and_the_lag_what_is_not():
     assert plays.bandwidth_hz == pytest.approx(200.0, rel=2e-3)
     np.testing.assert_allclose(model.hysteresis.weights[0], W, atol=1e-3)
     assert fit.fit["hammerstein"].rms_um[0] == pytest.approx(0.005, rel=0.02)  # its noise
+
+
+def test_a_delay_of_parts_of_a_sample_is_found_beside_lag_and_dead_zones():
+    axis = Axis(lag_s=1e-3)
+    late = AxesDynamics(axes=(axis,), input_delay_s=1.4 * T)
+    path = discretise(late, T)
+    records = [record_of("asymmetric", path, *both, seed) for seed, both in enumerate(BOTH)]
+    kept = {"thresholds_v": R, "dynamics": "lag", "creep_modes": 0, "error_curve": False, "start": "rest"}
+    model, _ = identify(records, Settings(hysteresis="asymmetric", dead_zones=5, **kept))
+    assert model.dynamics.input_delay_s == pytest.approx(1.4 * T, abs=0.05 * T)
+    assert model.dynamics.axes[0].lag_s == pytest.approx(1e-3, rel=0.01)
+
+
+def test_growth_suits_the_weights_that_it_will_have():
+    """A falling weight, which is held at zero: growth and lag are where bounded weights leave least."""
+    path = discretise(AxesDynamics(axes=(Axis(lag_s=1e-3),)), T)
+    bent = np.array([3.0, 0.4, -0.1, 0.6])
+    u = [sines(*both) for both in BOTH]
+    v = [theory.rate_dependent(x, T, [R], [np.append(0.0, [2e-4] * 3)], [200.0], [0.0], [[bent]]) for x in u]
+    noise = np.random.default_rng(5)
+    y = [path.respond(one)[0] + 0.005 * noise.standard_normal(one.shape) for one in v]
+    records = [Record(x, one, T) for x, one in zip(u, y, strict=True)]
+    kept = {"thresholds_v": R, "dynamics": "lag", "creep_modes": 0, "error_curve": False, "start": "rest"}
+    model, _ = identify(records, Settings(hysteresis="rate_dependent", **kept))
+    block, [axis] = model.hysteresis, model.dynamics.axes
+    assert block.weights[0][2] == 0.0
+
+    def left(growth=1.0, bandwidth=1.0, lag=1.0):
+        plays = block.inputs[0]
+        near = RatePlays(R, growth * plays.growth_s, bandwidth * plays.bandwidth_hz)
+        behind = AxesDynamics(axes=(Axis(lag_s=lag * axis.lag_s),))
+        like = RateDependent((near,), block.weights_um_per_v)
+        return fit_rate_dependent(records, [R], through=[discretise(behind, T)] * 2, like=like).rms_um[0]
+
+    least = left()
+    for name in ("growth", "bandwidth", "lag"):
+        assert min(left(**{name: part}) for part in (0.8, 0.95, 1.05, 1.25)) > (1.0 - 1e-5) * least
 
 
 def test_a_single_rate_tells_no_lag_unless_it_is_asked_for():

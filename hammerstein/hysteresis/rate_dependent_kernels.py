@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from hammerstein.compiled import compiled
 
 ROOT_TWO, LOG_TWO = 1.4142135623730951, 0.6931471805599453
@@ -38,12 +40,18 @@ def next_rate(k, sample_time, pole, last, rate):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def threshold(k, i, r, b, lam, rate):  # type: ignore[no-untyped-def]
-    """R = r + b g(rate), g = |rate| or, where lambda is given, log(1 + lambda |rate|) / lambda."""
+def size_of(k, lam, rate):  # type: ignore[no-untyped-def]
+    """Give g(rate) of input k: |rate| or, where lambda is given, log(1 + lambda |rate|) / lambda."""
     size = abs(rate[k])
     if lam[k] > 0.0:
         size = log_of_one_and(lam[k] * size) / lam[k]
-    return r[k, i] + b[k, i] * size
+    return size
+
+
+@compiled()
+def threshold(k, i, r, b, lam, rate):  # type: ignore[no-untyped-def]
+    """R = r + b g(rate)."""
+    return r[k, i] + b[k, i] * size_of(k, lam, rate)
 
 
 @compiled()
@@ -71,10 +79,15 @@ def respond_rate_dependent(  # type: ignore[no-untyped-def]
 @compiled()
 def play_outputs(u, sample_time, pole, r, b, lam, plays, last, rate, p):  # type: ignore[no-untyped-def]
     """Outputs of each play of one input: p (n, N), overwritten; the rest as above with m = 1."""
+    size = np.empty(u.shape[1])
     for t in range(u.shape[1]):
         next_rate(0, sample_time, pole, last, rate)
-        for i in range(r.shape[1]):
-            reach = threshold(0, i, r, b, lam, rate)
-            plays[0, i] = max(u[0, t] - reach, min(u[0, t] + reach, plays[0, i]))
-            p[i, t] = plays[0, i]
+        size[t] = size_of(0, lam, rate)
         last[0, 1], last[0, 0] = last[0, 0], u[0, t]
+    for i in range(r.shape[1]):  # play after play: each writes what lies side by side in memory
+        held = plays[0, i]
+        for t in range(u.shape[1]):
+            reach = r[0, i] + b[0, i] * size[t]
+            held = max(u[0, t] - reach, min(u[0, t] + reach, held))
+            p[i, t] = held
+        plays[0, i] = held

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,25 +53,27 @@ REFINED = 2
 """Of the places of a coarse grid, those from which a resonance is refined."""
 SEARCHED = 1e-3
 """Gain of a step, in parts of the error, under which a search has arrived: what it decides is two percent."""
-FEW = 6
-"""Combinations of columns, those of the largest power, beside the response of the block as it was found."""
+FEW, MANY = 6, 40
+"""Combinations of columns, those of the largest power, beside the response of the block as it was found: with
+which a search begins, and with which it decides. The last fit has them all."""
 
 
 class Behind(NamedTuple):
-    """The axes found behind a block, and the delay [samples]."""
+    """The axes found behind a block, the delay [samples], and what is known of the axes at their best."""
 
-    axes: tuple[AxisFit, ...]
+    axes: tuple[Axis, ...]
     delay_samples: float
+    fits: tuple[AxisFit, ...] = ()
 
     @property
     def dynamics(self) -> AxesDynamics:
         """Linear block of the axes."""
-        return AxesDynamics(axes=tuple(fit.axis for fit in self.axes))
+        return AxesDynamics(axes=self.axes)
 
     @property
     def is_static(self) -> bool:
         """Whether nothing stands behind the block."""
-        return all(fit.axis == Axis() for fit in self.axes)
+        return all(axis == Axis() for axis in self.axes)
 
 
 def search_behind(task: Task, hysteresis: Hysteresis[Any], begin: Behind, free_delay: bool = False) -> Behind:
@@ -86,37 +89,62 @@ def search_behind(task: Task, hysteresis: Hysteresis[Any], begin: Behind, free_d
     begin : axes, if any, and the delay to begin with
     free_delay : whether the delay is found, too
     """
-    first = begin.delay_samples
-    late = replace(task, delay_samples=first)
-    tasks = [_axis_tasks(late, hysteresis, o) for o in range(task.outputs)]
-    near = [fit.axis for fit in begin.axes] or [Axis()] * task.outputs
-    grown = [_grown(task, *both, axis) for both, axis in zip(tasks, near, strict=True)]
-    shaped = [replace(one, shape=shape) for (one, _), (shape, _) in zip(tasks, grown, strict=True)]
-    begins, delay = [x for _, x in grown], first
+    late = replace(task, delay_samples=begin.delay_samples)
+    every = [len(weights) for weights in hysteresis.weights]
+    tasks = [_axis_tasks(late, hysteresis, o, (number, MANY, FEW)) for o, number in enumerate(every)]
+    near = begin.axes or (Axis(),) * task.outputs
+    grown = [_grown(task, one, quick, axis) for (_, one, quick), axis in zip(tasks, near, strict=True)]
+    shapes, begins = [shape for shape, _ in grown], [x for _, x in grown]
+    every_column, many, few = (
+        [replace(one, shape=shape) for one, shape in zip(row, shapes, strict=True)]
+        for row in zip(*tasks, strict=True)
+    )
+    delay = begin.delay_samples
     if free_delay and all(len(x) for x in begins):
-
-        def points(delay: float, begins: Sequence[Array]) -> list[Point]:
-            late = [replace(one, delay_samples=delay) for one in shaped]
-            return [refine(one, x, SEARCHED) for one, x in zip(late, begins, strict=True)]
-
         task.progress("searching the delay")
-        delay, found = best_delay(points, first, begins)
-        begins = [point.x for point in found]
-    fits = [fit_axis(replace(one, delay_samples=delay), x) for one, x in zip(shaped, begins, strict=True)]
-    return Behind(tuple(fits), delay)
+        delay, begins = _delay(many, few, delay, begins)
+    last = every_column if begin.axes else many  # a block that was found without axes stands in for them
+    return Behind(tuple(_nearer(one, x, delay) for one, x in zip(last, begins, strict=True)), delay)
+
+
+def _nearer(one: AxisTask, x: Array, delay: float) -> Axis:
+    """The axis nearer to its best."""
+    return axis_of(one.shape, refine(replace(one, delay_samples=delay), x, SEARCHED).x if len(x) else x)
+
+
+def _delay(
+    many: Sequence[AxisTask], few: Sequence[AxisTask], first: float, begins: Sequence[Array]
+) -> tuple[float, list[Array]]:
+    """Delay that leaves the least, and parameters of all axes with it.
+
+    Where few columns ask for another delay than the first one, many decide which.
+    """
+
+    def points(tasks: Sequence[AxisTask], delay: float, begins: Sequence[Array]) -> list[Point]:
+        late = [replace(one, delay_samples=delay) for one in tasks]
+        return [refine(one, x, SEARCHED) for one, x in zip(late, begins, strict=True)]
+
+    near, found = best_delay(partial(points, few), first, begins)
+    if near == first:
+        return first, list(begins)
+    best, found = best_delay(partial(points, many), round(near), [point.x for point in found])
+    return best, [point.x for point in found]
 
 
 def sure_behind(task: Task, hysteresis: Hysteresis[Any], found: Behind) -> Behind:
-    """The axes without what the records do not tell of them, behind the same block."""
+    """The axes at their best, without what the records do not tell of them, behind the same block."""
     late = replace(task, delay_samples=found.delay_samples)
     fits = []
-    for o, fit in enumerate(found.axes):
-        shape, x = parameters_of(fit.axis)
-        fits.append(_sure(replace(_axis_tasks(late, hysteresis, o)[0], shape=shape), x, fit))
-    return Behind(tuple(fits), found.delay_samples)
+    for o, axis in enumerate(found.axes):
+        shape, x = parameters_of(axis)
+        task.progress(f"fitting what stands between the hysteresis and {task.records[0].outputs[o]}")
+        [one] = _axis_tasks(late, hysteresis, o, (len(hysteresis.weights[o]),))
+        one = replace(one, shape=shape)
+        fits.append(_sure(one, found.fits[o] if found.fits else fit_axis(one, x)))
+    return Behind(tuple(fit.axis for fit in fits), found.delay_samples, tuple(fits))
 
 
-def _sure(one: AxisTask, x: Array, fit: AxisFit) -> AxisFit:
+def _sure(one: AxisTask, fit: AxisFit) -> AxisFit:
     """The axis without slow modes and a resonance that the records do not tell, one after the other."""
     while fit.axis.creep and not (creep_identified(fit, one.records) and _physical(fit.axis)):
         shape, x = parameters_of(fit.axis)
@@ -136,20 +164,21 @@ def _physical(axis: Axis) -> bool:
     return all(0.0 < mode.gain <= LARGEST_CREEP for mode in axis.creep)
 
 
-def _axis_tasks(task: Task, hysteresis: Hysteresis[Any], o: int) -> tuple[AxisTask, AxisTask]:
-    """What stays fixed while the axis of output o is fitted: with all columns, and with few for a search."""
+def _axis_tasks(task: Task, hysteresis: Hysteresis[Any], o: int, numbers: Sequence[int]) -> list[AxisTask]:
+    """What stays fixed while the axis of output o is fitted: with all columns, or so many combinations."""
     every = thinning(task.records)
     each = zip(task.records, task.starts, strict=True)
     raw = [_columns(hysteresis, record, start, o) for record, start in each]
-    mix = _told(raw, every)
+    told = _told(raw, every)
     sensor = task.settings.sensor_bandwidth_hz
 
-    def with_columns(mix: Array) -> AxisTask:
+    def with_columns(number: int) -> AxisTask:
+        mix = told if len(told) <= number else np.vstack([hysteresis.weights[o], told[-number:]])
         kept = tuple(Columns(mix @ one.values, mix @ one.held) for one in raw)
         shape, delay = AxisShape(False), task.delay_samples
         return AxisTask(task.records, task.starts, (), o, shape, delay, sensor, every, kept)
 
-    return with_columns(mix), with_columns(np.vstack([hysteresis.weights[o], mix[-FEW:]]))
+    return [with_columns(number) for number in numbers]
 
 
 def _columns(hysteresis: Hysteresis[Any], record: Record, start: Start, o: int) -> Columns:
@@ -183,7 +212,7 @@ def _told(columns: Sequence[Columns], every: int) -> Array:
 def _grown(task: Task, one: AxisTask, quick: AxisTask, begin: Axis) -> tuple[AxisShape, Array]:
     """Shape and parameters of one axis, found by adding what lowers the error most.
 
-    one, quick : with all columns, which decide, and with the few that a search needs
+    one, quick : with many columns, which decide, and with the few that a search needs
     """
     settings, name = task.settings, task.records[0].outputs[one.output]
     may = {"lag": ("lag",), "second_order": ("resonance",), "auto": ("lag", "resonance")}

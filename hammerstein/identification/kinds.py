@@ -38,8 +38,9 @@ Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
 
 MOST_TURNS = 4
 """Most times that block and axes are fitted in turn; each must lower the error by half a percent."""
-CHOSEN_TURNS = 2
-"""Turns in which the columns of the block are chosen anew."""
+CHOSEN_TURNS, DELAY_TURN = 2, 1
+"""Turns in which the columns of the block are chosen anew, and the one in which the delay is found: behind a
+block that was found in front of axes."""
 BEGINNING = 20_000
 """Samples of all records together that tell how they began."""
 
@@ -87,7 +88,7 @@ def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tu
     found = tried[kept[chosen([trials[i] for i in kept])]]
     task = replace(task, starts=found.starts, delay_samples=found.behind.delay_samples)
     name: Kind = "static_hysteresis" if found.behind.is_static else "hammerstein"
-    axes = () if found.behind.is_static else found.behind.axes
+    axes = () if found.behind.is_static else found.behind.fits
     models = {**built.found, "classical": before, name: Found(found.candidate, before.blocks, axes)}
     notes = (*built.notes, *found.block.notes)
     return task, replace(built, found=models, kind=name, axes=axes, notes=notes)
@@ -127,17 +128,17 @@ class _Whole(NamedTuple):
     @property
     def name(self) -> str:
         """Words for a table."""
-        shapes = dict.fromkeys(axis_parameters(fit.axis)[0].name for fit in self.behind.axes)
+        shapes = dict.fromkeys(axis_parameters(axis)[0].name for axis in self.behind.axes)
         return ", ".join(shapes) or f"{self.behind.delay_samples:g} samples late"
 
     @property
     def settle_s(self) -> float:
         """Time in which the slowest axis, without its creep, rings down to a thousandth [s]."""
         axes = self.behind.axes
-        times = [fit.axis.lag_s for fit in axes if fit.axis.lag_s is not None]
-        for fit in axes:
-            if fit.axis.resonance_hz is not None and fit.axis.damping_ratio is not None:
-                times.append(0.5 / np.pi / fit.axis.resonance_hz / fit.axis.damping_ratio)
+        times = [axis.lag_s for axis in axes if axis.lag_s is not None]
+        for axis in axes:
+            if axis.resonance_hz is not None and axis.damping_ratio is not None:
+                times.append(0.5 / np.pi / axis.resonance_hz / axis.damping_ratio)
         return float(np.log(1e3)) * max(times, default=0.0)
 
 
@@ -152,7 +153,8 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> _Who
     found = Behind((), 0.0 if free else task.delay_samples)
     whole = _before(task, thresholds_v, found, alone)
     for turn in range(MOST_TURNS):
-        found = search_behind(task, whole.block.hysteresis, found, free)
+        late = free and turn == DELAY_TURN
+        found = search_behind(task, whole.block.hysteresis, found, late)
         whole, found = _in_front(task, thresholds_v, whole.block, found, anew=turn < CHOSEN_TURNS)
         starts = _starts_behind(task, thresholds_v, whole)
         moved = starts != task.starts

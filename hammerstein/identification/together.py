@@ -22,9 +22,10 @@ from hammerstein.identification.linear.axis_steps import FIRST_DAMPING, LARGEST_
 from hammerstein.identification.linear.axis_task import AxisTask, parameters_of
 from hammerstein.identification.score import begun, path_before
 from hammerstein.identification.static.history import shortened
-from hammerstein.identification.static.normal_equations import coefficients, squares_left
-from hammerstein.identification.static.rate_dependent import SEARCH_SAMPLES, STABLE
+from hammerstein.identification.static.normal_equations import Moments, coefficients
+from hammerstein.identification.static.rate_dependent import SEARCH_SAMPLES, STABLE, Slopes, differences
 from hammerstein.identification.static.regressors import Columns, Filter, SideBySide, Start
+from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.task import Task
 from hammerstein.records.record import Record
 
@@ -33,6 +34,10 @@ Array = NDArray[np.float64]
 MOST_STEPS = 30
 ENOUGH = 1e-5
 """Gain of a step, in parts of the error, under which the search has arrived."""
+NOWHERE = 1e-5
+"""Change of a logarithm under which a step goes nowhere."""
+ROUNDING = 1e-9
+"""Rms error, in parts of the readings, below which nothing but rounding is left."""
 STEP = 1e-3
 """Change of a logarithm for its derivative: plays bend where they engage, so that it is not too small."""
 
@@ -57,29 +62,38 @@ class _Place:
         first, *others = np.split(change, ends)
         return self.theta + first, tuple(x + d for x, d in zip(self.x, others, strict=True))
 
+    def distance(self, theta: Array, x: tuple[Array, ...]) -> float:
+        """Largest change of a number."""
+        return float(np.abs(np.concatenate([theta, *x]) - np.concatenate([self.theta, *self.x])).max())
+
 
 def fitted_together(task: Task, block: RateDependent, found: Behind) -> tuple[RateDependent, Behind]:
     """Growth and bandwidth of rate-dependent plays, and axes, at the least that both leave.
 
-    The weights are eliminated at every place, as for an axis alone. A block whose inverse would ring up is
+    The weights are eliminated at every place, as for an axis alone, but within the bounds that the block will
+    have: numbers that suit free weights leave more with bounded ones. A block whose inverse would ring up is
     not gone to where one is asked for.
     """
     few, starts = shortened(task.records, task.starts, SEARCH_SAMPLES)
     search = _Search(
         replace(task, records=few, starts=starts, delay_samples=found.delay_samples), block, found
     )
-    here = search.place(search.theta_of(block), tuple(parameters_of(fit.axis)[1] for fit in found.axes))
+    here = search.place(search.theta_of(block), tuple(parameters_of(axis)[1] for axis in found.axes))
     damping = FIRST_DAMPING
     for _ in range(MOST_STEPS):
-        there = search.place(*search.inside(*here.moved(damping)))
+        where = search.inside(*here.moved(damping))
+        if here.distance(*where) < NOWHERE:
+            break
+        there = search.place(*where)
         gain = here.cost - there.cost
         here, damping = (there, 0.1 * damping) if gain > 0.0 else (here, 10.0 * damping)
         if 0.0 < gain < ENOUGH or damping > 1e6:
             break
     block = search.block_of(here.theta)
     tasks = search.axis_tasks(block)
-    fits = [fit_axis(one, x) for one, x in zip(tasks, here.x, strict=True)]
-    return block, Behind(tuple(fits), found.delay_samples)
+    solved = search.slopes.solved([_moments(*both) for both in zip(tasks, here.x, strict=True)])
+    fits = [fit_axis(_within(one, free), x) for one, x, (_, free) in zip(tasks, here.x, solved, strict=True)]
+    return block, Behind(tuple(fit.axis for fit in fits), found.delay_samples, tuple(fits))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +103,12 @@ class _Search:
     task: Task
     block: RateDependent
     found: Behind
+
+    @property
+    def slopes(self) -> Slopes:
+        """How the slopes of its plays are found, with the bounds of the block."""
+        grids = tuple(plays.thresholds_v for plays in self.block.inputs)
+        return Slopes(grids, half_swing(self.task.records), self.task.settings.method == "invertible")
 
     def theta_of(self, block: RateDependent) -> Array:
         """Logarithms of the growth of each input, and of the bandwidth."""
@@ -110,8 +130,9 @@ class _Search:
         return theta, tuple(np.clip(one, *both) for one, both in zip(x, limits, strict=True))
 
     def axis_tasks(self, block: RateDependent) -> list[AxisTask]:
-        """Tasks of the axes behind a block, with its plays as columns."""
-        kept = self._columns(block.with_weights([*np.eye(len(block.weights[0]))]))
+        """Tasks of the axes behind a block, with differences of its plays as columns."""
+        each = zip(self.task.records, self.task.starts, strict=True)
+        kept = tuple(_differences(block, *both) for both in each)
         return [self._axis_task(o, kept) for o in range(self.task.outputs)]
 
     def place(self, theta: Array, x: tuple[Array, ...]) -> _Place:
@@ -122,15 +143,18 @@ class _Search:
         if self.task.settings.method == "invertible" and gain >= STABLE:
             return _Place(theta, x, math.inf, np.eye(size), np.zeros(size))
         tasks = self.axis_tasks(block)
-        slopes = [_slopes(one, own)[0] for one, own in zip(tasks, x, strict=True)]
-        bends = self._bends(theta, slopes)
+        moments = [_moments(*both) for both in zip(tasks, x, strict=True)]
+        solved = self.slopes.solved(moments)
+        bends = self._bends(theta, [self.slopes.weights(s.coefficients) for s, _ in solved])
         curvature, pull, cost, first = np.zeros((size, size)), np.zeros(size), 0.0, s
         for o, (one, own) in enumerate(zip(tasks, x, strict=True)):
             more = tuple(
                 Columns(np.vstack([kept.values, bend[o].values]), np.append(kept.held, bend[o].held))
                 for kept, bend in zip(one.kept, bends, strict=True)
             )
-            rms, curved, pulled = _linearised(replace(one, kept=more), own, slopes[o], s)
+            found, free = solved[o]
+            rms = max(found.residual_rms, ROUNDING * math.sqrt(moments[o].power[0] / moments[o].freedom))
+            curved, pulled = _linearised(replace(one, kept=more), own, found.coefficients, free)
             at = np.r_[0:s, first : first + len(own)]
             curvature[np.ix_(at, at)] += curved / rms**2
             pull[at] += pulled / rms**2
@@ -139,7 +163,7 @@ class _Search:
         return _Place(theta, x, cost, curvature, pull)
 
     def _axis_task(self, o: int, kept: tuple[Columns, ...]) -> AxisTask:
-        task, (shape, _) = self.task, parameters_of(self.found.axes[o].axis)
+        task, (shape, _) = self.task, parameters_of(self.found.axes[o])
         sensor, every = task.settings.sensor_bandwidth_hz, thinning(task.records)
         return AxisTask(task.records, task.starts, (), o, shape, task.delay_samples, sensor, every, kept)
 
@@ -150,12 +174,13 @@ class _Search:
             for record, start in zip(self.task.records, self.task.starts, strict=True)
         )
 
-    def _bends(self, theta: Array, slopes: Sequence[Array]) -> list[list[Columns]]:
+    def _bends(self, theta: Array, weights: Sequence[Array]) -> list[list[Columns]]:
         """Derivatives (record) (output) of the block's outputs by its numbers, a row each."""
         ends = []
         for change in STEP * np.eye(len(theta)):
             ahead, behind = (
-                self._columns(self.block_of(theta + way * change).with_weights(slopes)) for way in (1.0, -1.0)
+                self._columns(self.block_of(theta + way * change).with_weights(weights))
+                for way in (1.0, -1.0)
             )
             ends.append([(a.values - b.values) / (2.0 * STEP) for a, b in zip(ahead, behind, strict=True)])
         return [
@@ -165,6 +190,16 @@ class _Search:
             ]
             for i in range(len(self.task.records))
         ]
+
+
+def _differences(block: RateDependent, record: Record, start: Start) -> Columns:
+    """Differences of neighbouring plays over a record, and before it."""
+    before = path_before(record, start)[:, -1]
+    values, held = (
+        differences(u, block.inputs, record.sample_time_s, start, before)
+        for u in (record.u_v, before[:, None])
+    )
+    return Columns(values, held[:, 0])
 
 
 def _responded(block: RateDependent, record: Record, start: Start) -> Columns:
@@ -177,19 +212,23 @@ def _responded(block: RateDependent, record: Record, start: Start) -> Columns:
     return Columns(values, before[:, 0])
 
 
-def _slopes(one: AxisTask, x: Array) -> tuple[Array, float]:
-    """Best weights behind the axis, and the rms of what is left [um]."""
-    moments = one.moments(lambda time: [SideBySide(one.path(x, time), one.columns)], one.columns)
-    cross = moments.cross[:, 0]
-    found = coefficients(moments.gram, cross)
-    left = squares_left(moments.gram, cross, float(moments.power[0]), found)
-    return found, max(math.sqrt(left / max(moments.freedom, 1)), TINY)
+def _within(one: AxisTask, free: Array) -> AxisTask:
+    """The task with the columns of directions alone."""
+    return replace(one, kept=tuple(Columns(free.T @ c.values, free.T @ c.held) for c in one.kept))
 
 
-def _linearised(one: AxisTask, x: Array, slopes: Array, bends: int) -> tuple[float, Array, Array]:
-    """Rms error, and normal equations of a change of block and axis with the weights eliminated."""
-    whole, n = one.columns, one.columns - bends
-    padded = np.append(slopes, np.zeros(bends))
+def _moments(one: AxisTask, x: Array) -> Moments:
+    """Moments of the columns behind the axis."""
+    return one.moments(lambda time: [SideBySide(one.path(x, time), one.columns)], one.columns)
+
+
+def _linearised(one: AxisTask, x: Array, slopes: Array, free: Array) -> tuple[Array, Array]:
+    """Normal equations of a change of block and axis with the free directions of the slopes eliminated.
+
+    The columns of the task are those of the slopes, then those of the numbers of the block.
+    """
+    whole, n = one.columns, len(slopes)
+    padded = np.append(slopes, np.zeros(whole - n))
 
     def filters(time: float) -> list[Filter]:
         more = [one.derivatives(x, padded, time)] if len(x) else []
@@ -197,8 +236,5 @@ def _linearised(one: AxisTask, x: Array, slopes: Array, bends: int) -> tuple[flo
 
     moments = one.moments(filters, whole + len(x))
     gram, mixed, cross = moments.gram[:n, :n], moments.gram[:n, n:], moments.cross[:, 0]
-    both = coefficients(gram, np.column_stack([cross[:n], mixed]))
-    best, drag = both[:, 0], both[:, 1:]
-    left = squares_left(gram, cross[:n], float(moments.power[0]), best)
-    rms = max(math.sqrt(left / max(moments.freedom, 1)), TINY)
-    return rms, moments.gram[n:, n:] - mixed.T @ drag, cross[n:] - mixed.T @ best
+    drag = free @ coefficients(free.T @ gram @ free, free.T @ mixed)
+    return moments.gram[n:, n:] - mixed.T @ drag, cross[n:] - mixed.T @ slopes

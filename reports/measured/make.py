@@ -24,7 +24,8 @@ from hammerstein.identification.fit import Fit
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel
-from hammerstein.records.record import Record, read_paired_records, read_records
+from hammerstein.records.reading import read_paired_records, read_records
+from hammerstein.records.record import Record
 from hammerstein.reporting.compare_folder import write_comparison
 from hammerstein.reporting.fit_folder import write_fit
 

@@ -1,5 +1,7 @@
 """Compensators against the forward model, and the whole experiment against a block diagram."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -11,11 +13,13 @@ from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.experiment.measure import rows_of
 from hammerstein.experiment.prepare import prepare
+from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
 from hammerstein.instruments import standard_noise
 from hammerstein.scenario import Scenario
 
 LAWS = "Compensators, 2 x 2, 15 operators, 50 Hz sines (ratio: times the forward model)"
 STEPS = "Whole experiment against the sum of its steps (ratio: times their sum)"
+ZONES = "Asymmetric, 2 x 2, 15 operators and 3 dead-zones a pair, 50 Hz sines"
 EXPERIMENT = "Whole experiment: reference, compensator, drive, hysteresis, dynamics, sensor, metrics"
 
 
@@ -35,6 +39,30 @@ def test_exact_inverse_against_the_forward_model(bench, published):
 def test_inverse_multiplicative_against_the_forward_model(bench, published):
     law = InverseMultiplicativeLaw(published, 10.0, SAMPLE_TIME_S)
     against_forward(bench, law, published, "inverse_multiplicative", 10.0)
+
+
+def plays_from_zero(model):
+    """The same weights, with thresholds from 0 as identification has them beside dead-zones."""
+    rows = model.hysteresis.pairs
+    return PrandtlIshlinskii(
+        [[Pair(np.append(0.0, p.thresholds_v[1:]), p.weights_um_per_v) for p in row] for row in rows]
+    )
+
+
+@pytest.mark.parametrize("of", ["forward model", "exact_inverse"])
+def test_dead_zones_cost_at_most_half_as_much_again(bench, published, of):
+    u, plays = 0.9 * sines(bench.samples), plays_from_zero(published)
+    bends = 0.02 * plays.gain(10.0)
+    bent = Asymmetric(plays, [[DeadZones([-5.0, 0.0, 5.0], [b, -b, b]) for b in row] for row in bends])
+
+    def work(block):
+        if of == "forward model":
+            return Work(lambda: block.respond(u), u.shape[1])
+        law, wanted = ExactInverseLaw(replace(published, hysteresis=block), 10.0), block.respond(u)[0]
+        return Work(lambda: law.respond(wanted), u.shape[1])
+
+    row = bench.compare(ZONES, of, "plays alone", work(bent), work(plays), "<=", 1.5, repeats=5)
+    assert row.acceptable
 
 
 def circle(samples, law="inverse_multiplicative"):

@@ -142,7 +142,8 @@ def fit_asymmetric(
     free = [_solved(column, moment, ridge) for column, moment in zip(columns, moments, strict=True)]
     found, held = free, []
     if method != "least_squares":
-        gains = np.array([c.gains(s.coefficients, task) for c, s in zip(columns, free, strict=True)])
+        each = zip(columns, thresholds_v, free, strict=True)
+        gains = np.array([c.gains(s.coefficients, row, task) for c, row, s in each])
         for o, k in direct_pairs(gains):
             least = LEAST_SLOPE * float(gains[o, k])
             slopes = columns[o].joint_slopes(free[o].coefficients, k)
@@ -252,18 +253,14 @@ class AsymmetricColumns(NamedTuple):
         plays = slopes[self.plays[k]]
         return np.asarray(np.add.outer(plays if plays.size else np.zeros(1), zones))
 
-    def gains(self, slopes: Array, task: AsymmetricTask) -> Array:
-        """Mean slope of every input (input,) over the voltages driven [um/V]."""
+    def gains(self, slopes: Array, thresholds_v: Sequence[Array], task: AsymmetricTask) -> Array:
+        """Mean slope of every input (input,) over the voltages driven [um/V]; thresholds of its plays."""
         found = []
         reach = half_swing(task.records)
         _, tops = _driven(task.records)
-        for k, q in enumerate(task.breakpoints_v):
-            grid = task.layout.grids[k]
-            r = grid[-(self.plays[k].stop - self.plays[k].start) :] if grid.size else grid
-            weights = np.diff(slopes[self.plays[k]], prepend=0.0)
-            rise = float(weights @ (reach[k] - r[: len(weights)])) if weights.size else 0.0
-            bends = np.diff(slopes[self.zones[k]], prepend=0.0)
-            rise += 0.5 * float(bends @ (tops[k] - q)) if bends.size else 0.0
+        for k, (r, q) in enumerate(zip(thresholds_v, task.breakpoints_v, strict=True)):
+            rise = float(np.diff(slopes[self.plays[k]], prepend=0.0) @ (reach[k] - r))
+            rise += 0.5 * float(np.diff(slopes[self.zones[k]], prepend=0.0) @ (tops[k] - q))
             found.append(rise / reach[k] if reach[k] > 0.0 else 0.0)
         return np.array(found)
 

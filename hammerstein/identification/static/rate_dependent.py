@@ -103,7 +103,7 @@ def fit_rate_dependent(
         bandwidth_hz = like.inputs[0].bandwidth_hz
     solutions = whole.solutions(growth, bandwidth_hz)
     ends = np.cumsum([len(grid) for grid in grids])[:-1]
-    weights = tuple(tuple(np.split(whole.weights(s.coefficients), ends)) for s in solutions)
+    weights = tuple(tuple(np.split(whole.slopes.weights(s.coefficients), ends)) for s in solutions)
     plays = whole.plays(growth, bandwidth_hz)
     return RateFit(RateDependent(plays, weights), np.array([s.residual_rms for s in solutions]))
 
@@ -160,6 +160,59 @@ def _searched(task: _Task, fastest: Array) -> tuple[Array, float]:
     return np.exp(found[:-1]), float(np.exp(found[-1]))
 
 
+class Slopes(NamedTuple):
+    """How slopes of one output follow from moments: those of differences of neighbouring plays.
+
+    grids : thresholds of each input [V]; reach : half swing of each input (input,) [V]
+    invertible : whether the weights of the direct pairs keep the sign of the gain
+    """
+
+    grids: tuple[Array, ...]
+    reach: Array
+    invertible: bool
+
+    def solved(self, moments: Sequence[Moments]) -> list[tuple[Solution, Array]]:
+        """Slopes of each output, and the directions (slope, free) in which no weight stands at zero."""
+        found = [solve(m.gram, m.cross[:, 0], float(m.power[0]), m.freedom) for m in moments]
+        ways = [np.eye(len(m.gram)) for m in moments]
+        for o, bounds in self._bounds(found).items():
+            m = moments[o]
+            found[o] = solve(m.gram, m.cross[:, 0], float(m.power[0]), m.freedom, bounds=bounds)
+            ways[o] = bounds.basis[:, ~found[o].at_bound | (bounds.bound != 0.0)]
+        return list(zip(found, ways, strict=True))
+
+    def weights(self, slopes: Array) -> Array:
+        """Weights of all plays of one output from its slopes."""
+        return np.concatenate([np.diff(part, prepend=0.0) for part in np.split(slopes, self._ends)])
+
+    @property
+    def _ends(self) -> Array:
+        return np.cumsum([len(grid) for grid in self.grids])[:-1]
+
+    def _gains(self, slopes: Array) -> Array:
+        """Gain of every input (input,) at the swing of the records [um/V]."""
+        parts = zip(np.split(self.weights(slopes), self._ends), self.grids, self.reach, strict=True)
+        return np.array([float(w @ (reach - r)) / reach for w, r, reach in parts])
+
+    def _bounds(self, free: Sequence[Solution]) -> dict[int, Bounds]:
+        """Bounds of each output that has a direct pair: weights keep the sign of the gain, others are free.
+
+        The weight of play(0) keeps a share of the gain.
+        """
+        if not self.invertible:
+            return {}
+        gains = np.array([self._gains(s.coefficients) for s in free])
+        sizes, found = [len(grid) for grid in self.grids], {}
+        for o, k in direct_pairs(gains):
+            first = sum(sizes[:k])
+            own = slice(first, first + sizes[k])
+            basis, side, bound = np.eye(sum(sizes)), np.zeros(sum(sizes)), np.zeros(sum(sizes))
+            basis[own, own] = np.tri(sizes[k])
+            side[own], bound[first] = np.sign(gains[o, k]), LEAST_SLOPE * float(gains[o, k])
+            found[o] = Bounds(basis, side, bound)
+        return found
+
+
 class _Task(NamedTuple):
     """What stays fixed while growth and bandwidth are searched."""
 
@@ -190,52 +243,28 @@ class _Task(NamedTuple):
         else:
             parts = pooled([self._moments(i, range(p), plays) for i in every])
             moments = [parts.of_output(o) for o in range(p)]
-        free = [solve(m.gram, m.cross[:, 0], float(m.power[0]), m.freedom) for m in moments]
-        if not self.invertible:
-            return free
-        gains = np.array([self._gains(s.coefficients) for s in free])
-        found = list(free)
-        for o, k in direct_pairs(gains):
-            bounds, m = self._bounds(k, float(gains[o, k])), moments[o]
-            found[o] = solve(m.gram, m.cross[:, 0], float(m.power[0]), m.freedom, bounds=bounds)
-        return found
+        return [solution for solution, _ in self.slopes.solved(moments)]
 
-    def weights(self, slopes: Array) -> Array:
-        """Weights of all plays of one output from its slopes."""
-        ends = np.cumsum([len(grid) for grid in self.grids])[:-1]
-        return np.concatenate([np.diff(part, prepend=0.0) for part in np.split(slopes, ends)])
-
-    def _gains(self, slopes: Array) -> Array:
-        """Gain of every input (input,) at the swing of the records [um/V]."""
-        ends = np.cumsum([len(grid) for grid in self.grids])[:-1]
-        parts = zip(np.split(self.weights(slopes), ends), self.grids, half_swing(self.records), strict=True)
-        return np.array([float(w @ (reach - r)) / reach for w, r, reach in parts])
-
-    def _bounds(self, k: int, gain: float) -> Bounds:
-        """Weights of input k keep the sign of its gain, play(0) a share of it; others are free."""
-        sizes = [len(grid) for grid in self.grids]
-        first = sum(sizes[:k])
-        own = slice(first, first + sizes[k])
-        basis, side, bound = np.eye(sum(sizes)), np.zeros(sum(sizes)), np.zeros(sum(sizes))
-        basis[own, own] = np.tri(sizes[k])
-        side[own], bound[first] = np.sign(gain), LEAST_SLOPE * gain
-        return Bounds(basis, side, bound)
+    @property
+    def slopes(self) -> Slopes:
+        """How they are found."""
+        return Slopes(self.grids, half_swing(self.records), self.invertible)
 
     def _moments(self, i: int, outputs: Sequence[int], plays: Sequence[RatePlays]) -> Moments:
         record, start = self.records[i], self.starts[i]
         u, y = delayed(record, start, self.delay_samples), record.y_um[list(outputs)]
         before = path_before(record, start)[:, -1]
-        x = _differences(u, plays, record.sample_time_s, start, before)
+        x = differences(u, plays, record.sample_time_s, start, before)
         if self.through:
             [path] = path_filters(self.through, i, outputs[0], len(x), len(record.y_um))
-            held = _differences(before[:, None], plays, record.sample_time_s, start, before)[:, 0]
+            held = differences(before[:, None], plays, record.sample_time_s, start, before)[:, 0]
             passed, state = path.respond(x, path.settled(held))
             x = path.respond(x, state)[0] if start.kind == "repeated" else passed
         parts = range(start.first, x.shape[1], BLOCK)
         return moments_of(((x[:, k : k + BLOCK], y[:, k : k + BLOCK]) for k in parts), len(x), len(y))
 
 
-def _differences(
+def differences(
     u_v: Array, plays: Sequence[RatePlays], sample_time_s: float, start: Start, before_v: Array
 ) -> Array:
     """Differences of neighbouring plays (column, sample), input by input, held at ``before_v`` (input,)."""
