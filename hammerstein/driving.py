@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.errors import InputError
-from hammerstein.instruments import Drive
+from hammerstein.instruments import Drive, slack_v
 from hammerstein.voltages import Voltages
 
 Array = NDArray[np.float64]
@@ -117,10 +117,14 @@ class DriveRange:
 
     def reached(self, drive_v: Array) -> NDArray[np.bool_]:
         """Where voltages (m, N) stand at an end of the range."""
-        low, high = self.low_v[:, None], self.high_v[:, None]
-        ends = np.abs([low, high])
-        slack = 1e-9 * np.max(np.where(np.isfinite(ends), ends, 0.0), axis=0)
-        return np.asarray((drive_v >= high - slack) | (drive_v <= low + slack))
+        low, high = self.ends[:, :, None]
+        return np.asarray((drive_v >= high) | (drive_v <= low))
+
+    @property
+    def ends(self) -> Array:
+        """Voltages (2, m) from which on a voltage stands at the lowest or the highest end [V]."""
+        limits = np.stack([self.low_v, self.high_v])
+        return np.asarray(limits + np.array([[1.0], [-1.0]]) * slack_v(limits))
 
     def words(self, inputs: Sequence[str]) -> str:
         """Say the range of each input."""

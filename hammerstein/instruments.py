@@ -54,6 +54,12 @@ RangeV = Annotated[
 ]
 
 
+def slack_v(limits: Array) -> Array:
+    """How far voltages (m,) may pass the limits (2, m) and count as within them [V]."""
+    ends = np.abs(limits)
+    return np.asarray(ALLOWED * np.max(np.where(np.isfinite(ends), ends, 0.0), axis=0))
+
+
 class Drive(BaseModel):
     """Digital-to-analogue converter and amplifier: clips, rounds and holds the voltage.
 
@@ -90,17 +96,22 @@ class Drive(BaseModel):
         inside = np.stack([np.ceil(count[0] - 1e-9), np.floor(count[1] + 1e-9)])
         return np.asarray(inside * self.resolution_v)
 
-    def cut(self, u_v: Array) -> NDArray[np.bool_]:
-        """Where voltages (input, sample) lie outside the range; a sine up to the range does not."""
-        low, high = self.limits(len(u_v))[:, :, None]
-        ends = np.abs([low, high])
-        slack = ALLOWED * np.max(np.where(np.isfinite(ends), ends, 0.0), axis=0)
-        return np.asarray((u_v > high + slack) | (u_v < low - slack))
+    def apply(self, u_v: Array, out: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
+        """Voltages that leave the converter (input, sample), and where the range cut them.
 
-    def apply(self, u_v: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Voltages that leave the converter (input, sample), and where the range cut them."""
-        low, high = self.steps(len(u_v))[:, :, None]
-        return _rounded(np.clip(u_v, low, high), self.resolution_v), self.cut(u_v)
+        A voltage up to the range, as of a sine, is not cut.
+
+        out : (input, sample) where the voltages are put; a new array if not given
+        """
+        from hammerstein.instrument_kernels import convert
+
+        limits = self.limits(len(u_v))
+        beyond = limits + np.array([[-1.0], [1.0]]) * slack_v(limits)
+        asked = np.ascontiguousarray(u_v, dtype=np.float64)
+        drive = np.empty(asked.shape) if out is None else out
+        cut = np.empty(asked.shape, dtype=np.bool_)
+        convert(asked, self.steps(len(asked)), beyond, self.resolution_v, drive, cut)
+        return drive, cut
 
 
 class Sensor(BaseModel):
@@ -119,16 +130,23 @@ class Sensor(BaseModel):
 
     def read(self, filtered_um: Array, generator: np.random.Generator) -> Array:
         """Readings (output, sample) of positions that have passed the sensor's bandwidth."""
-        noise = standard_noise(generator, *filtered_um.shape) if self.noise_um else 0.0
-        noisy = filtered_um + self.noise_um * noise
-        return _rounded(np.clip(noisy, -self.range_um, self.range_um), self.resolution_um)
+        from hammerstein.instrument_kernels import read_positions
+
+        reading = np.empty(filtered_um.shape)
+        filtered = np.ascontiguousarray(filtered_um)
+        read_positions(filtered, generator, self.noise_um, self.range_um, self.resolution_um, reading)
+        return reading
 
     def clipped(self, reading_um: Array) -> int:
         """Samples of the readings (output, sample) at which the range cut one of them, or may have."""
         if math.isinf(self.range_um):
             return 0
-        largest = float(_rounded(np.array([self.range_um]), self.resolution_um)[0])
-        return int((np.abs(reading_um) >= largest * (1.0 - 1e-12)).any(axis=0).sum())
+        step = self.resolution_um
+        largest = np.round(self.range_um / step) * step if step else self.range_um
+        nearly = largest * (1.0 - 1e-12)
+        if reading_um.size == 0 or (-nearly < reading_um.min() and reading_um.max() < nearly):
+            return 0
+        return int((np.abs(reading_um) >= nearly).any(axis=0).sum())
 
 
 def standard_noise(generator: np.random.Generator, outputs: int, samples: int) -> Array:
@@ -151,7 +169,3 @@ class Instruments(BaseModel):
             drive=Drive(range_v=(-math.inf, math.inf), resolution_v=0.0, sample_time_s=sample_time_s),
             sensor=Sensor(range_um=math.inf, resolution_um=0.0, bandwidth_hz=math.inf, noise_um=0.0),
         )
-
-
-def _rounded(values: Array, step: float) -> Array:
-    return values if step == 0.0 else np.round(values / step) * step

@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -101,7 +102,7 @@ class HammersteinModel(Pictured):
         if mistakes:
             raise InputError(f"model {self.name}", mistakes)
 
-    @property
+    @cached_property
     def recorded(self) -> Voltages:
         """Working point and range of the records; symmetric about 0 V where the file does not say."""
         return self.voltages or Voltages.symmetric(self.amplitude_v, self.hysteresis.n_inputs)

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,6 +53,9 @@ class Shape(BaseModel, ABC):
 
     if TYPE_CHECKING:  # a field of every kind, behind its others
         kind: str
+
+    pointwise: ClassVar[bool] = False
+    """Whether a part of the signal takes a part of the work of the whole."""
 
     smooth_start_s: Wait = Field(default=0.0, description="time in which the signal grows from zero")
     offset: Offset | tuple[Offset, ...] | None = Field(
@@ -151,6 +154,8 @@ class OneFrequency(Shape, ABC):
 class OnAxes(OneFrequency, ABC):
     """The same wave on one axis, on each axis in turn, or on all axes together."""
 
+    pointwise: ClassVar[bool] = True
+
     axis: Axes | Literal["each", "all"] = Field(
         default="each", description='number of the axis from 1, "each" in turn, or "all" together'
     )
@@ -203,6 +208,8 @@ class Triangle(OnAxes):
 class Circle(OneFrequency):
     """x = R cos(2 pi f t + phase), y = R sin(2 pi f t + phase) (paper, section 5.4)."""
 
+    pointwise: ClassVar[bool] = True
+
     kind: Literal["circle"] = "circle"
     radius: Size
     phase_deg: Phase = 0.0
@@ -215,6 +222,8 @@ class Circle(OneFrequency):
 
 class Spiral(OneFrequency):
     """A circle until the trigger, then one whose radius decays as exp(-t / tau) (paper, section 5.4)."""
+
+    pointwise: ClassVar[bool] = True
 
     kind: Literal["spiral"] = "spiral"
     radius: Size
@@ -236,6 +245,8 @@ class Spiral(OneFrequency):
 
 class Lissajous(Shape):
     """x = A cos(2 pi f_x t + phase), y = A sin(2 pi f_y t + phase) (paper, section 5.4)."""
+
+    pointwise: ClassVar[bool] = True
 
     kind: Literal["lissajous"] = "lissajous"
     amplitude: Size

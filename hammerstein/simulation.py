@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import InitVar, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -16,6 +16,7 @@ from hammerstein.driving import DriveRange
 from hammerstein.dynamics import LinearBlock, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Memory
+from hammerstein.hysteresis.kind import refuse_not_finite
 from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.pictured import Pictured
@@ -35,15 +36,29 @@ WIRES = ("reference_um", "requested_v", "drive_v", "hysteresis_um", "position_um
 """In the order of the block diagram."""
 
 
-LIMITS = {"um": POSITION_UM, "v": VOLTAGE_V}
-"""What the wires of each unit may hold."""
+BLOCK = 16_384
+"""Samples that go through the whole chain before the next ones do: they stay in the processor's cache."""
 
 
-def refuse_unbounded(name: str, wire: Array, sample_time_s: float, limits: Range = POSITION_UM) -> None:
+def limits_of(name: str) -> Range:
+    """What a wire of this name may hold, by its unit."""
+    return {"um": POSITION_UM, "v": VOLTAGE_V}[name.rpartition("_")[2]]
+
+
+def within(wires: Mapping[str, Array], first: int, stop: int) -> bool:
+    """Whether wires (axis, sample), by name, stay within all bounds from one sample to another."""
+    from hammerstein.instrument_kernels import outside
+
+    limits = {name: limits_of(name) for name in wires}
+    return not any(outside(w, first, stop, limits[n].low, limits[n].high) for n, w in wires.items())
+
+
+def refuse_unbounded(name: str, wire: Array, sample_time_s: float) -> None:
     """Refuse a wire (axis, sample) that leaves all bounds, or is not finite.
 
     Raises SimulationError, which says where and when.
     """
+    limits = limits_of(name)
     if wire.size == 0 or (limits.low <= wire.min() and wire.max() <= limits.high):  # never true for NaN
         return
     bad = ~((wire >= limits.low) & (wire <= limits.high))
@@ -69,6 +84,7 @@ class Response(Pictured):
     reading_um : what the sensor says [um]
     saturated : where the drive's range cut the voltage (input, sample)
     inputs, outputs : names of the axes; numbers from 1 if not given
+    known : whether all wires were found within their bounds before
 
     Raises
     ------
@@ -94,6 +110,7 @@ class Response(Pictured):
     saturated: NDArray[np.bool_]
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
+    known: InitVar[bool] = False
 
     def __repr__(self) -> str:
         m, samples = self.drive_v.shape
@@ -109,17 +126,17 @@ class Response(Pictured):
         """Time of each sample [s], from zero."""
         return np.asarray(np.arange(self.drive_v.shape[1]) * self.sample_time_s, dtype=np.float64)
 
-    def __post_init__(self) -> None:
-        for name in WIRES:
+    def __post_init__(self, known: bool) -> None:
+        for name in () if known else WIRES:
             wire = getattr(self, name)
             if wire is not None:
-                refuse_unbounded(name, wire, self.sample_time_s, LIMITS[name.rpartition("_")[2]])
+                refuse_unbounded(name, wire, self.sample_time_s)
 
     def after(self, first: int) -> Response:
         """Give the same run from one sample on."""
         wires: dict[str, Any] = {name: getattr(self, name) for name in (*WIRES, "saturated")}
         cut = {name: wire[:, first:] for name, wire in wires.items() if wire is not None}
-        return replace(self, **cut)
+        return replace(self, known=True, **cut)
 
     def columns(self) -> dict[str, Array]:
         """Every wire of every axis (sample,), by names such as ``drive_x_v``; without time."""
@@ -179,7 +196,7 @@ class Response(Pictured):
             name: wire[:, ::samples].copy() for name, wire in wires.items() if wire is not None
         }
         kept["saturated"] = np.logical_or.reduceat(self.saturated, starts, axis=1)
-        return replace(self, sample_time_s=samples * self.sample_time_s, **kept)
+        return replace(self, sample_time_s=samples * self.sample_time_s, known=True, **kept)
 
     @classmethod
     def joined(cls, parts: Sequence[Response]) -> Response:
@@ -189,26 +206,37 @@ class Response(Pictured):
             return first
         there = [name for name in (*WIRES, "saturated") if getattr(first, name) is not None]
         whole: dict[str, Any] = {n: np.concatenate([getattr(p, n) for p in parts], axis=1) for n in there}
-        return replace(first, **whole)
+        return replace(first, known=True, **whole)
 
 
 class Driven(NamedTuple):
-    """A stretch of voltage (input, sample): asked for [V], given [V], and where the drive's range cut it."""
+    """A stretch of voltage (input, sample): asked for [V], given [V], and where the drive's range cut it.
+
+    left : (m,) which inputs have left the working point by then
+    """
 
     requested_v: Array
     drive_v: Array
     saturated: NDArray[np.bool_]
+    left: NDArray[np.bool_] | None
 
 
 class PlantState(NamedTuple):
-    """Memory of the hysteresis, state (n,) of linear block and sensor, and the generator of the noise."""
+    """Memory of the hysteresis, state (n,) of linear block and sensor, and the generator of the noise.
+
+    left : (m,) which inputs a law has moved from the working point; None: no one
+    """
 
     memory: Memory
     linear: Array
     noise: np.random.Generator
+    left: NDArray[np.bool_] | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Give plain lists and numbers; the generator's state is one of them."""
+        """Give plain lists and numbers; the generator's state is one of them.
+
+        What a law has moved is left out: it is the law's memory that tells.
+        """
         noise = self.noise.bit_generator.state
         return {"memory": self.memory.as_dict(), "linear": self.linear.tolist(), "noise": noise}
 
@@ -237,11 +265,6 @@ class Plant:
     def range(self) -> DriveRange:
         """Voltages that the drive can give; before the first one the actuator rests at its working point."""
         return DriveRange.of(self.instruments.drive.limits(self.model.hysteresis.n_inputs).T, self.model)
-
-    def _has_left(self, requested_v: Array) -> NDArray[np.bool_]:
-        """Where voltages (m, N) have left the working point, which may itself be an end of the range."""
-        away = requested_v != self.range.working_point_v[:, None]
-        return np.asarray(np.logical_or.accumulate(away, axis=1))
 
     def rest(self, seed: list[int]) -> PlantState:
         """Actuator that was never driven, and a sensor at the beginning of its noise."""
@@ -278,40 +301,65 @@ class Plant:
         start : state before the first sample
         reference_um : (output, sample) what was asked for [um], where a law asks for the voltage
         """
-        return self.follow(self.driven(requested_v, reference_um is not None), start, reference_um)
+        driven = self.driven(requested_v, reference_um is not None, start.left)
+        return self.follow(driven, start, reference_um)
 
-    def driven(self, requested_v: Array, by_law: bool) -> Driven:
+    def driven(
+        self,
+        requested_v: Array,
+        by_law: bool,
+        left: NDArray[np.bool_] | None = None,
+        out: Array | None = None,
+    ) -> Driven:
         """What the drive makes of a voltage (input, sample).
 
         by_law : whether a law asks for it, that stays within the range itself
+        left : (m,) which inputs have left the working point before; it may itself be an end of the range
+        out : (input, sample) where the voltages are put that leave the drive; a new array if not given
         """
-        drive_v, saturated = self.instruments.drive.apply(requested_v)
-        if by_law:  # where it stands at the range, it wanted more
-            saturated |= self.range.reached(requested_v) & self._has_left(requested_v)
-        return Driven(requested_v, drive_v, saturated)
+        asked = np.ascontiguousarray(requested_v, dtype=np.float64)
+        drive_v, saturated = self.instruments.drive.apply(asked, out)
+        if by_law and asked.size:
+            low, high, rest = asked.min(axis=1), asked.max(axis=1), self.range.working_point_v
+            before = np.zeros(len(low), dtype=np.bool_) if left is None else left
+            left, (least, most) = before | (low != rest) | (high != rest), self.range.ends
+            if (low <= least).any() or (high >= most).any():  # where it stands at the range, it wanted more
+                away = np.logical_or.accumulate(asked != rest[:, None], axis=1) | before[:, None]
+                saturated |= self.range.reached(asked) & away
+        return Driven(asked, drive_v, saturated, left)
 
     def follow(
         self, driven: Driven, start: PlantState, reference_um: Array | None = None
     ) -> tuple[Response, PlantState]:
         """Response to what has left the drive, and the state after it; see ``carry_on``."""
-        requested_v, drive_v, saturated = driven
-        hysteresis_um, memory = self.model.static_response(drive_v, start.memory)
-        both_um, linear = self.block.respond(hysteresis_um, start.linear)
-        position_um, filtered_um = np.split(both_um, 2)
-        reading_um = self.instruments.sensor.read(filtered_um, start.noise)
+        samples = driven.drive_v.shape[1]
+        shape = self.model.hysteresis.n_outputs, samples
+        given: dict[str, Any] = {"requested_v": driven.requested_v, "drive_v": driven.drive_v}
+        if reference_um is not None:
+            given["reference_um"] = reference_um
+        room = np.empty((3, *shape))  # one piece: the system gives it in fewer and larger pages
+        found = dict(zip(("hysteresis_um", "position_um", "reading_um"), room, strict=True))
+        memory, linear, known = start.memory, start.linear, True
+        for first in range(0, samples, BLOCK):
+            here = slice(first, min(first + BLOCK, samples))
+            known = known and within(given, here.start, here.stop)
+            if not (known or np.isfinite(driven.drive_v).all()):
+                refuse_not_finite(driven.drive_v)
+            v_um, memory = self.model.static_response(driven.drive_v[:, here], memory)
+            both_um, linear = self.block.respond(v_um, linear)
+            position_um, filtered_um = both_um[: shape[0]], both_um[shape[0] :]
+            found["hysteresis_um"][:, here], found["position_um"][:, here] = v_um, position_um
+            found["reading_um"][:, here] = self.instruments.sensor.read(filtered_um, start.noise)
+            known = known and within(found, here.start, here.stop)
         response = Response(
             sample_time_s=self.sample_time_s,
-            reference_um=reference_um,
-            requested_v=requested_v,
-            drive_v=drive_v,
-            hysteresis_um=hysteresis_um,
-            position_um=position_um,
-            reading_um=reading_um,
-            saturated=saturated,
+            saturated=driven.saturated,
             inputs=self.model.inputs,
             outputs=self.model.outputs,
+            known=known,
+            **({"reference_um": None} | given | found),
         )
-        return response, PlantState(memory, linear, start.noise)
+        return response, PlantState(memory, linear, start.noise, driven.left)
 
     def closed_loop(self, law: Controller[Any], reference_um: Array, seed: list[int]) -> Response:
         """Response to a controller that reads the sensor, sample by sample from rest, every wire kept.

@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -12,12 +13,13 @@ from hammerstein.experiment.measure import _sensor_lag
 from hammerstein.experiment.prepare import prepare
 from hammerstein.experiment.run import run, simulate, simulate_in_stretches
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.instruments import Instruments
+from hammerstein.instruments import Drive, Instruments, Sensor, standard_noise
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.scenario.scenario import Measure
-from hammerstein.simulation import Plant
+from hammerstein.simulation import BLOCK, Plant
+from hammerstein.voltages import Voltages
 
 
 def _scenario(**tables):
@@ -261,6 +263,54 @@ def test_a_run_in_stretches_is_the_run_in_one_piece(content, samples):
         joined = np.concatenate([getattr(part, name) for part in parts], axis=1)
         assert (joined == getattr(whole, name)).all(), name
     assert (parts[0].reference_um is None) == (scenario.reference is None)
+
+
+def test_an_input_that_has_left_its_range_end_has_left_it_in_later_stretches_too():
+    """It rests at 0 V, the low end: what stands there before it moves is not cut, what comes back is."""
+    model = replace(
+        HammersteinModel.load("duo_bimorph_static"),
+        voltages=Voltages.of([0.0, 0.0], [0.0, 0.0], [20.0, 20.0]),
+    )
+    plant = Plant(model, Instruments(drive=Drive(range_v=(0.0, 20.0))))
+    asked, path = np.array([[0.0, 0.0, 5.0, 0.0, 0.0, 0.0]] * 2), np.zeros((2, 6))
+    asked[1] = 0.0
+    whole = plant.carry_on(asked, plant.rest([1]), path)[0].saturated
+    assert whole.tolist() == [[False, False, False, True, True, True], [False] * 6]
+    parts, state = [], plant.rest([1])
+    for first in range(0, 6, 2):
+        part = slice(first, first + 2)
+        response, state = plant.carry_on(asked[:, part], state, path[:, part])
+        parts.append(response.saturated)
+    assert np.hstack(parts).tolist() == whole.tolist()
+
+
+def test_the_chain_gives_the_numbers_of_its_equations_to_the_last_bit():
+    """Worked through piece by piece and compiled, against NumPy over the whole run at once."""
+    model, samples = HammersteinModel.load("duo_bimorph_creep"), 2 * BLOCK + 77
+    drive, sensor = Drive(range_v=[(-9.0, 8.0), (-10.0, 10.0)]), Sensor(range_um=40.0)
+    plant = Plant(model, Instruments(drive=drive, sensor=sensor))
+    asked = np.random.default_rng(5).uniform(-11.0, 11.0, (2, samples))
+    response = plant.respond(asked, [3])
+    low, high = drive.steps(2)[:, :, None]
+    held = np.round(np.clip(asked, low, high) / drive.resolution_v) * drive.resolution_v
+    both = plant.block.respond(model.hysteresis.respond(held)[0])[0]
+    noisy = both[2:] + sensor.noise_um * standard_noise(np.random.default_rng([3]), 2, samples)
+    reading = np.round(np.clip(noisy, -40.0, 40.0) / sensor.resolution_um) * sensor.resolution_um
+    for name, wire in {"drive_v": held, "position_um": both[:2], "reading_um": reading}.items():
+        assert (getattr(response, name) == wire).all(), name
+    assert (response.saturated == (np.abs(asked - [[-0.5], [0.0]]) > [[8.5], [10.0]])).all()
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [(1e11, r"requested of axis 2 reaches 1e\+11 V after 0.8194 s"), (np.nan, "at sample 16387")],
+)
+def test_a_long_run_that_leaves_all_bounds_says_where(value, told):
+    plant = Plant(HammersteinModel.load("duo_bimorph_static"), Instruments.ideal())
+    asked = np.zeros((2, 2 * BLOCK))
+    asked[1, BLOCK + 3] = value
+    with pytest.raises(SimulationError, match=told):
+        plant.respond(asked, [0])
 
 
 @pytest.mark.parametrize("law", ["hammerstein_inverse", "feedback"])

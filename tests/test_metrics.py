@@ -5,6 +5,7 @@ import pytest
 
 import hammerstein
 from hammerstein import metrics
+from hammerstein.metrics.path_errors import PathErrors
 from hammerstein.reporting.page import render
 
 f, T = 50.0, 50e-6
@@ -123,6 +124,37 @@ def test_harmonics_up_to_the_sensors_bandwidth_are_kept(harmonics, height):
     phase = 2 * np.pi * f * t
     (figures,) = metrics.loop_figures(u, np.sin(phase) + 0.2 * np.sin(9 * phase), f, T, 2, harmonics)
     assert figures.height_um == pytest.approx(height, rel=2e-3)
+
+
+@pytest.mark.parametrize("samples", [1, 511, 512, 513, 5000])
+def test_one_pass_gives_the_figures_of_the_definitions(samples):
+    rng = np.random.default_rng(samples)
+    reference = 30.0 * rng.standard_normal((2, samples))
+    reading, position = (reference + 0.1 * rng.standard_normal((2, samples)) for _ in range(2))
+    middle = np.array([3.0, -7.0])
+    saturated = np.zeros((2, samples), dtype=bool)
+    arrays = (reading, position, saturated, reference, reference, reference)
+    measured = metrics.Measured(T, *arrays, middle_um=middle)
+    counted = [wire - middle[:, None] for wire in (reference, reading, position)]
+    expected = {
+        "rms_um": [metrics.rms(row) for row in reading - reference],
+        "max_true_um": [metrics.worst(row) for row in position - reference],
+        "euclidean_rms_true_um": metrics.rms(metrics.euclidean(position - reference)),
+        "euclidean_max_um": metrics.worst(metrics.euclidean(reading - reference)),
+        "radial_max_um": metrics.worst(metrics.radial(counted[0], counted[1])),
+        "radial_max_true_um": metrics.worst(metrics.radial(counted[0], counted[2])),
+        "epsilon_max_um": metrics.worst(metrics.epsilon(counted[0], counted[1])),
+    }
+    for name, values in expected.items():
+        np.testing.assert_allclose(metrics.METRICS[name].values(measured), values, rtol=1e-12, err_msg=name)
+
+
+def test_an_error_that_is_no_number_is_no_figure():
+    path = np.zeros((2, 100))
+    path[1, 70] = np.nan
+    found = PathErrors.of(path, np.zeros((2, 100)))
+    assert found.rms[0] == 0.0
+    assert np.isnan([found.rms[1], found.distance_rms]).all()
 
 
 def test_every_figure_is_of_the_wire_it_names():

@@ -106,6 +106,10 @@ class Axis(BaseModel):
         """Give its matrices, in continuous time."""
         if not (self.creep or self.resonance_hz or self.lag_s):
             return unit_gain(1)
+        if self.resonance_hz is not None and not (
+            self.creep or self.lag_s
+        ):  # as most are: no system is built
+            return LinearBlock(*_mode(self.resonance_hz, self.damping_ratio or 0.0), CONTINUOUS)
         system = self.system()
         return LinearBlock(system.A, system.B, system.C, system.D, CONTINUOUS)
 
@@ -138,10 +142,8 @@ class AxesDynamics(BaseModel):
 
     def block(self) -> LinearBlock:
         """Give its matrices, in continuous time."""
-        from scipy.linalg import block_diag
-
         each = [axis.block() for axis in self.axes]
-        a, b, c, d = (block_diag(*(getattr(block, name) for block in each)) for name in "ABCD")
+        a, b, c, d = (_along_the_diagonal([getattr(block, name) for block in each]) for name in "ABCD")
         return LinearBlock(a, b, c, d, CONTINUOUS)
 
 
@@ -298,10 +300,28 @@ def cantilever(
         raise InputError("cantilever", "frequencies and damping ratios must be positive and finite")
     axes = []
     for f, z in zip(given.tolist(), zeta.tolist(), strict=True):
-        w = 2.0 * math.pi * (f if bandwidth_hz is None else natural_frequency_hz(f, z))
-        # Balanced states (x, x'/w): entries of one magnitude discretise without loss.
-        axes.append(control.ss([[0.0, w], [-w, -2.0 * z * w]], [[0.0], [w]], [[1.0, 0.0]], [[0.0]]))
+        axes.append(control.ss(*_mode(f if bandwidth_hz is None else natural_frequency_hz(f, z), z)))
     return control.append(*axes)
+
+
+def _mode(resonance_hz: float, damping_ratio: float) -> tuple[Array, Array, Array, Array]:
+    """Matrices of one bending mode.
+
+    Balanced states (x, x'/w): entries of one magnitude discretise without loss.
+    """
+    w = 2.0 * math.pi * resonance_hz
+    a, b = [[0.0, w], [-w, -2.0 * damping_ratio * w]], [[0.0], [w]]
+    return np.array(a), np.array(b), np.array([[1.0, 0.0]]), np.array([[0.0]])
+
+
+def _along_the_diagonal(parts: Sequence[Array]) -> Array:
+    """Matrix with these matrices along its diagonal; one without rows or columns takes its room as well."""
+    found = np.zeros(tuple(np.sum([part.shape for part in parts], axis=0)))
+    row = column = 0
+    for part in parts:
+        found[row : row + part.shape[0], column : column + part.shape[1]] = part
+        row, column = row + part.shape[0], column + part.shape[1]
+    return found
 
 
 def creep(gains: Sequence[float], time_constants_s: Sequence[float]) -> control.StateSpace:

@@ -28,7 +28,7 @@ from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ModelSource
 from hammerstein.scenario.tested import TestedCompensator
 from hammerstein.signals import Excitation, FromFile, OnAxes, Reference
-from hammerstein.simulation import Plant, Response
+from hammerstein.simulation import BLOCK, Driven, Plant, Response
 
 Array = NDArray[np.float64]
 AnyLaw = Law[Any] | Controller[Any] | Learner
@@ -116,15 +116,29 @@ class SetUp:
         window = Window.of(scenario, case.signal, plant.sample_time_s)
         hysteresis = plant.model.hysteresis
         refuse_too_long(window.total, hysteresis.n_inputs, hysteresis.n_outputs)
-        values = self._values(case, 0, window.total)
-        if scenario.drive is not None:
-            return _following(plant, values, None, case)
-        law = self.laws[case.label]
+        law = None if scenario.drive is not None else self.laws[case.label]
+        m, p = hysteresis.n_inputs, hysteresis.n_outputs
+        # One piece of memory, which the system gives in fewer and larger pages than three.
+        room = np.empty((2 * m + p * (law is not None), window.total))
+        drive_v, asked_v, path_um = np.split(room, [m, 2 * m])
+        if law is None:
+            self._sample(case, asked_v)
+            return _following(plant, plant.driven(asked_v, False, out=drive_v), None, case)
+        self._sample(case, path_um)
         if isinstance(law, Controller):
-            return lambda tested, seed: closed_loop(law, tested, values, case.seed(seed))
+            return lambda tested, seed: closed_loop(law, tested, path_um, case.seed(seed))
         if isinstance(law, Learner):
-            return self._learning(case, law, values, window)
-        return _following(plant, law.drive_for(values), values, case)
+            return self._learning(case, law, path_um, window)
+        asked_v = _asked_for(law, path_um, asked_v)
+        return _following(plant, plant.driven(asked_v, True, out=drive_v), path_um, case)
+
+    def _sample(self, case: Case, values: Array) -> None:
+        """Put the signal of a case into an array (axis, sample), piece by piece, which stay in the cache."""
+        samples = values.shape[1]
+        length = BLOCK if case.signal.pointwise else max(samples, 1)
+        for first in range(0, samples, length):
+            stop = min(first + length, samples)
+            values[:, first:stop] = self._values(case, first, stop)
 
     def _learning(self, case: Case, law: Learner, values: Array, window: Window) -> Experiment:
         """Do a trial on an actuator, after those before it."""
@@ -176,13 +190,24 @@ class SetUp:
         return values_of(case, time_s, len(scenario_axes(self.scenario, self.plant.model)), rest)
 
 
-def _following(plant: Plant, requested_v: Array, reference_um: Array | None, case: Case) -> Experiment:
-    """Send a voltage to an actuator; what the drive makes of it is worked out once."""
-    driven = plant.driven(requested_v, reference_um is not None)
+def _asked_for(law: Law[Any], path_um: Array, drive_v: Array) -> Array:
+    """Drive (m, N) of a law for a whole path (p, N), in the array that is given where the law allows it."""
+    samples = path_um.shape[1]
+    if law.preview_samples or samples <= BLOCK:
+        return law.drive_for(path_um)
+    state = law.rest()
+    for first in range(0, samples, BLOCK):
+        here = slice(first, first + BLOCK)
+        drive_v[:, here], state = law.respond(path_um[:, here], state)
+    return drive_v
+
+
+def _following(plant: Plant, driven: Driven, reference_um: Array | None, case: Case) -> Experiment:
+    """Send what the drive makes of a voltage to an actuator."""
 
     def experiment(tested: Plant, seed: int) -> Response:
         if tested.instruments.drive != plant.instruments.drive:
-            return tested.respond(requested_v, case.seed(seed), reference_um)
+            return tested.respond(driven.requested_v, case.seed(seed), reference_um)
         return tested.follow(driven, tested.rest(case.seed(seed)), reference_um)[0]
 
     return experiment

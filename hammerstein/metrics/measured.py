@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.metrics.arrays import LoopFigures, euclidean
+from hammerstein.metrics.path_errors import PathErrors, PlaneErrors
 
 Array = NDArray[np.float64]
 
@@ -60,6 +61,26 @@ class Measured:
     def true_distance_um(self) -> Array | None:
         """The same of the true position [um]."""
         return None if self.true_error_um is None else euclidean(self.true_error_um)
+
+    @cached_property
+    def errors(self) -> PathErrors | None:
+        """How far the reading is from what it is compared with; None where there is nothing."""
+        target = self.target_reading_um
+        return None if target is None else PathErrors.of(self.reading_um, target)
+
+    @cached_property
+    def true_errors(self) -> PathErrors | None:
+        """The same of the true position."""
+        target = self.target_position_um
+        return None if target is None else PathErrors.of(self.position_um, target)
+
+    @cached_property
+    def in_the_plane(self) -> PlaneErrors | None:
+        """Reading and position against the path that was asked for; None where that has not two axes."""
+        if self.reference_um is None or len(self.reference_um) != 2:
+            return None
+        middle = np.zeros(2) if self.middle_um is None else self.middle_um
+        return PlaneErrors.of(self.reference_um, self.reading_um, self.position_um, middle)
 
     @cached_property
     def unsaturated(self) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import InputError
-from hammerstein.metrics.arrays import LoopFigures, drift, epsilon, radial, rms, worst
+from hammerstein.metrics.arrays import LoopFigures, drift, worst
 from hammerstein.metrics.measured import Measured
 
 Array = NDArray[np.float64]
@@ -77,56 +77,48 @@ def metric(
     return register
 
 
-def _each(of: Callable[[Array], float], errors: Array | None) -> Values:
-    return None if errors is None else [of(row) for row in errors]
-
-
-def _whole(of: Callable[[Array], float], values: Array | None) -> Values:
-    return None if values is None else of(values)
-
-
 @metric(
     "root mean square of the error of the sensor's reading [um]; the error is reading less reference, or "
     "reading less prediction of a model",
     drawn=True,
 )
 def rms_um(m: Measured) -> Values:
-    return _each(rms, m.error_um)
+    return None if m.errors is None else m.errors.rms
 
 
 @metric("largest absolute error of the sensor's reading [um]")
 def max_um(m: Measured) -> Values:
-    return _each(worst, m.error_um)
+    return None if m.errors is None else m.errors.worst
 
 
 @metric("root mean square of the error of the true position [um], which no sensor disturbs", drawn=True)
 def rms_true_um(m: Measured) -> Values:
-    return _each(rms, m.true_error_um)
+    return None if m.true_errors is None else m.true_errors.rms
 
 
 @metric("largest absolute error of the true position [um]", drawn=True)
 def max_true_um(m: Measured) -> Values:
-    return _each(worst, m.true_error_um)
+    return None if m.true_errors is None else m.true_errors.worst
 
 
 @metric("root mean square of the distance between reading and reference over all axes [um]")
 def euclidean_rms_um(m: Measured) -> Values:
-    return _whole(rms, m.distance_um)
+    return None if m.errors is None else m.errors.distance_rms
 
 
 @metric("largest distance between reading and reference over all axes [um]")
 def euclidean_max_um(m: Measured) -> Values:
-    return _whole(worst, m.distance_um)
+    return None if m.errors is None else m.errors.distance_worst
 
 
 @metric("root mean square of that distance for the true position [um]")
 def euclidean_rms_true_um(m: Measured) -> Values:
-    return _whole(rms, m.true_distance_um)
+    return None if m.true_errors is None else m.true_errors.distance_rms
 
 
 @metric("largest such distance for the true position [um]", drawn=True)
 def euclidean_max_true_um(m: Measured) -> Values:
-    return _whole(worst, m.true_distance_um)
+    return None if m.true_errors is None else m.true_errors.distance_worst
 
 
 @metric(
@@ -134,6 +126,8 @@ def euclidean_max_true_um(m: Measured) -> Values:
     "was in the 10 ms before [um]"
 )
 def euclidean_max_unsaturated_um(m: Measured) -> Values:
+    if m.true_errors is None or not m.saturated.any():
+        return None if m.true_errors is None else m.true_errors.distance_worst
     if m.true_distance_um is None or not m.unsaturated.any():
         return None
     return worst(m.true_distance_um[m.unsaturated])
@@ -144,12 +138,12 @@ def euclidean_max_unsaturated_um(m: Measured) -> Values:
     "reading [um]"
 )
 def radial_max_um(m: Measured) -> Values:
-    return _in_the_plane(radial, m, m.reading_um)
+    return None if m.in_the_plane is None else m.in_the_plane.radial
 
 
 @metric("the same for the true position [um]")
 def radial_max_true_um(m: Measured) -> Values:
-    return _in_the_plane(radial, m, m.position_um)
+    return None if m.in_the_plane is None else m.in_the_plane.radial_true
 
 
 @metric(
@@ -159,14 +153,16 @@ def radial_max_true_um(m: Measured) -> Values:
     "by the error of each axis, the distance and the radius"
 )
 def epsilon_max_um(m: Measured) -> Values:
-    return _in_the_plane(epsilon, m, m.reading_um)
+    return None if m.in_the_plane is None else m.in_the_plane.epsilon
 
 
 @metric("mean error of the true position over the last cycle less that over the first [um]")
 def drift_true_um(m: Measured) -> Values:
-    if m.true_error_um is None or m.cycle_samples is None:
+    if m.target_position_um is None or m.cycle_samples is None:
         return None
-    return [float(value) for value in drift(m.true_error_um, m.cycle_samples)]
+    n = m.cycle_samples
+    ends = [m.position_um[:, part] - m.target_position_um[:, part] for part in (slice(n), slice(-n, None))]
+    return [float(value) for value in drift(np.concatenate(ends, axis=1), n)]
 
 
 @metric(
@@ -199,17 +195,7 @@ def phase_deg(m: Measured) -> Values:
 
 @metric("samples in which the drive's range cut the voltage", exact=True)
 def saturated_samples(m: Measured) -> Values:
-    return int(m.saturated.sum())
-
-
-def _in_the_plane(error: Callable[[Array, Array], Array], m: Measured, path_um: Array) -> Values:
-    """Worst error of a path of two axes against its reference, both counted from its middle."""
-    reference = m.reference_um
-    if reference is None or len(reference) != 2:
-        return None
-    if m.middle_um is not None and m.middle_um.any():
-        reference, path_um = reference - m.middle_um[:, None], path_um - m.middle_um[:, None]
-    return worst(error(reference, path_um))
+    return int(np.count_nonzero(m.saturated))
 
 
 def _loops(m: Measured, of: Callable[[LoopFigures], float | None]) -> Values:

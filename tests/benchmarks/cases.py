@@ -23,6 +23,12 @@ def sines(samples, axes=2):
     return 10.0 * np.sin(2 * np.pi * 50.0 * t + np.arange(axes)[:, None])
 
 
+def walk(samples, axes=2):
+    """A random walk within the range: every other sample is a reversal, most of them small."""
+    steps = np.random.default_rng(2).uniform(-0.5, 0.5, (axes, samples))
+    return 10.0 - np.abs((np.cumsum(steps, axis=1) + 10.0) % 40.0 - 20.0)
+
+
 def noise(samples, axes=2):
     """White noise: two samples of three are a reversal."""
     return np.random.default_rng(1).uniform(-10.0, 10.0, (axes, samples))

@@ -3,7 +3,7 @@
 import control
 import numpy as np
 import pytest
-from cases import SAMPLE_TIME_S, noise, sines, with_operators
+from cases import SAMPLE_TIME_S, noise, sines, walk, with_operators
 from ratios import Work
 from references import backlash_objects, best_textbook, hysteresis_and_dynamics, numpy_loop
 
@@ -12,6 +12,7 @@ from hammerstein.model import HammersteinModel
 
 SINES = "Hysteresis, 2 x 2, 50 Hz sines"
 NOISE = "Hysteresis, 2 x 2, white noise"
+GRID = "Hysteresis, 2 x 2, against the best strict textbook loop"
 OTHERS = "Hysteresis and dynamics, 2 x 2, 15 operators, 50 Hz sines"
 
 
@@ -43,6 +44,17 @@ def test_sines_against_the_textbook_loop(bench, n, required):
 @pytest.mark.parametrize(("n", "required"), [(15, 0.5), (60, 1.0), (1500, None)])
 def test_noise_against_the_textbook_loop(bench, n, required):
     against_textbook(bench, NOISE, n, noise(bench.samples), required)
+
+
+@pytest.mark.parametrize("n", [5, 15, 30, 60, 200])
+@pytest.mark.parametrize("signal", [sines, walk, noise])
+def test_grid_of_operators_and_signals(bench, signal, n):
+    """Few operators and a reversal at every other sample are the textbook loop's own field: shown there."""
+    model, u = with_operators(n), signal(bench.fewer(200_000))
+    name, textbook = best_textbook(model, u, strict=True)
+    required = None if n < {sines: 0, walk: 30, noise: 60}[signal] else 1.0 / 1.1
+    ours, what = forward(model, u), f"{n} operators, {signal.__name__}"
+    assert bench.compare(GRID, what, f"textbook loop, {name}", ours, textbook, ">=", required).acceptable
 
 
 def test_sines_against_a_memory_copy(bench, published):

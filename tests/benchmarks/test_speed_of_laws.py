@@ -18,6 +18,7 @@ from hammerstein.instruments import standard_noise
 from hammerstein.scenario import Scenario
 
 LAWS = "Compensators, 2 x 2, 15 operators, 50 Hz sines (ratio: times the forward model)"
+STEPS = "Whole experiment against the sum of its steps (ratio: times their sum)"
 ZONES = "Asymmetric, 2 x 2, 15 operators and 3 dead-zones a pair, 50 Hz sines"
 EXPERIMENT = "Whole experiment: reference, compensator, drive, hysteresis, dynamics, sensor, metrics"
 
@@ -64,11 +65,11 @@ def test_dead_zones_cost_at_most_half_as_much_again(bench, published, of):
     assert row.acceptable
 
 
-def circle(samples):
-    """A 40 um circle of 50 Hz on the packaged actuator, compensated with the paper's law."""
+def circle(samples, law="inverse_multiplicative"):
+    """A 40 um circle of 50 Hz on the packaged actuator, compensated with a law of an identified model."""
     cycles = samples // 400
     measure = {"settle_cycles": 2, "measured_cycles": cycles - 2}
-    identified = {"label": "paper", "law": "inverse_multiplicative", "identification": {"frequency_hz": 50.0}}
+    identified = {"label": "tested", "law": law, "identification": {"frequency_hz": 50.0}}
     reference = {"kind": "circle", "radius_um": 40.0, "frequency_hz": 50.0}
     return Scenario.model_validate(
         {
@@ -104,3 +105,32 @@ def test_whole_experiment_against_a_block_diagram(bench):
     assert bench.compare(
         EXPERIMENT, what, "control.interconnect", ours, other, ">=", 500.0, repeats=5
     ).acceptable
+
+
+@pytest.mark.parametrize("law", ["exact_inverse", "inverse_multiplicative"])
+def test_whole_experiment_against_its_steps(bench, law):
+    """What a run costs beside its steps: memory, checks, figures of merit."""
+    setup = prepare(circle(bench.samples, law))
+    case = next(setup.cases())
+    run, plant, tested = setup.simulate(case), setup.plant, setup.laws[case.label]
+    filtered, generator = plant.block.respond(run.hysteresis_um)[0][2:], np.random.default_rng(0)
+
+    def loops():
+        tested.respond(run.reference_um)
+        plant.model.static_response(run.drive_v)
+        plant.block.respond(run.hysteresis_um)
+
+    def steps():
+        case.signal.sample(run.time_s, 2)
+        loops()
+        plant.instruments.drive.apply(run.requested_v)
+        plant.instruments.sensor.read(filtered, generator)
+
+    samples = run.drive_v.shape[1]
+    ours, what = Work(lambda: rows_of(setup, case), samples), f"{law}, figures of merit included"
+    for against, call, limit in (
+        ("law, hysteresis, dynamics", loops, None),
+        ("reference, law, drive, hysteresis, dynamics, sensor", steps, 1.6),
+    ):
+        other = Work(call, samples)
+        assert bench.compare(STEPS, what, against, ours, other, "<=", limit, repeats=7).acceptable

@@ -67,6 +67,24 @@ for what, seconds in spent.items():
 """
 
 
+DRAWS = """
+import time
+from hammerstein.experiment.run import run
+scenario = {{
+    "question": "How far apart are they?",
+    "actuator": "duo_bimorph",
+    "reference": {{"kind": "circle", "radius_um": 40.0, "frequency_hz": 50.0}},
+    "compensators": [{{"label": "exact", "law": "exact_inverse", "model": "duo_bimorph"}}],
+}}
+for draws in (25, 25, 25 + {more}):
+    scenario["uncertainty"] = {{"weights": 0.05, "resonance": 0.02, "draws": draws}}
+    before, start = locals().get("seconds"), time.process_time()
+    run(scenario)
+    seconds = time.process_time() - start
+print(before, seconds)
+"""
+
+
 class Ran(NamedTuple):
     """Time on the wall and of all processors [s], and the output, of a Python of its own."""
 
@@ -126,6 +144,16 @@ def test_all_shipped_scenarios(bench, tmp_path):
     whole = sum(seconds for seconds, _ in parts)
     for seconds, what in sorted(parts, reverse=True):
         bench.table.add(Row(PARTS, what, "the whole", seconds, whole, "s", seconds / whole))
+
+
+def test_ten_thousand_drawn_actuators(bench):
+    """From the processor time of fewer draws: half of it, as two processors share the work."""
+    more = bench.fewer(2000)
+    answer = python("-c", DRAWS.format(more=more), OPENBLAS_NUM_THREADS="1")  # as the command line has it
+    once, with_more = map(float, answer.out.split())
+    spent = once + 10_000 * (with_more - once) / more
+    what = "10 000 draws of a 50 Hz circle, from the processor time of fewer"
+    assert waited(bench, what, Ran(0.5 * spent, spent, ""), 60.0) <= BUSY
 
 
 def test_first_run_after_installation(bench, tmp_path):

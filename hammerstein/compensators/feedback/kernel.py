@@ -6,6 +6,7 @@ import numpy as np
 
 from hammerstein.compiled import compiled
 from hammerstein.hysteresis.play_kernels import load, respond_block
+from hammerstein.instrument_kernels import converted
 
 # Columns of the controller's memory, a row an output: the last reference, what the sensor should read, the
 # integral, the last error, and the correction for the next sample.
@@ -108,13 +109,6 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
     for k in range(m):
         for s in range(count[k]):
             end[k, s], x[k, s], d[k, s] = ends[k, s + 1], xs[k, s + 1], ds[k, s + 1]
-
-
-@compiled()
-def converted(value, low, high, step):  # type: ignore[no-untyped-def]
-    """Clip to a range and round to a step, as ``Drive.apply`` and ``Sensor.read`` do."""
-    held = min(max(value, low), high)
-    return held if step == 0.0 else np.rint(held / step) * step
 
 
 @compiled()

@@ -235,7 +235,7 @@ def closed_loop(law: Controller[Any], plant: Plant, reference_um: ArrayLike, see
 
 def _compiled_loop(
     law: FeedbackController, plant: Plant, hysteresis: PrandtlIshlinskii, reference_um: Array, seed: list[int]
-) -> dict[str, Array]:
+) -> dict[str, Any]:
     """Wires (axis, sample) of the compiled loop."""
     from hammerstein.compensators.feedback.kernel import run_closed_loop
     from hammerstein.compiled import spans

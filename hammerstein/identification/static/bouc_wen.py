@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +35,11 @@ RATES, SHARES = (1e-2, 1e3), (1e-3, 1e3)
 SEARCHED = 4
 """Starts from which a search goes on; the best of them is searched with all samples."""
 MOST_EVALUATIONS = 60
+NEAR, FINE = (1e-4, 1e-6), (1e-9, 1e-12)
+"""Steps of the shape and of the error, as parts of them, at which the search from each start ends, and the
+last one, which goes on from the best of these."""
+KEPT = 4
+"""Shapes of each input whose columns are kept: a search moves one input at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,15 +129,30 @@ def _searched(quick: _Task, whole: _Task) -> Array:
             starts.append(best.copy())
     best_first = sorted(starts, key=quick.error)[:SEARCHED]
 
-    def search(task: _Task, begin: Array) -> Array:
-        begin = np.clip(begin, lower + 1e-6, upper - 1e-6)
+    def search(task: _Task, begin: Array, end: tuple[float, float]) -> Array:
+        begin, (xtol, ftol) = np.clip(begin, lower + 1e-6, upper - 1e-6), end
         found = least_squares(
-            task.residual, begin, bounds=(lower, upper), max_nfev=MOST_EVALUATIONS, xtol=1e-9, ftol=1e-12
+            task.residual, begin, bounds=(lower, upper), max_nfev=MOST_EVALUATIONS, xtol=xtol, ftol=ftol
         )
         return np.asarray(found.x)
 
-    found = min((search(quick, begin) for begin in best_first), key=quick.error)
-    return search(whole, found)
+    found = min((search(quick, begin, NEAR) for begin in best_first), key=quick.error)
+    return search(whole, found, FINE)
+
+
+class _Recent:
+    """Columns of the last shapes of every input."""
+
+    def __init__(self, inputs: int) -> None:
+        self._known: list[dict[tuple[float, float], Array]] = [{} for _ in range(inputs)]
+
+    def column(self, k: int, rates: tuple[float, float], make: Callable[[], Array]) -> Array:
+        """Column of an input with these rates, made where it is not one of the last."""
+        known = self._known[k]
+        known[rates] = found = known.pop(rates) if rates in known else make()
+        if len(known) > KEPT:
+            del known[next(iter(known))]
+        return found
 
 
 class _Task(NamedTuple):
@@ -140,6 +161,7 @@ class _Task(NamedTuple):
     before_v : voltages (input, turn) that went before each record
     straight : the voltages behind the path (input, counted sample), about their mean in each record
     y : readings likewise (counted sample,); reach : half swing of each input (input,) [V]
+    recent : columns of the shapes that were tried last
     """
 
     records: Sequence[Record]
@@ -150,6 +172,7 @@ class _Task(NamedTuple):
     straight: Array
     y: Array
     reach: Array
+    recent: _Recent
 
     @classmethod
     def of(
@@ -168,7 +191,8 @@ class _Task(NamedTuple):
         filters = tuple(tuple(path_filters(through, i, o, m, p)) for i in range(len(records)))
         y = [_centred(record.y_um[[o], start.first :]) for record, start in each]
         before = tuple(path_before(*one) for one in each)
-        empty = cls(records, starts, late, before, filters, np.empty((0, 0)), np.hstack(y)[0], reach)
+        readings, none = np.hstack(y)[0], np.empty((0, 0))
+        empty = cls(records, starts, late, before, filters, none, readings, reach, _Recent(m))
         return empty._replace(straight=empty._behind(late, [turns[:, -1] for turns in before]))
 
     def _behind(self, rows: Sequence[Array], held: Sequence[Array]) -> Array:
@@ -191,20 +215,25 @@ class _Task(NamedTuple):
 
     def columns(self, shape: Array) -> Array:
         """Regressors of d and a (weight, sample), input after input."""
+        rates = zip(*(each.tolist() for each in self.rates(shape)), strict=True)
+        rows = [self.recent.column(k, own, partial(self._lag, k, own)) for k, own in enumerate(rates)]
+        both = np.stack([self.straight, np.stack(rows)], axis=1)
+        return both.reshape(2 * len(self.reach), -1)
+
+    def _lag(self, k: int, rates: tuple[float, float]) -> Array:
+        """Regressor of a (sample,) of input k, which has these rates [1/V]."""
         from hammerstein.hysteresis.bouc_wen_kernels import lagging
 
         rows, held = [], []
         for u, turns, start in zip(self.late_v, self.before_v, self.starts, strict=True):
-            z, begun = np.empty_like(u), np.empty_like(turns)
-            for k, rates in enumerate(zip(*self.rates(shape), strict=True)):
-                first = lagging(turns[k], *rates, 0.0, turns[k, 0], begun[k])
-                end = lagging(u[k], *rates, first, turns[k, -1], z[k])
-                if start.kind == "repeated":
-                    lagging(u[k], *rates, end, u[k, -1], z[k])
-            rows.append(-z)
-            held.append(-begun[:, -1])
-        both = np.stack([self.straight, self._behind(rows, held)], axis=1)
-        return both.reshape(2 * len(self.reach), -1)
+            z, begun = np.empty_like(u[k]), np.empty_like(turns[k])
+            first = lagging(turns[k], *rates, 0.0, turns[k, 0], begun)
+            end = lagging(u[k], *rates, first, turns[k, -1], z)
+            if start.kind == "repeated":
+                lagging(u[k], *rates, end, u[k, -1], z)
+            rows.append(-z[None])
+            held.append(-begun[-1:])
+        return np.asarray(self._behind(rows, held)[0])
 
     def residual(self, shape: Array) -> Array:
         """What the best d and a leave (sample,) [um]."""

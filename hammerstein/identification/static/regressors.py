@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -256,7 +257,12 @@ class SideBySide:
 
     def settled(self, columns: Array) -> Array:
         """State (copy, state) of paths that were held at their column for ever."""
-        return np.outer(columns, self.path.settled([1.0]))
+        return np.outer(columns, self._of_one)
+
+    @cached_property
+    def _of_one(self) -> Array:
+        """State (state,) of one copy that was held at 1 for ever: a search asks for it thousands of times."""
+        return self.path.settled([1.0])
 
     def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
         """Outputs (copy, sample) and the state after them."""

@@ -1,0 +1,70 @@
+"""Compiled time loops of drive and sensor: one pass over memory for what would be a dozen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hammerstein.compiled import compiled
+
+at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
+
+BLOCK = 1024  # samples whose noise is drawn at once; it stays in the cache
+
+
+@compiled()
+def converted(value, low, high, step):  # type: ignore[no-untyped-def]
+    """Clip to a range and round to a step, as a converter does; what is not a number stays that."""
+    held = value
+    if held < low:
+        held = low
+    if held > high:
+        held = high
+    return held if step == 0.0 else np.rint(held / step) * step
+
+
+@compiled()
+def convert(asked, steps, ends, step, drive, cut):  # type: ignore[no-untyped-def]
+    """Voltages that leave the converter, and where the range cut them.
+
+    asked : (m, N) [V]; steps, ends : (2, m) lowest and highest step; voltages beyond which a range cuts
+    step : of the converter [V]; drive : (m, N), overwritten; cut : (m, N), overwritten
+    """
+    for k in range(asked.shape[0]):
+        low, high = steps[0, k], steps[1, k]
+        least, most = ends[0, k], ends[1, k]
+        for t in range(asked.shape[1]):
+            value = asked[k, at(t)]
+            drive[k, at(t)] = converted(value, low, high, step)
+            cut[k, at(t)] = (value < least) | (value > most)
+
+
+@compiled()
+def outside(wire, first, stop, low, high):  # type: ignore[no-untyped-def]
+    """How many values of a wire (axis, N) are not between two bounds, from sample first up to stop."""
+    found = 0
+    for k in range(wire.shape[0]):
+        for t in range(first, stop):
+            found += not (low <= wire[k, at(t)] <= high)
+    return found
+
+
+@compiled()
+def read_positions(filtered, generator, noise, largest, step, reading):  # type: ignore[no-untyped-def]
+    """Readings of positions: noise, range and step.
+
+    The numbers of the generator are those of its ``standard_normal``, drawn sample by sample.
+
+    filtered : (p, N) [um]; noise : rms [um]; largest : reading of either sign [um]; step : of the reading
+    reading : (p, N), overwritten
+    """
+    p, samples = filtered.shape
+    drawn = np.zeros(p * BLOCK)
+    for start in range(0, samples, BLOCK):
+        stop = min(start + BLOCK, samples)
+        if noise != 0.0:
+            for i in range(p * (stop - start)):
+                drawn[at(i)] = generator.standard_normal()
+        for o in range(p):
+            for t in range(start, stop):
+                noisy = filtered[o, at(t)] + noise * drawn[at((t - start) * p + o)]
+                reading[o, at(t)] = converted(noisy, -largest, largest, step)

@@ -1,0 +1,77 @@
+"""Compiled sums over the errors of a path: what its figures of merit need, in one pass over memory."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hammerstein.compiled import compiled
+
+at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
+
+BLOCK = 512  # samples of all axes that stay in the cache; their sums are added up block by block
+
+
+@compiled()
+def error_sums(path, target, squares, largest):  # type: ignore[no-untyped-def]
+    """Sums of squares and largest squares of an error, axis by axis, and of the distance of all axes.
+
+    path, target : p rows (N,); squares, largest : (p+1,) zeros, the distance last; filled
+    """
+    p, samples = len(path), path[0].shape[0]
+    square, distance = np.empty(BLOCK), np.empty(BLOCK)
+    for start in range(0, samples, BLOCK):
+        count = min(BLOCK, samples - start)
+        for i in range(count):
+            distance[at(i)] = 0.0
+        for o in range(p):
+            for i in range(count):
+                error = path[o][at(start + i)] - target[o][at(start + i)]
+                square[at(i)] = error * error
+                distance[at(i)] += error * error
+            squares[o] += _sum(square, count)
+            largest[o] = max(largest[o], _top(square, count))
+        squares[p] += _sum(distance, count)
+        largest[p] = max(largest[p], _top(distance, count))
+
+
+@compiled(fastmath={"reassoc"})
+def _sum(values, samples):  # type: ignore[no-untyped-def]
+    """Sum of the first samples, in any order."""
+    total = 0.0
+    for t in range(samples):
+        total += values[at(t)]
+    return total
+
+
+@compiled(fastmath={"nnan", "nsz"})
+def _top(values, samples):  # type: ignore[no-untyped-def]
+    """Largest of the first samples, several at once; what is not a number is found by the sums."""
+    found = 0.0
+    for t in range(samples):
+        found = max(found, values[at(t)])
+    return found
+
+
+@compiled()
+def plane_errors(u, v, x, y, p, q, middle):  # type: ignore[no-untyped-def]
+    """Largest errors in the plane: of the radius of two paths, and |theta| of the first (paper).
+
+    u, v : reference (N,); x, y : reading (N,); p, q : position (N,), all counted from a middle (2,)
+    """
+    first, second, thetas = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    reading, position, theta = 0.0, 0.0, 0.0
+    for start in range(0, u.shape[0], BLOCK):
+        count = min(BLOCK, u.shape[0] - start)
+        for i in range(count):
+            t = at(start + i)
+            a, b = u[t] - middle[0], v[t] - middle[1]
+            c, d = x[t] - middle[0], y[t] - middle[1]
+            e, f = p[t] - middle[0], q[t] - middle[1]
+            wanted = np.sqrt(a * a + b * b)
+            first[at(i)] = abs(np.sqrt(c * c + d * d) - wanted)
+            second[at(i)] = abs(np.sqrt(e * e + f * f) - wanted)
+            thetas[at(i)] = abs((a + b) * (a + b) - (c + d) * (c + d))
+        reading = max(reading, _top(first, count))
+        position = max(position, _top(second, count))
+        theta = max(theta, _top(thetas, count))
+    return reading, position, theta

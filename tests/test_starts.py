@@ -1,0 +1,25 @@
+"""A beginning of a record that no start explains is left out, one that a start explains is kept."""
+
+import numpy as np
+
+from hammerstein.identification.static.history import judged_starts
+from hammerstein.identification.static.regressors import Start
+from hammerstein.records.record import Record
+
+U = 10.0 * np.sin(2.0 * np.pi * np.arange(2050) / 100)
+
+
+def straight(record: Record, start: Start) -> np.ndarray:
+    return 5.0 * record.u_v
+
+
+def test_a_beginning_that_nothing_explains_is_left_out():
+    bump = np.where(np.arange(U.size) < 30, 8.0, 0.0)
+    (start,) = judged_starts([Record([U], [5.0 * U + bump], 1e-3)], straight, settle_s=0.0)
+    assert start.kind == "repeated"
+    assert 30 < start.first < 0.2 * U.size
+
+
+def test_a_beginning_that_is_explained_is_kept():
+    (start,) = judged_starts([Record([U], [5.0 * U], 1e-3)], straight, settle_s=0.0)
+    assert start.first == 0
