@@ -95,7 +95,7 @@ def search_behind(task: Task, hysteresis: Hysteresis[Any], begin: Behind, free_d
     near = begin.axes or (Axis(),) * task.outputs
     grown = [_grown(task, one, quick, axis) for (_, one, quick), axis in zip(tasks, near, strict=True)]
     shapes, begins = [shape for shape, _ in grown], [x for _, x in grown]
-    every_column, many, few = (
+    whole, many, few = (
         [replace(one, shape=shape) for one, shape in zip(row, shapes, strict=True)]
         for row in zip(*tasks, strict=True)
     )
@@ -103,8 +103,7 @@ def search_behind(task: Task, hysteresis: Hysteresis[Any], begin: Behind, free_d
     if free_delay and all(len(x) for x in begins):
         task.progress("searching the delay")
         delay, begins = _delay(many, few, delay, begins)
-    last = every_column if begin.axes else many  # a block that was found without axes stands in for them
-    return Behind(tuple(_nearer(one, x, delay) for one, x in zip(last, begins, strict=True)), delay)
+    return Behind(tuple(_nearer(one, x, delay) for one, x in zip(whole, begins, strict=True)), delay)
 
 
 def _nearer(one: AxisTask, x: Array, delay: float) -> Axis:
