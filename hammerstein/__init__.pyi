@@ -1,3 +1,6 @@
+from .blocks.instruments import Drive as Drive, Instruments as Instruments, Sensor as Sensor
+from .blocks.interop.limit_cycles import LimitCycle as LimitCycle, limit_cycles as limit_cycles
+from .blocks.streaming import Stream as Stream, stream as stream
 from .comparison.compare import compare as compare
 from .comparison.result import Comparison as Comparison
 from .compensators import (
@@ -53,9 +56,8 @@ from .identification.linear.state_space import fit_state_space as fit_state_spac
 from .identification.settings import Settings as Settings
 from .identification.static.closed_form import closed_form as closed_form
 from .identification.static.static_block import fit_static as fit_static
-from .instruments import Drive as Drive, Instruments as Instruments, Sensor as Sensor
-from .interop.limit_cycles import LimitCycle as LimitCycle, limit_cycles as limit_cycles
 from .model import HammersteinModel as HammersteinModel
+from .model.simulation import Plant as Plant, Response as Response
 from .plugins import register as register
 from .records.loops import Loop as Loop, loop_table as loop_table
 from .records.reading import read_paired_records as read_paired_records, read_records as read_records
@@ -73,7 +75,5 @@ from .signals import (
     Spiral as Spiral,
     Triangle as Triangle,
 )
-from .simulation import Plant as Plant, Response as Response
-from .streaming import Stream as Stream, stream as stream
 
 __version__: str

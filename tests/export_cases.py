@@ -4,6 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hammerstein.blocks.instruments import Drive, Instruments
+from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StateSpaceDynamics, StaticDynamics
 from hammerstein.export.code import CCode
 from hammerstein.export.request import Request
@@ -18,9 +20,7 @@ from hammerstein.hysteresis import (
     RateDependent,
     RatePlays,
 )
-from hammerstein.instruments import Drive, Instruments
 from hammerstein.model import HammersteinModel
-from hammerstein.voltages import Voltages
 
 T = 50e-6
 

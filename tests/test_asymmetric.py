@@ -8,11 +8,11 @@ import pytest
 import theory
 from hypothesis import given, settings, strategies as st
 
+from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Asymmetric, AsymmetricState, DeadZones, Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
-from hammerstein.voltages import Voltages
 
 SEED = 16
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import theory
 
+from hammerstein.blocks.voltages import Voltages
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.reach import reach
 from hammerstein.dynamics import StaticDynamics
@@ -13,7 +14,6 @@ from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.model import HammersteinModel
-from hammerstein.voltages import Voltages
 
 SEED = 16
 

@@ -5,16 +5,16 @@ import pytest
 import theory
 
 from hammerstein.actuators.build import with_thresholds
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import discretise
 from hammerstein.errors import IdentificationError
 from hammerstein.experiment import simulated_identification
 from hammerstein.experiment.simulated_identification import identify_each
 from hammerstein.identification.static.closed_form import closed_form
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
+from hammerstein.model.simulation import Plant
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec
 from hammerstein.signals import Lissajous, Triangle
-from hammerstein.simulation import Plant
 
 T = 50e-6
 JOINT = JointFitSpec(method="hammerstein")

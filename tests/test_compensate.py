@@ -125,7 +125,7 @@ def test_columns_are_taken_by_their_names(tmp_path):
 def test_an_unlimited_model_is_driven_no_further_than_it_was_found(tmp_path, capsys):
     from dataclasses import replace
 
-    from hammerstein.instruments import Instruments
+    from hammerstein.blocks.instruments import Instruments
 
     model = replace(HammersteinModel.load("duo_bimorph"), instruments=Instruments.ideal())
     model.save(tmp_path / "stage.json")

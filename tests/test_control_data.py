@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import hammerstein
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import StateSpaceDynamics, discretise
 from hammerstein.errors import InputError
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
+from hammerstein.model.simulation import Plant
 from hammerstein.records.record import Record
-from hammerstein.simulation import Plant
 
 T = 1e-3
 FREQUENCY_HZ = np.array([1.0, 20.0, 133.0, 400.0])

@@ -6,14 +6,14 @@ import pytest
 import theory
 from scipy.optimize import brentq
 
+from hammerstein.blocks.instruments import Drive, Instruments
+from hammerstein.blocks.interop.limit_cycles import limit_cycles
 from hammerstein.dynamics import AxesDynamics, Axis, discretise
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.hysteresis.describing_function import describing_function
-from hammerstein.instruments import Drive, Instruments
-from hammerstein.interop.limit_cycles import limit_cycles
 from hammerstein.model import HammersteinModel
-from hammerstein.simulation import Plant, PlantState
+from hammerstein.model.simulation import Plant, PlantState
 
 R, W = [0.05, 0.5, 2.0, 5.0], [4.0, 0.5, -1.0, 1.5]
 T = 1e-4

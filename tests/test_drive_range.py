@@ -10,6 +10,9 @@ import pytest
 import theory
 
 from hammerstein.blocks import Law
+from hammerstein.blocks.driving import DriveRange
+from hammerstein.blocks.instruments import Drive, Instruments
+from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.commands.cli import main
 from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
@@ -17,14 +20,11 @@ from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativ
 from hammerstein.compensators.no_compensation import NoCompensationLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.compensators.reach import reach
-from hammerstein.driving import DriveRange
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.instruments import Drive, Instruments
 from hammerstein.model import HammersteinModel
-from hammerstein.simulation import Plant
-from hammerstein.voltages import Verdict, Voltages
+from hammerstein.model.simulation import Plant
 
 T = 50e-6
 R = np.array([0.5, 3.0, 8.0, 20.0, 35.0])
@@ -263,7 +263,7 @@ def test_a_flagged_model_needs_a_word(stage, capsys):
 
 def test_the_drive_file_is_read_by_pandas_and_by_us(stage):
     from hammerstein.records.reading import read_records
-    from hammerstein.signal_tables import read_signal
+    from hammerstein.signals.tables import read_signal
 
     assert compensate(stage, "--law", "exact_inverse") == 0
     out = stage / "drive.csv"

@@ -8,18 +8,18 @@ import pytest
 import theory as table
 import theory_linear as theory
 
+from hammerstein.blocks.instruments import Drive, Instruments, Sensor, standard_noise
+from hammerstein.blocks.voltages import Voltages
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.measure import _sensor_lag
 from hammerstein.experiment.prepare import prepare
 from hammerstein.experiment.run import run, simulate, simulate_in_stretches
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.instruments import Drive, Instruments, Sensor, standard_noise
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
+from hammerstein.model.simulation import BLOCK, Plant
 from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.scenario.scenario import Measure
-from hammerstein.simulation import BLOCK, Plant
-from hammerstein.voltages import Voltages
 
 
 def _scenario(**tables):

@@ -5,6 +5,7 @@ import control
 import numpy as np
 import pytest
 
+from hammerstein.blocks.instruments import Drive, Instruments, Sensor
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
 from hammerstein.compensators.feedback.tuning import Gains
@@ -13,10 +14,9 @@ from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.prepare import prepare
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.instruments import Drive, Instruments, Sensor
 from hammerstein.model import HammersteinModel
+from hammerstein.model.simulation import WIRES, Plant
 from hammerstein.scenario import Scenario
-from hammerstein.simulation import WIRES, Plant
 
 T = 50e-6
 SENSOR = Sensor()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from hammerstein.instruments import Drive, Instruments, Sensor
+from hammerstein.blocks.instruments import Drive, Instruments, Sensor
 
 
 def test_drive_clips_counts_and_rounds():

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import hammerstein
+from hammerstein.blocks.instruments import Drive, Instruments, Sensor
+from hammerstein.blocks.interop.packing import Packing
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.feedback.pid import FeedbackController
 from hammerstein.compensators.feedback.stream import FeedbackStream
@@ -13,8 +15,6 @@ from hammerstein.compensators.no_compensation import NoCompensationLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.errors import InputError
 from hammerstein.experiment.prepare import prepare
-from hammerstein.instruments import Drive, Instruments, Sensor
-from hammerstein.interop.packing import Packing
 from hammerstein.model import HammersteinModel
 
 T = 50e-6

@@ -14,18 +14,18 @@ import pytest
 
 from hammerstein.commands.cli import main
 from hammerstein.compensators.cycle import centred, rms
+from hammerstein.compensators.learning import Unsure, lesson, simulated_trials
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.errors import InputError
 from hammerstein.experiment.prepare import prepare
 from hammerstein.experiment.run import run
 from hammerstein.experiment.selection import TRIAL
-from hammerstein.learning import Unsure, lesson, simulated_trials
 from hammerstein.model import HammersteinModel
+from hammerstein.model.simulation import Plant
 from hammerstein.reporting.figures.choice import figures_of, sweep_curves
 from hammerstein.reporting.summary import answer
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.uncertainty import Uncertainty
-from hammerstein.simulation import Plant
 
 T = 50e-6
 DRAWS = int(os.environ.get("HAMMERSTEIN_DRAWS", "12"))

@@ -12,11 +12,11 @@ import pytest
 from PIL import Image
 
 import hammerstein
-from hammerstein.instruments import Instruments
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.model import HammersteinModel
+from hammerstein.model.simulation import Plant
 from hammerstein.records.record import Record
 from hammerstein.reporting.notebook import picture_of
-from hammerstein.simulation import Plant
 
 TIME = 1e-4 * np.arange(2000)
 SINE = 8.0 * np.sin(2.0 * np.pi * 20.0 * TIME)

@@ -11,10 +11,10 @@ from pydantic import Field
 import hammerstein
 from hammerstein import plugins
 from hammerstein.blocks import Law
+from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators import COMPENSATORS
 from hammerstein.compensators.drive_file import Terms, compensate
 from hammerstein.compensators.no_compensation import NoMemory
-from hammerstein.driving import DriveRange
 from hammerstein.hysteresis import HYSTERESIS, slopes_of
 from hammerstein.hysteresis.kind import SWEEP_SAMPLES
 from hammerstein.reporting.html.run_page import run_page

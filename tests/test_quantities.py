@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from hammerstein.instruments import Drive, Sensor
+from hammerstein.blocks.instruments import Drive, Sensor
 from hammerstein.model import ModelFile
 from hammerstein.quantities import BANDWIDTH_HZ, FREQUENCY_HZ
 from hammerstein.scenario import Scenario, load_scenario

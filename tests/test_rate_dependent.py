@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import theory
 
+from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.exact.inverse import ExactInverse, ExactInverseLaw, exact_inverse_of
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
-from hammerstein.driving import DriveRange
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, Parallel, PrandtlIshlinskii, RateDependent, RatePlays
@@ -238,7 +238,7 @@ def test_weights_that_leave_no_inverse_are_refused():
 
 def test_behind_dynamics_the_preview_law_takes_it():
     from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
-    from hammerstein.simulation import Plant
+    from hammerstein.model.simulation import Plant
 
     axes = AxesDynamics(axes=(Axis(resonance_hz=600.0, damping_ratio=0.2),) * 2)
     model = model_of(block(), axes)

@@ -11,8 +11,8 @@ import pytest
 
 from hammerstein.commands.cli import main
 from hammerstein.model import HammersteinModel
+from hammerstein.model.simulation import Plant
 from hammerstein.signals import Multisine, Sine
-from hammerstein.simulation import Plant
 
 TOP = Path(__file__).parents[1]
 README = (TOP / "README.md").read_text(encoding="utf-8")

@@ -6,7 +6,7 @@ import pytest
 
 from hammerstein.commands.cli import main
 from hammerstein.model import HammersteinModel
-from hammerstein.simulation import Plant
+from hammerstein.model.simulation import Plant
 
 T = 50e-6
 

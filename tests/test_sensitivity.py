@@ -4,12 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
 from hammerstein.experiment.draws import Figures, drawn_metrics
 from hammerstein.experiment.run import run
 from hammerstein.experiment.sensitivity import _base, _indices
-from hammerstein.instruments import Instruments
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.choice import figures_of

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from hammerstein.errors import InputError
-from hammerstein.signal_tables import read_signal
 from hammerstein.signals import Circle, FromFile, Lissajous, Multisine, Sine, Spiral, Triangle
+from hammerstein.signals.tables import read_signal
 
 t = np.linspace(0.0, 0.1, 2001)
 

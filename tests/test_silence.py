@@ -207,7 +207,7 @@ def test_no_figure_leaves_a_run_that_is_not_finite():
 
 def test_bounds_of_wires():
     from hammerstein.errors import SimulationError
-    from hammerstein.simulation import refuse_unbounded
+    from hammerstein.model.simulation import refuse_unbounded
 
     wire = np.zeros((2, 100))
     refuse_unbounded("position_um", wire, 1e-3)

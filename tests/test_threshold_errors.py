@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import theory
 
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, ThresholdCovariance, WeightCovariance
@@ -15,7 +16,6 @@ from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.static.threshold_errors import with_threshold_errors
 from hammerstein.identification.static.threshold_search import ThresholdTask, search_near
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.reporting.fit_page import fit_page

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.errors import InputError
 from hammerstein.experiment.draws import Figures, drawn_metrics
 from hammerstein.experiment.run import run
 from hammerstein.experiment.selection import number
 from hammerstein.experiment.uncertainty_bands import _bands
-from hammerstein.instruments import Instruments
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.html.overview import write_overview

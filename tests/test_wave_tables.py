@@ -8,14 +8,14 @@ import pandas as pd
 import pytest
 from export_cases import stage
 
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.commands.cli import main
 from hammerstein.compensators.cycle import cycle_of, rms
 from hammerstein.compensators.drive_file import Terms
 from hammerstein.compensators.wave_table import wave_table
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
-from hammerstein.simulation import Plant
+from hammerstein.model.simulation import Plant
 
 T = 50e-6
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import theory
 
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, WeightCovariance
 from hammerstein.identification.static.static_block import fit_static
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel, ModelFile
 from hammerstein.records.record import Record
 from hammerstein.scenario.uncertainty import Uncertainty

@@ -21,10 +21,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from hammerstein.actuators.stacks import asymmetric_stack, rate_dependent_stack
+from hammerstein.arrays import Array
 from hammerstein.dynamics import (
     AxesDynamics,
     Axis,
@@ -44,7 +44,6 @@ READ = (
     ("duo_bimorph_static_read", None, 0.0, True, "no dynamics, printed table corrected for the sensor"),
 )
 
-Array = NDArray[np.float64]
 
 FREQUENCY_HZ = 50.0
 SMOOTHNESS = 1.0  # weight of a second difference of 1 um/V against an error of 1 um in one of 400 samples

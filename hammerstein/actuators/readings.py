@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from hammerstein.actuators.build import block_behind
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, natural_frequency_hz
 from hammerstein.errors import InputError
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 
 BANDWIDTH_HZ = (430.0, 470.0)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics
 from hammerstein.hysteresis import (
     Asymmetric,
@@ -17,7 +18,6 @@ from hammerstein.hysteresis import (
     RateDependent,
     RatePlays,
 )
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 
 RATE_PLAYS = 14

@@ -33,7 +33,7 @@ def compare(
     from hammerstein.comparison.compare import compare as compared
     from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.compare_folder import ALWAYS, COMPARISON, write_comparison
-    from hammerstein.storage.staging import prepare
+    from hammerstein.runtime.storage.staging import prepare
 
     settings = identified.settings()
     held.refuse_fitted(recorded.files)

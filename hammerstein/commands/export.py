@@ -79,7 +79,7 @@ def _write(
     from hammerstein.export.folder import ALWAYS, EXPORT, write_export
     from hammerstein.export.request import request_of
     from hammerstein.files import refuse_unwritable
-    from hammerstein.storage.staging import prepare
+    from hammerstein.runtime.storage.staging import prepare
 
     if out is None:
         raise InputError("--out", "name the folder for the code")

@@ -89,10 +89,10 @@ def write_cycle(asked: Period) -> None:
 
 def write_lesson(asked: Period, trial: tuple[Path, Path], unsure: str) -> None:
     """Write the next period of a periodic path, from a trial."""
+    from hammerstein.compensators.learning.files import learn_from_files
+    from hammerstein.compensators.learning.unsure import Unsure
     from hammerstein.errors import InputError
     from hammerstein.files import write_atomic
-    from hammerstein.learning.files import learn_from_files
-    from hammerstein.learning.unsure import Unsure
 
     deviations = volts("--unsure", unsure) or ()
     if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):

@@ -7,18 +7,16 @@ from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.axis_names import column
+from hammerstein.arrays import Array
+from hammerstein.blocks.axis_names import column
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.files import Content
 from hammerstein.model import HammersteinModel
+from hammerstein.model.simulation import Response
 from hammerstein.records.units import axis_name
-from hammerstein.signal_tables import read_signal
-from hammerstein.simulation import Response
-
-Array = NDArray[np.float64]
+from hammerstein.signals.tables import read_signal
 
 PLAYED = Content("file of played voltages", sign="time_s,played_")
 EVENLY = 1e-3

@@ -48,8 +48,8 @@ def loops(
     from hammerstein.files import refuse_unwritable
     from hammerstein.records.loops import loop_table, move_at_once, telling_loops, without_loops
     from hammerstein.reporting.figures.measured import LOOPS, LOOPS_FILES, loops_of_records
-    from hammerstein.storage.manifest import refuse_name
-    from hammerstein.storage.staging import prepare
+    from hammerstein.runtime.storage.manifest import refuse_name
+    from hammerstein.runtime.storage.staging import prepare
 
     folder = out / folder_name(recorded.files)
     if figures:
@@ -118,7 +118,7 @@ def identify(
     from hammerstein.model import CONTENT
     from hammerstein.reporting.fit_folder import ALWAYS, FIT, write_fit
     from hammerstein.reporting.fit_page import fit_json
-    from hammerstein.storage.staging import prepare
+    from hammerstein.runtime.storage.staging import prepare
 
     settings = identified.settings(hysteresis=hysteresis, dead_zones=dead_zones)
     refuse_output(out, [*recorded.files, *(held.validate or [])], CONTENT)

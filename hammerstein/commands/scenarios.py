@@ -68,7 +68,7 @@ def run(
     from hammerstein.reporting.html.interactive import refuse_without_library
     from hammerstein.reporting.html.overview import OVERVIEW
     from hammerstein.runtime import store as kept_results
-    from hammerstein.storage.staging import prepare
+    from hammerstein.runtime.storage.staging import prepare
 
     if dry_run:
         _show_plan(paths, jobs)
@@ -298,7 +298,7 @@ def plot(
     from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.figures import write_figures
     from hammerstein.reporting.figures.write import FIGURES
-    from hammerstein.storage.staging import prepare
+    from hammerstein.runtime.storage.staging import prepare
 
     if path.is_dir():
         raise InputError(str(path), "is a folder; give the file of one scenario")

@@ -10,13 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hammerstein.actuators import DEFAULT
 from hammerstein.errors import InputError
 from hammerstein.files import begun, ended, reason_of, remove_empty
 
-Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
 PACKAGE = Path(__file__).parents[1]

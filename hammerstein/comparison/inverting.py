@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.blocks import Law
+from hammerstein.blocks.driving import DriveRange
 from hammerstein.comparison.fitting import LINEAR, Fitted
 from hammerstein.comparison.result import Left
 from hammerstein.compensators import (
@@ -18,13 +19,10 @@ from hammerstein.compensators import (
     HammersteinInverse,
     InverseMultiplicative,
 )
-from hammerstein.driving import DriveRange
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import HammersteinError
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
 
 HEADROOM = 0.1
 """Part of the recorded range by which the voltages may leave it at either end."""

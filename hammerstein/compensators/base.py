@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict
 
-from hammerstein.driving import RangeLike
+from hammerstein.blocks.driving import RangeLike
 from hammerstein.plugins import Family
 
 if TYPE_CHECKING:

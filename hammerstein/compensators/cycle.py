@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.blocks import Law
+from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.drive_file import (
     Terms,
@@ -21,12 +23,9 @@ from hammerstein.compensators.drive_file import (
     refuse_flagged,
     verdict_statements,
 )
-from hammerstein.driving import DriveRange
 from hammerstein.dynamics import LinearBlock, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.model import HammersteinModel
-
-Array = NDArray[np.float64]
 
 TRIED_PERIODS = (4, 8, 16, 32)
 SETTLED = 1e-6  # of the range: what two periods may differ by

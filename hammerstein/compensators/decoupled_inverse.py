@@ -8,9 +8,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hammerstein.blocks import Array, Law, require_square
+from hammerstein.arrays import Array
+from hammerstein.blocks import Law, require_square
+from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.base import Compensator
-from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel

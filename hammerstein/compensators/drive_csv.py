@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.axis_names import column
+from hammerstein.arrays import Array
+from hammerstein.blocks.axis_names import column
 from hammerstein.errors import InputError
 from hammerstein.escaping import clean
-
-Array = NDArray[np.float64]
 
 
 def drive_csv(

@@ -9,21 +9,21 @@ from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
+from hammerstein.arrays import Array
 from hammerstein.blocks import Law, checked_reference
+from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.reach import Reach, Shortfall, reach, require_reach, shortfall
-from hammerstein.driving import DriveRange
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, SimulationError
 from hammerstein.files import Content
 from hammerstein.model import HammersteinModel
-from hammerstein.signal_tables import read_signal
+from hammerstein.signals.tables import read_signal
 from hammerstein.validation import mistakes_of
 
-Array = NDArray[np.float64]
 CONTENT = Content("drive file", sign="time_s,drive_")
 
 HEADING = "Voltages to send, as they are: absolute, in V. Times in s, positions in um."

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
 
-from hammerstein.blocks import Array, Law, require_square
+from hammerstein.arrays import Array
+from hammerstein.blocks import Law, require_square
+from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.base import Compensator
-from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Hysteresis, Memory, PlayState, PrandtlIshlinskii, slopes_of
 from hammerstein.hysteresis.slopes import slope_matrices

@@ -8,9 +8,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hammerstein.blocks import Array, Law
+from hammerstein.arrays import Array
+from hammerstein.blocks import Law
+from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.base import Compensator
-from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.model import HammersteinModel
 
 

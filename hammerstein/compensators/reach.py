@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hammerstein.blocks import Array, Law, checked_reference
+from hammerstein.arrays import Array
+from hammerstein.blocks import Law, checked_reference
+from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.exact.inverse import exact_inverse_of, has_exact_inverse
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
-from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.dynamics import discretise
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis.kind import SLOW_S

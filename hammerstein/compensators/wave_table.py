@@ -16,16 +16,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.axis_names import column
+from hammerstein.arrays import Array
+from hammerstein.blocks.axis_names import column
 from hammerstein.compensators.cycle import Cycle, held_least, rms
 from hammerstein.errors import InputError
 from hammerstein.escaping import clean
 from hammerstein.files import Content
-
-Array = NDArray[np.float64]
-
 
 SIGN = "Number in the table"
 CONTENT = Content("wave table", sign=SIGN)

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hammerstein.arrays import Array, freeze
 from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
     import control
 
-    from hammerstein.interop.block_system import BlockSystem
+    from hammerstein.blocks.interop.block_system import BlockSystem
 
-Array = NDArray[np.float64]
 CONTINUOUS = 0.0  # sample time [s] of a block in continuous time, as python-control writes it
 MOST_DELAY_STATES = 2000
 
@@ -53,7 +53,7 @@ class LinearBlock:
     def __post_init__(self) -> None:
         for name in "ABCD":
             matrix = np.array(getattr(self, name), dtype=np.float64)
-            matrix.flags.writeable = False
+            freeze(matrix)
             object.__setattr__(self, name, matrix)
 
     def __repr__(self) -> str:
@@ -153,7 +153,7 @@ class LinearBlock:
 
         It stands on its own sample grid; InputError for another sample time.
         """
-        from hammerstein.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, require_grid, signals
 
         require_grid(self.sample_time_s, sample_time_s, "linear block")
         block = Stepwise(self.rest(), self.step, lambda x: {"x": x}, lambda data: np.asarray(data["x"]))

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -20,15 +20,13 @@ from pydantic import (
     model_validator,
 )
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, low_pass, unit_gain
 from hammerstein.errors import InputError
 from hammerstein.quantities import Axes, CreepGain, Damping, Delay, Entry, Resonance, SampleTime, TimeConstant
 
 if TYPE_CHECKING:
     import control
-
-
-Array = NDArray[np.float64]
 
 
 def natural_frequency_hz(bandwidth_hz: float, damping_ratio: float) -> float:
@@ -237,7 +235,7 @@ class StateSpaceDynamics(BaseModel):
         >>> StateSpaceDynamics.of(control.tf([1.0], [1e-6, 1e-4, 1.0])).describe()
         'state space of order 2, continuous'
         """
-        from hammerstein.interop.linear_system import matrices_of
+        from hammerstein.blocks.interop.linear_system import matrices_of
 
         a, b, c, d, sample_time_s = matrices_of(system)
         rows = {k: tuple(map(tuple, m.tolist())) for k, m in zip("ABCD", (a, b, c, d), strict=True)}

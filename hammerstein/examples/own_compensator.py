@@ -11,7 +11,7 @@ from pydantic import Field
 import hammerstein
 from hammerstein import HammersteinModel, PrandtlIshlinskii
 from hammerstein.blocks import Law
-from hammerstein.driving import RangeLike
+from hammerstein.blocks.driving import RangeLike
 
 
 @hammerstein.register

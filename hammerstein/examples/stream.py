@@ -9,11 +9,9 @@ import gc
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
 import hammerstein
-
-Array = NDArray[np.float64]
+from hammerstein.arrays import Array
 
 SAMPLE_TIME_S = 500e-6
 SECONDS = 2.0

@@ -13,10 +13,10 @@ from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.runtime.fanning import Jobs, spread
 from hammerstein.runtime.faults import as_error
+from hammerstein.runtime.storage.manifest import refuse_name
 from hammerstein.runtime.store import Store
 from hammerstein.runtime.workers import Processes
 from hammerstein.scenario import Scenario, load_scenario
-from hammerstein.storage.manifest import refuse_name
 
 Finish = Callable[[Report], tuple[Path, ...]]
 """What is done with each report; it gives the places of files that were kept under another name."""

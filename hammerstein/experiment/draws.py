@@ -10,17 +10,15 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.experiment.kept import KeptCases, rows_from
 from hammerstein.experiment.measure import drawn_rows
 from hammerstein.experiment.prepare import Case, Experiment, Progress, SetUp
 from hammerstein.metrics import METRICS, Row
+from hammerstein.model.simulation import Plant
 from hammerstein.runtime.fanning import Jobs, in_order, on_workers
 from hammerstein.runtime.store import Kept
-from hammerstein.simulation import Plant
-
-Array = NDArray[np.float64]
 
 TOGETHER = 25  # actuators that are worked out, and kept, in one piece
 

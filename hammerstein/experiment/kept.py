@@ -10,19 +10,14 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hammerstein.experiment.measure import Result, rows_of
 from hammerstein.experiment.prepare import Case, Progress, SetUp, scenario_axes
 from hammerstein.experiment.report import Prediction, Trace
 from hammerstein.metrics import METRICS, Row
+from hammerstein.model.simulation import WIRES, Response
 from hammerstein.runtime.fanning import Jobs, in_order, on_workers
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.signals import FromFile
-from hammerstein.simulation import WIRES, Response
-
-Array = NDArray[np.float64]
 
 NUMBERS_NOT = {"label", "identification", "model", "only_at_hz"}
 """Keys of a compensator that choose its model or name it; the model itself is a part of the key."""

@@ -9,18 +9,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import SimulationError
 from hammerstein.experiment.prepare import Case, SetUp, Window, scenario_axes
 from hammerstein.experiment.recording import Target, recorded, targets_of
 from hammerstein.experiment.report import Prediction, Trace
 from hammerstein.experiment.settling import advice, settled
 from hammerstein.metrics import METRICS, LoopFigures, Measured, Metric, Row, loop_figures
+from hammerstein.model.simulation import Response
 from hammerstein.signals import OneFrequency
-from hammerstein.simulation import Response
-
-Array = NDArray[np.float64]
 
 LAGGING = 2.0  # reading against true position: from here on most of the error is the sensor's
 BEYOND = 0.02  # part of the recorded range by which a drive may leave it before that is said

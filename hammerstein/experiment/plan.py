@@ -14,16 +14,16 @@ from hammerstein.compensators import (
     HammersteinInverse,
     InverseMultiplicative,
 )
+from hammerstein.compensators.learning import Learned
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.prepare import Window, driven_axes, plant_of, scenario_axes
 from hammerstein.experiment.recording import STRETCH
 from hammerstein.experiment.sensitivity import evaluations, varying
-from hammerstein.learning import Learned
+from hammerstein.model.simulation import Plant
 from hammerstein.runtime.memory import COPIES, free_bytes, run_bytes
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec
 from hammerstein.scenario.uncertainty import Uncertainty
-from hammerstein.simulation import Plant
 
 # Of a two-axis actuator on a processor of 2.5 GHz, rounded up; they only have to tell minutes from hours.
 SECONDS_A_SAMPLE = 1e-6

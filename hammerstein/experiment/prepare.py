@@ -13,24 +13,24 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hammerstein.arrays import Array
 from hammerstein.blocks import Controller, Law, Learner
+from hammerstein.blocks.driving import DriveRange
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators.feedback.pid import closed_loop
-from hammerstein.driving import DriveRange
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, Mistake, SimulationError
 from hammerstein.experiment.trials import Course, Courses, whole_period
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
+from hammerstein.model.simulation import BLOCK, Driven, Plant, Response
 from hammerstein.runtime.fanning import Jobs, on_workers
 from hammerstein.runtime.memory import refuse_too_long
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ModelSource
 from hammerstein.scenario.tested import TestedCompensator
 from hammerstein.signals import Excitation, FromFile, OnAxes, Reference
-from hammerstein.simulation import BLOCK, Driven, Plant, Response
 
-Array = NDArray[np.float64]
 AnyLaw = Law[Any] | Controller[Any] | Learner
 Progress = Callable[[str, int, int], None]
 Experiment = Callable[[Plant, int], Response]

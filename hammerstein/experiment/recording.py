@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import StaticDynamics, discretise
 from hammerstein.experiment.prepare import Case, SetUp
 from hammerstein.hysteresis import Memory
 from hammerstein.model import HammersteinModel
-from hammerstein.simulation import Response, refuse_unbounded
-
-Array = NDArray[np.float64]
+from hammerstein.model.simulation import Response, refuse_unbounded
 
 STRETCH = 100_000  # samples that are simulated at once where not all are recorded; they fit the cache
 

@@ -7,22 +7,19 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hammerstein.arrays import Array
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.escaping import cell
-from hammerstein.instruments import Instruments
 from hammerstein.metrics import Row
+from hammerstein.model.simulation import Response
 from hammerstein.pictured import Pictured
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.assessment import Verdict
 from hammerstein.signals import Excitation, Reference
-from hammerstein.simulation import Response
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Array = NDArray[np.float64]
 FORMAT = "hammerstein-report/1"
 
 

@@ -16,11 +16,11 @@ from hammerstein.experiment.report import Report
 from hammerstein.experiment.sensitivity import sensitivities_of
 from hammerstein.experiment.uncertainty_bands import bands_of
 from hammerstein.metrics import Row
+from hammerstein.model.simulation import Response
 from hammerstein.runtime.fanning import Jobs
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import scenario_of
 from hammerstein.scenario.scenario import ScenarioSource
-from hammerstein.simulation import Response
 
 
 def simulate(

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 from hammerstein.experiment.draws import Actuators, Figures, drawn_metrics, figures_on
 from hammerstein.experiment.kept import KeptCases
@@ -23,11 +23,9 @@ from hammerstein.experiment.prepare import Case, Progress
 from hammerstein.experiment.report import Sensitivity
 from hammerstein.experiment.uncertainty_bands import NO_PART
 from hammerstein.model import HammersteinModel
+from hammerstein.model.simulation import Plant
 from hammerstein.runtime.fanning import Jobs
 from hammerstein.scenario.uncertainty import Parameter, Uncertainty
-from hammerstein.simulation import Plant
-
-Array = NDArray[np.float64]
 
 RESAMPLED = 200  # times, for the confidence limits
 LIMITS = (2.5, 97.5)  # percent

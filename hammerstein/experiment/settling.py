@@ -10,8 +10,8 @@ from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativ
 from hammerstein.dynamics import AxesDynamics
 from hammerstein.errors import HammersteinError
 from hammerstein.experiment.prepare import Case, SetUp, Window
+from hammerstein.model.simulation import Response
 from hammerstein.signals import OneFrequency
-from hammerstein.simulation import Response
 
 SETTLED_FRACTION = 1e-3  # cycles may differ by this part of the range, beside the sensor's noise
 LONGER = (2, 20)  # times the cycles before the measurement that are tried

@@ -13,10 +13,11 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import JsonValue, TypeAdapter
 from scipy.linalg import block_diag
 
+from hammerstein.arrays import Array
+from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
@@ -24,15 +25,12 @@ from hammerstein.identification.linear.creep import fit_creep
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.metrics.cycle import settled_cycle
 from hammerstein.model import HammersteinModel
+from hammerstein.model.simulation import Plant
 from hammerstein.records.record import Record
 from hammerstein.runtime.cache import keep, known
 from hammerstein.runtime.fanning import Jobs, given, in_order
 from hammerstein.scenario.source import ClosedFormSpec, IdentificationSpec, JointFitSpec
 from hammerstein.signals import MOST_LINES, Multisine, Sine, Triangle, smooth_step
-from hammerstein.simulation import Plant
-from hammerstein.voltages import Voltages
-
-Array = NDArray[np.float64]
 
 LOWEST_LINE_HZ = 5.0  # of the multisine
 REST_SAMPLES = 20

@@ -7,13 +7,11 @@ from collections.abc import Callable, Hashable, Sequence
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.blocks import Learner
 from hammerstein.errors import InputError
-from hammerstein.simulation import Plant, Response
-
-Array = NDArray[np.float64]
+from hammerstein.model.simulation import Plant, Response
 
 WHOLE = 1e-6  # samples that a period may miss a whole number by
 

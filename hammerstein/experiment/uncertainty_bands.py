@@ -11,9 +11,9 @@ from hammerstein.experiment.draws import Actuators, Figures, drawn_metrics, figu
 from hammerstein.experiment.kept import KeptCases
 from hammerstein.experiment.prepare import Case, Progress
 from hammerstein.experiment.report import Band
+from hammerstein.model.simulation import Plant
 from hammerstein.runtime.fanning import Jobs
 from hammerstein.scenario.uncertainty import Uncertainty
-from hammerstein.simulation import Plant
 
 SEED_STEP = 7919  # keeps the noise of one draw apart from that of another scenario's seed
 NO_PART = {"draws", "sensitivity"}

@@ -6,8 +6,9 @@ from functools import singledispatch
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
+from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
 from hammerstein.compensators.exact import kernel as exact_kernel, pieces
 from hammerstein.compensators.exact.inverse import ExactInverseLaw, StaticInverse, Tables
@@ -16,13 +17,10 @@ from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativ
 from hammerstein.compensators.kernels import STILL_V
 from hammerstein.compensators.no_compensation import NoCompensationLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
-from hammerstein.driving import DriveRange
 from hammerstein.errors import InputError
 from hammerstein.export.c_blocks import CPart, Size, Table, c_block_of, c_moving_block_of, linear_part
 from hammerstein.export.forward import ForwardModel
 from hammerstein.hysteresis.asymmetric import ZoneLines
-
-Array = NDArray[np.float64]
 
 
 @singledispatch

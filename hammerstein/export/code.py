@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.blocks import Law
 from hammerstein.escaping import clean
 from hammerstein.export.beside import Beside
@@ -25,8 +25,6 @@ from hammerstein.export.operations import Code, Cost
 from hammerstein.export.request import MODEL, Request
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V
-
-Array = NDArray[np.float64]
 
 INWARDS = {"low": 1.0, "lowest_v": 1.0, "high": -1.0, "highest_v": -1.0}
 """Ends of the range: in single precision they are rounded to its inside."""

@@ -13,11 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError, InternalError
-
-Array = NDArray[np.float64]
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 RUN = """

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from hammerstein.axis_names import column
+from hammerstein.arrays import Array
+from hammerstein.blocks.axis_names import column
 from hammerstein.errors import InputError, ToleranceError
 from hammerstein.export.code import CCode, environment
 from hammerstein.export.compiling import compiler
@@ -23,11 +23,9 @@ from hammerstein.export.request import Request
 from hammerstein.export.worst import dearest
 from hammerstein.files import read_limited
 from hammerstein.model import HammersteinModel
-from hammerstein.storage.manifest import Owner
-from hammerstein.storage.staging import staged
+from hammerstein.runtime.storage.manifest import Owner
+from hammerstein.runtime.storage.staging import staged
 from hammerstein.validation import mistakes_of
-
-Array = NDArray[np.float64]
 
 MODEL_FILE, REQUEST_FILE = "model.json", "export.json"
 EXPORT = Owner("export", sign=(REQUEST_FILE, '"hammerstein-export/1"'))

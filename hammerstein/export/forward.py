@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hammerstein.driving import DriveRange
+from hammerstein.arrays import Array
+from hammerstein.blocks.driving import DriveRange
 from hammerstein.dynamics import discretise
 from hammerstein.model import HammersteinModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

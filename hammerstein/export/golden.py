@@ -6,13 +6,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.blocks import Law
 from hammerstein.export.forward import ForwardModel
 from hammerstein.model import HammersteinModel
-
-Array = NDArray[np.float64]
 
 SAMPLES = 2000
 DIGITS = 6  # after the point: what a sine is in the last bits differs between machines

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.export.golden import Uniform
-
-Array = NDArray[np.float64]
 
 STARTS, ROUNDS, SAMPLES = 8, 80, 60
 LEVELS = 40  # from the middle to the reach, and a quarter of that beyond it

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from hammerstein.arrays import Array, freeze, frozen
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.bank import PlayState
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
-from hammerstein.hysteresis.pair import Array, Pair, WeightCovariance, frozen, played
+from hammerstein.hysteresis.pair import Pair, WeightCovariance, played
 from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hammerstein.quantities import Offset, Weight, WeightError
@@ -117,8 +118,7 @@ class ZoneLines:
             drop[1:] = np.cumsum(bend * ends[k, : n[k], None], axis=0)
             home = int(np.searchsorted(ends[k, : n[k]], 0.0))
             intercept[k, : n[k] + 1] = drop[home] - drop
-        for array in (n, ends, slope, intercept):
-            array.flags.writeable = False
+        freeze(n, ends, slope, intercept)
         return cls(n, ends, slope, intercept)
 
     def values(self, k: int, q_v: ArrayLike) -> Array:

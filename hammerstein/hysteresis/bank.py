@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.hysteresis.pair import Array, Pair
+from hammerstein.arrays import Array, freeze
+from hammerstein.hysteresis.pair import Pair
 
 Counts = NDArray[np.int64]
 
@@ -90,6 +91,5 @@ class Bank:
         np.cumsum(w * np.where(np.isfinite(r), r, 0.0)[:, :, None], axis=1, out=moment[:, 1:])
         lines = np.concatenate([slope, moment], axis=2)
         guide, scale = search_guide(r, n)
-        for array in (n, r, w, slope, moment, lines, guide, scale):
-            array.flags.writeable = False
+        freeze(n, r, w, slope, moment, lines, guide, scale)
         return cls(n, r, w, slope, moment, lines, guide, scale)

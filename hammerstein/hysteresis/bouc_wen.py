@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from hammerstein.arrays import Array, frozen
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite, refuse_unbuilt
-from hammerstein.hysteresis.pair import Array, WeightCovariance, frozen
+from hammerstein.hysteresis.pair import WeightCovariance
 from hammerstein.hysteresis.pair_file import CovarianceFile
 from hammerstein.quantities import PerVolt, Weight
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hammerstein.arrays import Array, frozen
 from hammerstein.errors import InputError
-from hammerstein.hysteresis.pair import Array, WeightCovariance, frozen
+from hammerstein.hysteresis.pair import WeightCovariance
 
 
 @dataclass(frozen=True, eq=False)

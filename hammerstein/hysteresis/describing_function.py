@@ -5,16 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hammerstein.arrays import Array, Complex
 from hammerstein.errors import InputError
-from hammerstein.hysteresis.pair import Array, Pair
+from hammerstein.hysteresis.pair import Pair
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 
 if TYPE_CHECKING:
-    from hammerstein.interop.limit_cycles import HysteresisNonlinearity
-
-Complex = NDArray[np.complex128]
+    from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
 
 
 def describing_function(pair: Pair, amplitude_v: ArrayLike, range_v: float = np.inf) -> Complex:
@@ -78,7 +77,7 @@ def _share(x: Array) -> Array:
 
 def nonlinearity_of(hysteresis: PrandtlIshlinskii, range_v: float) -> HysteresisNonlinearity:
     """Give a block of one pair for python-control; see ``PrandtlIshlinskii.to_describing_function``."""
-    from hammerstein.interop.limit_cycles import HysteresisNonlinearity
+    from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
 
     if (hysteresis.n_outputs, hysteresis.n_inputs) != (1, 1):
         axes = f"{hysteresis.n_inputs} inputs and {hysteresis.n_outputs} outputs"

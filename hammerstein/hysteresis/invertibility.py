@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hammerstein.blocks import Array, require_square
+from hammerstein.arrays import Array
+from hammerstein.blocks import require_square
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import (
     Asymmetric,

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis.pair import Array, WeightCovariance
+from hammerstein.hysteresis.pair import WeightCovariance
 from hammerstein.plugins import Family
 
 if TYPE_CHECKING:
-    from hammerstein.interop.block_system import BlockSystem
+    from hammerstein.blocks.interop.block_system import BlockSystem
 
 SWEEP_SAMPLES = 200
 """Samples of one way of a loop that is driven to see how far it reaches."""
@@ -243,7 +244,7 @@ class Hysteresis(ABC, Generic[S]):
 
         Raises InputError for a sample time that is not above zero.
         """
-        from hammerstein.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, require_grid, signals
 
         require_grid(None, sample_time_s, "hysteresis")
         here = self.on_grid(sample_time_s)

@@ -6,18 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hammerstein.arrays import Array, frozen
 from hammerstein.errors import InputError, Mistake
-
-Array = NDArray[np.float64]
-
-
-def frozen(values: ArrayLike) -> Array:
-    """Copy of some numbers that nobody can write to."""
-    array = np.array(values, dtype=np.float64)
-    array.flags.writeable = False
-    return array
 
 
 def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:

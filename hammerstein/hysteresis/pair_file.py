@@ -7,9 +7,10 @@ from typing import Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.covariance import ThresholdCovariance
-from hammerstein.hysteresis.pair import Array, Pair, WeightCovariance
+from hammerstein.hysteresis.pair import Pair, WeightCovariance
 from hammerstein.quantities import Entry, NoCycles, Threshold, Weight, WeightError
 
 

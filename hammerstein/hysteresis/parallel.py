@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.asymmetric import AsymmetricFile
 from hammerstein.hysteresis.bouc_wen import BoucWenFile
 from hammerstein.hysteresis.kind import SLOW_S, Hysteresis, HysteresisFile
-from hammerstein.hysteresis.pair import Array, WeightCovariance
+from hammerstein.hysteresis.pair import WeightCovariance
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiFile
 from hammerstein.hysteresis.rate_dependent import RateDependentFile
 

@@ -11,15 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
+from hammerstein.arrays import Array, frozen
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.covariance import ThresholdCovariance, refuse_other_sizes
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, Normals, refuse_not_finite
-from hammerstein.hysteresis.pair import Array, Pair, WeightCovariance, frozen, played
+from hammerstein.hysteresis.pair import Pair, WeightCovariance, played
 from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, ThresholdCovarianceFile
 
 if TYPE_CHECKING:
-    from hammerstein.interop.limit_cycles import HysteresisNonlinearity
+    from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
 
 
 @dataclass(frozen=True, eq=False, repr=False)

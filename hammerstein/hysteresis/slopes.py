@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hammerstein.blocks import Array
+from hammerstein.arrays import Array
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import Hysteresis, slopes_of
 

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
+from hammerstein.blocks.instruments import Instruments
+from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.dynamics import StateSpaceDynamics
 from hammerstein.identification.choice import Trial
 from hammerstein.identification.excitation import excitation_statements
@@ -29,13 +31,9 @@ from hammerstein.identification.verdict import (
     shape_flags,
     verdict,
 )
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.records.faults import Fault
 from hammerstein.records.record import Record
-from hammerstein.voltages import Verdict, Voltages
-
-Array = NDArray[np.float64]
 
 
 class Judgement(NamedTuple):

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import (
     AxesDynamics,
     Axis,
@@ -62,7 +62,6 @@ PATIENCE = 2
 FEWER = (0.75, 0.5)
 """Parts of the number of thresholds with which their fit is tried again."""
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 

@@ -13,8 +13,8 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.linear.axis_delay import best_delay
@@ -40,7 +40,6 @@ from hammerstein.identification.task import Task
 from hammerstein.identification.verdict import FELT, axis_identified, creep_identified
 from hammerstein.records.record import Record
 
-Array = NDArray[np.float64]
 Linear = AxesDynamics | StaticDynamics
 
 MOST_CREEP = 3

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise, split_delay
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.score import Candidate, ranges
@@ -22,8 +22,6 @@ from hammerstein.identification.static.normal_equations import (
 from hammerstein.identification.static.regressors import Filter, Start, delayed, regressor_blocks
 from hammerstein.identification.static.static_block import Layout, path_filters
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
 
 STRETCHES = 16
 """Stretches into which every record falls; where no record is held back, every fourth is left out in turn."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.regressors import Start
@@ -15,8 +15,6 @@ from hammerstein.identification.static.static_block import half_swing
 from hammerstein.records.noise import noise_rms, quantum
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import turning_points
-
-Array = NDArray[np.float64]
 
 ANSWERED = 1.0
 """Answer of an output to an input, in parts of what the fit leaves, below which there is none."""

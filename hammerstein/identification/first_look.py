@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hammerstein.arrays import Array
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.identification.axes_candidates import guesses_of, with_checked_delay
 from hammerstein.identification.linear.axis_search import FirstGuess
@@ -27,7 +25,6 @@ from hammerstein.identification.static_candidates import late_static
 from hammerstein.identification.task import Task
 from hammerstein.records.record import Record
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 DELAY_OPERATORS = 15

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from hammerstein.blocks.voltages import Voltages
 from hammerstein.identification.choice import Trial
 from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.operators import CurvePoint
@@ -14,7 +15,6 @@ from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.regressors import Start
 from hammerstein.pictured import Pictured
 from hammerstein.records.record import Record
-from hammerstein.voltages import Voltages
 
 Kind = Literal["linear", "static_hysteresis", "linear_dynamics", "classical", "hammerstein"]
 

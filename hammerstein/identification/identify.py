@@ -9,6 +9,7 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.account import Judgement, account, model_of
 from hammerstein.identification.axes_candidates import build_axes
@@ -28,7 +29,6 @@ from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.static_candidates import build_static, with_errors
 from hammerstein.identification.task import Built, Found, Task
 from hammerstein.identification.verdict import axis_identified, invertibility_of
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.records.preparation import FEWEST_AT_REST, dead_start, refuse_swapped
 from hammerstein.records.record import Record

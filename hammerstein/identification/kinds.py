@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.hysteresis import Hysteresis, RateDependent
 from hammerstein.identification.axes_candidates import WORTHWHILE
@@ -32,7 +32,6 @@ from hammerstein.identification.together import fitted_together
 from hammerstein.identification.verdict import drive_hz, invertibility_of
 from hammerstein.records.record import Record
 
-Array = NDArray[np.float64]
 Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
 
 

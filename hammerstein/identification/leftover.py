@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.settings import Settings
@@ -14,8 +14,6 @@ from hammerstein.identification.static.regressors import Start
 from hammerstein.records.faults import Fault, faults
 from hammerstein.records.noise import noise_rms
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
 
 FAR = 3.0
 """Rms of what is left, in parts of the noise, from which it is said first."""

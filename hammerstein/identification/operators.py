@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.identification.score import ranges
 from hammerstein.identification.static.history import shortened
@@ -29,7 +29,6 @@ from hammerstein.records.preparation import driven_inputs
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import find_cycles
 
-Array = NDArray[np.float64]
 Partition = Literal["auto", "time", "voltage", "fitted"]
 
 COUNTS = (1, 2, 3, 4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60)

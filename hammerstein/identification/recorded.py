@@ -12,14 +12,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.blocks.voltages import Voltages
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.preparation import FEWEST_AT_REST, dead_start, driven_inputs
 from hammerstein.records.record import Record
-from hammerstein.voltages import Voltages
-
-Array = NDArray[np.float64]
 
 AT_AN_END = 0.01
 """Part of its range within which a voltage begins at an end of it."""

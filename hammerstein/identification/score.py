@@ -8,15 +8,12 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
-
 
 _block = lru_cache(maxsize=16)(discretise)
 """Many starts are tried with one and the same model."""

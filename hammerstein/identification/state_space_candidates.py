@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import (
     LinearBlock,
     StateSpaceDynamics,
@@ -31,7 +31,6 @@ PATIENCE = 2
 ORDERS = (1, 2, 3, 4, 6, 8, 12)
 """States for each output that are tried where no order is given."""
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hammerstein.arrays import Array
 from hammerstein.dynamics import (
     AxesDynamics,
     StateSpaceDynamics,
@@ -41,7 +39,6 @@ MOST_ROUNDS = 8
 """Most rounds of a fit of thresholds."""
 KEPT = "fitting the thresholds gains nothing: they are uniform in time"
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 

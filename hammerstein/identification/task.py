@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import (
     AxesDynamics,
     LinearBlock,
@@ -30,7 +30,6 @@ from hammerstein.identification.static.static_block import (
 )
 from hammerstein.records.record import Record
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 

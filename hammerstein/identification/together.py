@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.hysteresis import RateDependent
 from hammerstein.identification.behind import Behind
 from hammerstein.identification.linear.axis_fit import fit_axis
@@ -28,8 +28,6 @@ from hammerstein.identification.static.regressors import Columns, Filter, SideBy
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.task import Task
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
 
 MOST_STEPS = 30
 ENOUGH = 1e-5

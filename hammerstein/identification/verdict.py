@@ -7,8 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Hysteresis
@@ -21,8 +22,6 @@ from hammerstein.identification.static.static_block import StaticFit
 from hammerstein.records.loops import pair_loops
 from hammerstein.records.preparation import driven_inputs
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
 
 IMPROVED = 0.1
 """Part by which a block must lower the error to improve the model."""

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.metrics.cycle import settled_cycle
-
-Array = NDArray[np.float64]
 
 
 def rms(error: Array) -> float:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
-
-Array = NDArray[np.float64]
 
 
 def settled_cycle(

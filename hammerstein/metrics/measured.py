@@ -9,10 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.metrics.arrays import LoopFigures, euclidean
 from hammerstein.metrics.path_errors import PathErrors, PlaneErrors
-
-Array = NDArray[np.float64]
 
 RECOVERY_S = 0.01  # a cut voltage leaves a resonance ringing
 

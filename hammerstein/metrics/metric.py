@@ -6,13 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hammerstein.errors import InputError
 from hammerstein.metrics.arrays import LoopFigures, drift, worst
 from hammerstein.metrics.measured import Measured
 
-Array = NDArray[np.float64]
 Values = Sequence[float | None] | float | None
 """One value an output, or one for all of them; None where the figure has no meaning."""
 
@@ -59,6 +57,7 @@ def metric(
 
     Examples
     --------
+    >>> import numpy as np
     >>> @metric("smallest reading [um]")
     ... def lowest_um(measured):
     ...     return [float(row.min()) for row in measured.reading_um]

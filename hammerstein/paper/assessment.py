@@ -100,7 +100,7 @@ class Paper(Assessment):
     def prepare(cls, out: Path, page: Path | None) -> None:
         """Refuse folders that hold other people's files under these names."""
         from hammerstein.paper.page import CLAIMS, PAGE
-        from hammerstein.storage.staging import prepare
+        from hammerstein.runtime.storage.staging import prepare
 
         prepare(out, CLAIMS, [CLAIMS.sign[0]])
         if page is not None:

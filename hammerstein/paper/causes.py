@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from hammerstein.blocks.instruments import Drive, Instruments
 from hammerstein.compensators import InverseMultiplicative
 from hammerstein.errors import HammersteinError
 from hammerstein.experiment.kept import KeptCases
 from hammerstein.experiment.measure import empty_rows_of
 from hammerstein.experiment.prepare import prepare
-from hammerstein.instruments import Drive, Instruments
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.paper.claims import Claim, FactorName

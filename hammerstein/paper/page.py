@@ -14,8 +14,8 @@ from hammerstein.experiment.report import Report
 from hammerstein.model import HammersteinModel, packaged_actuators
 from hammerstein.paper.assessment import Paper
 from hammerstein.paper.verdicts import Answer, ClaimVerdict
-from hammerstein.storage.manifest import Manifest, Owner
-from hammerstein.storage.staging import Stage, staged
+from hammerstein.runtime.storage.manifest import Manifest, Owner
+from hammerstein.runtime.storage.staging import Stage, staged
 
 CLAIMS = Owner("claims", sign=("claims.csv", "id,scenario,statement,paper,unit,"))
 PAGE = Owner("page", sign=("README.md", "# The paper, simulated"))

@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.matlab_v5 import is_matlab_v5, read_matlab_v5
 
-Array = NDArray[np.float64]
 Variables = Mapping[str, Callable[[], Any]]
 """Name of each variable in a file, and how to load it; the only one of an ``.npy`` file has no name."""
 

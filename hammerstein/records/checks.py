@@ -10,12 +10,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.arrays import Array, Rows
 from hammerstein.errors import Mistake
 from hammerstein.quantities import Range
 from hammerstein.records.noise import quantum
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 FEWEST_SAMPLES = 20
 CLIPPED_RUN = 4

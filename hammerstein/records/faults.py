@@ -10,16 +10,13 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array, Rows
 from hammerstein.records.checks import runs
 from hammerstein.records.noise import noise_rms
 from hammerstein.records.preparation import driven_inputs, run_in
 from hammerstein.records.record import Record
 from hammerstein.records.robust_fit import FITTED, Products, copies
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 PLAYS = 16
 REMAINS = 0.25

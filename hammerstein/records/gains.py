@@ -6,12 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hammerstein.records.preparation import driven_inputs
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
 
 USUAL_GAIN = 1e-3, 1e3
 """Gains of piezo actuators from shear plates to amplified stages, with room on both sides [um/V]."""

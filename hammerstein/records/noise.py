@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-Array = NDArray[np.float64]
+from numpy.typing import ArrayLike
 
 ORDERS = range(2, 9)
 """Orders of difference tried. Each passes white noise alike and removes more of a smooth signal."""

@@ -13,15 +13,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array, Flags, Rows
 from hammerstein.errors import Mistake
 from hammerstein.records.checks import SHOWN, runs, where
 from hammerstein.records.robust_fit import FITTED, LAGS, Products, copies
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 
 MOST = 0.01
 """Part of the samples that may be left out."""

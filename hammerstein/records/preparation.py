@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.arrays import Array, freeze
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis import play
 from hammerstein.records.checks import where
 from hammerstein.records.noise import dead_band, noise_rms, quantum
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
 
 DRIVEN_SHARE = 0.01
 """An input that moves by less than this part of the largest one is held, not driven."""
@@ -185,7 +184,7 @@ def _last_still(u: Array) -> int:
 def _rest(values: Array, dead: int, at_rest: bool) -> Array:
     middle = 0.5 * (values.min(axis=1) + values.max(axis=1))
     rest = np.asarray(values[:, : dead + 1].mean(axis=1) if at_rest else middle)
-    rest.flags.writeable = False
+    freeze(rest)
     return rest
 
 

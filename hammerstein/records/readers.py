@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.axis_names import unique
+from hammerstein.arrays import Array, Rows
+from hammerstein.blocks.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.array_files import SUFFIXES, array_columns, refuse_large, whole_array
 from hammerstein.records.checks import gap_mistakes, where
@@ -30,9 +30,6 @@ TIME_NAMES = ("time", "t", "zeit", "x-axis")
 ARRAY_TIME_NAMES = ("time", "t", "Time", "time_s", "t_s")
 
 PARQUET = (".parquet", ".pq")
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

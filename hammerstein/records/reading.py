@@ -7,8 +7,8 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake
 from hammerstein.quantities import RATE_HZ, SCALE
 from hammerstein.records.checks import (
@@ -22,8 +22,6 @@ from hammerstein.records.record import Record
 from hammerstein.records.scales import factors_of, refuse_other_time, sample_time_of
 from hammerstein.records.units import axis_name
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 PathLike = str | Path
 
 AXES = ("sample", "channel", "experiment", "period")

@@ -7,9 +7,9 @@ from dataclasses import InitVar, dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from hammerstein.axis_names import unique
+from hammerstein.arrays import Array, Rows, freeze, frozen
+from hammerstein.blocks.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.pictured import Pictured
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V
@@ -24,8 +24,6 @@ from hammerstein.records.checks import (
 )
 from hammerstein.records.outliers import Outliers, listed, outlier_mistakes, without_outliers
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 PathLike = str | Path
 
 
@@ -73,11 +71,11 @@ class Record(Pictured):
     verified: InitVar[bool] = False
 
     def __post_init__(self, verified: bool) -> None:
-        u, y = _read_only(self.u_v), _read_only(self.y_um)
+        u, y = (frozen(np.asarray(v, dtype=np.float64, order="C")) for v in (self.u_v, self.y_um))
         self._refuse_shapes(u, y)
         rows = np.asarray(self.rows, dtype=np.int64)
         rows = rows.copy() if rows.size else np.arange(1, u.shape[1] + 1)
-        rows.flags.writeable = False
+        freeze(rows)
         for name, value in (
             ("u_v", u),
             ("y_um", y),
@@ -85,7 +83,7 @@ class Record(Pictured):
             ("inputs", unique(self.inputs or [f"u{k + 1}" for k in range(len(u))])),
             ("outputs", unique(self.outputs or [f"y{o + 1}" for o in range(len(y))])),
             ("rows", rows),
-            ("rest_v", _read_only(self.rest_v if np.size(self.rest_v) else np.zeros(len(u)))),
+            ("rest_v", frozen(self.rest_v if np.size(self.rest_v) else np.zeros(len(u)))),
         ):
             object.__setattr__(self, name, value)
         self._refuse_names()
@@ -143,8 +141,8 @@ class Record(Pictured):
         outliers = tuple(one for column in columns for one in listed(*column))
         if outliers and not mistakes:
             object.__setattr__(self, "outliers", outliers)
-            object.__setattr__(self, "u_v", _read_only(found.u))
-            object.__setattr__(self, "y_um", _read_only(found.y))
+            object.__setattr__(self, "u_v", frozen(found.u))
+            object.__setattr__(self, "y_um", frozen(found.y))
         return mistakes
 
     def _mistakes(self) -> list[Mistake]:
@@ -183,12 +181,6 @@ class Record(Pictured):
             self.outliers,
             verified=True,
         )
-
-
-def _read_only(values: ArrayLike) -> Array:
-    array = np.array(values, dtype=np.float64, order="C")
-    array.flags.writeable = False
-    return array
 
 
 def _unit_mistakes(names: Sequence[str], values: Array, kind: str) -> list[Mistake]:

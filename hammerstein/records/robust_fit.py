@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.hysteresis import play
-
-Array = NDArray[np.float64]
 
 LAGS = (1, 2, 3, 5, 8, 13)
 """Samples by which voltages are delayed: they take up what dynamics and delay do at the edges."""

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.checks import hidden_gaps, sample_time, time_mistakes, where
 from hammerstein.records.readers import Columns, named_time
 from hammerstein.records.units import BASE, Kind, unit_in
 
-Array = NDArray[np.float64]
 PathLike = str | Path
 
 OTHER_RATE = 0.01

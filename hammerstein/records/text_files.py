@@ -17,12 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.arrays import Array, Rows
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.checks import SHOWN, where
 from hammerstein.records.units import is_unit
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 HEAD_BYTES = 1 << 18
 HEAD_LINES = 3000

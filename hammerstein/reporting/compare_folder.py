@@ -7,8 +7,8 @@ from pathlib import Path
 from hammerstein.comparison.result import FORMAT, Comparison
 from hammerstein.reporting.compare_page import compare_page
 from hammerstein.reporting.html.compare_html import compare_html
-from hammerstein.storage.manifest import Owner
-from hammerstein.storage.staging import staged
+from hammerstein.runtime.storage.manifest import Owner
+from hammerstein.runtime.storage.staging import staged
 
 COMPARISON = Owner("comparison", sign=("compare.json", f'"format": "{FORMAT}"'))
 ALWAYS = ("compare.html", "compare.json", "compare.md")

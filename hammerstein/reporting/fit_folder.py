@@ -8,8 +8,8 @@ from hammerstein.identification.fit import Fit
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.fit_page import fit_json, fit_page
 from hammerstein.reporting.html.fit_html import fit_html
-from hammerstein.storage.manifest import Owner
-from hammerstein.storage.staging import staged
+from hammerstein.runtime.storage.manifest import Owner
+from hammerstein.runtime.storage.staging import staged
 
 FIT = Owner("fit", sign=("fit.json", '"held_records"'))
 ALWAYS = ("fit.json", "report.html", "report.md")

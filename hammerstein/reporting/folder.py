@@ -17,10 +17,10 @@ from hammerstein.experiment.report import FORMAT, Report, Trace
 from hammerstein.reporting.figures.write import FIGURES
 from hammerstein.reporting.kept_reports import found, keep, key_of_report
 from hammerstein.runtime.fanning import Jobs
+from hammerstein.runtime.storage.manifest import Owner
+from hammerstein.runtime.storage.staging import Stage, prepare, staged
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario
-from hammerstein.storage.manifest import Owner
-from hammerstein.storage.staging import Stage, prepare, staged
 
 TraceFormat = Literal["csv", "mat"]
 LONGEST_NAME = 60  # a character takes up to four of the 255 bytes that most systems allow

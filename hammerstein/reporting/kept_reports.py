@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.experiment.report import Band, Report, Sensitivity
-from hammerstein.instruments import Instruments
 from hammerstein.metrics import Row
+from hammerstein.runtime.storage.manifest import Manifest, digest_of
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario import Scenario
-from hammerstein.storage.manifest import Manifest, digest_of
 
 
 def key_of_report(name: str, scenario: Scenario, form: str) -> str | None:

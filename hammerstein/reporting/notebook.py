@@ -12,6 +12,7 @@ import numpy as np
 from hammerstein.experiment.report import Report
 from hammerstein.identification.fit import Fit
 from hammerstein.model import HammersteinModel
+from hammerstein.model.simulation import Response
 from hammerstein.records.loops import loop_table
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures.choice import figures_of
@@ -21,7 +22,6 @@ from hammerstein.reporting.figures.measured import loops_of_records
 from hammerstein.reporting.figures.path import PathRun, path_figure
 from hammerstein.reporting.figures.style import plain, symbol
 from hammerstein.reporting.figures.write import png
-from hammerstein.simulation import Response
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,10 +15,10 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from hammerstein.actuators import DEFAULT
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators import COMPENSATORS
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited
-from hammerstein.instruments import Instruments
 from hammerstein.model import place_of
 from hammerstein.plugins import load_plugins
 from hammerstein.quantities import (

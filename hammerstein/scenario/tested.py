@@ -7,7 +7,7 @@ from functools import cache
 from typing import Annotated
 
 from hammerstein.compensators import COMPENSATORS, Compensator
-from hammerstein.learning import Learned  # noqa: F401  (a kind of compensator that registers itself)
+from hammerstein.compensators.learning import Learned  # noqa: F401  (a kind of compensator that registers itself)
 from hammerstein.scenario.source import ModelSource
 
 

@@ -7,17 +7,15 @@ from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from hammerstein.arrays import Array
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import AxesDynamics, Axis, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Hysteresis, Normals
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import BaseSamples, Deviation, Draws, Seed
-
-Array = NDArray[np.float64]
 
 
 class _Given:

@@ -9,12 +9,12 @@ from cases import SAMPLE_TIME_S, sines
 from ratios import Work
 from references import experiment_diagram
 
+from hammerstein.blocks.instruments import standard_noise
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.experiment.measure import rows_of
 from hammerstein.experiment.prepare import prepare
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
-from hammerstein.instruments import standard_noise
 from hammerstein.scenario import Scenario
 
 LAWS = "Compensators, 2 x 2, 15 operators, 50 Hz sines (ratio: times the forward model)"

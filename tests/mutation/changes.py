@@ -27,17 +27,17 @@ NUMERICAL = (
     "hammerstein/experiment/settling.py",
     "hammerstein/experiment/simulated_identification.py",
     "hammerstein/experiment/uncertainty_bands.py",
-    "hammerstein/interop/limit_cycles.py",
+    "hammerstein/blocks/interop/limit_cycles.py",
     "hammerstein/paper/causes.py",
     "hammerstein/paper/claims.py",
     "hammerstein/paper/verdicts.py",
     "hammerstein/regression/compare.py",
     "hammerstein/scenario/uncertainty.py",
-    "hammerstein/driving.py",
-    "hammerstein/instruments.py",
-    "hammerstein/signals.py",
-    "hammerstein/simulation.py",
-    "hammerstein/voltages.py",
+    "hammerstein/blocks/driving.py",
+    "hammerstein/blocks/instruments.py",
+    "hammerstein/signals/shapes.py",
+    "hammerstein/model/simulation.py",
+    "hammerstein/blocks/voltages.py",
 )
 """Where numbers are made."""
 

@@ -11,9 +11,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from hammerstein.blocks import Array, Law, S
+from hammerstein.arrays import Array
+from hammerstein.blocks.driving import DriveRange, RangeLike
+from hammerstein.blocks.law import Law, S
 from hammerstein.compensators.base import Compensator
-from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Asymmetric, Hysteresis, PrandtlIshlinskii, RateDependent, play
 from hammerstein.hysteresis.invertibility import Invertibility, completed, invertibility, require_inverse

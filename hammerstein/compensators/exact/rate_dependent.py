@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from hammerstein.blocks import Array
+from hammerstein.arrays import Array
+from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.exact.inverse import STILL, Recovery, StaticInverse, Tables, tables
-from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import RateDependent, RateState
 from hammerstein.hysteresis.invertibility import invertibility, require_inverse

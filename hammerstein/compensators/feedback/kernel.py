@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hammerstein.blocks.instrument_kernels import converted
 from hammerstein.compiled import compiled
 from hammerstein.hysteresis.play_kernels import load, respond_block
-from hammerstein.instrument_kernels import converted
 
 # Columns of the controller's memory, a row an output: the last reference, what the sensor should read, the
 # integral, the last error, and the correction for the next sample.

@@ -11,20 +11,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from hammerstein.blocks import Array, Controller, Law, checked_reference
+from hammerstein.arrays import Array
+from hammerstein.blocks import Controller, Law, checked_reference
+from hammerstein.blocks.driving import DriveRange, RangeLike
+from hammerstein.blocks.instruments import standard_noise
 from hammerstein.compensators.base import COMPENSATORS, Compensator
 from hammerstein.compensators.feedback.tuning import POINTS, Gains, tuned
-from hammerstein.driving import DriveRange, RangeLike
 from hammerstein.dynamics import StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PrandtlIshlinskii, slopes_of
-from hammerstein.instruments import standard_noise
 from hammerstein.model import HammersteinModel
+from hammerstein.model.simulation import Plant, Response
 from hammerstein.quantities import Gain
-from hammerstein.simulation import Plant, Response
 
 if TYPE_CHECKING:
-    from hammerstein.interop.block_system import BlockSystem
+    from hammerstein.blocks.interop.block_system import BlockSystem
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.blocks import Array, checked_reference
+from hammerstein.arrays import Array
+from hammerstein.blocks import checked_reference
 from hammerstein.compensators.feedback.pid import ControllerState, FeedbackController
 
 if TYPE_CHECKING:
-    from hammerstein.interop.block_system import BlockSystem
+    from hammerstein.blocks.interop.block_system import BlockSystem
 
 
 class StreamState(NamedTuple):
@@ -92,7 +93,7 @@ class FeedbackStream:
 
     def to_iosys(self, sample_time_s: float, name: str) -> BlockSystem:
         """Give the block as a discrete ``control.NonlinearIOSystem``; see ``FeedbackController.to_iosys``."""
-        from hammerstein.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, require_grid, signals
 
         require_grid(self.law.sample_time_s, sample_time_s, "controller")
         block = Stepwise(self.rest(), self.step, StreamState.as_dict, self.restore)

@@ -6,12 +6,9 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.blocks import Array
+from hammerstein.arrays import Array, Complex
 from hammerstein.errors import SimulationError
-
-Complex = NDArray[np.complex128]
 
 LARGEST_SENSITIVITY = 1.6
 LOWEST_GAIN_PER_S, GAINS_A_DECADE = 1e-1, 20

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.blocks import Array, Law, checked_reference
+from hammerstein.arrays import Array
+from hammerstein.blocks import Law, checked_reference
+from hammerstein.blocks.driving import RangeLike
 from hammerstein.compensators.base import Compensator
 from hammerstein.compensators.exact.inverse import (
     ExactInverseLaw,
@@ -20,7 +22,6 @@ from hammerstein.compensators.exact.inverse import (
     exact_inverse_of,
 )
 from hammerstein.compensators.preview.linear_inverse import linear_inverse
-from hammerstein.driving import RangeLike
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.blocks import Array
+from hammerstein.arrays import Array
 from hammerstein.dynamics import (
     AxesDynamics,
     LinearBlock,

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.identification.linear.axis_search import GUESS_SAMPLES, TINY, FirstGuess, thinning
 from hammerstein.identification.linear.axis_steps import Point, refine
 from hammerstein.identification.linear.axis_task import AxisTask
@@ -16,8 +16,6 @@ from hammerstein.identification.linear.delay import MOST_DELAY
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
 
 CLEARLY_BETTER = 0.98
 """Part of the error under which another delay takes the place of the one found first."""

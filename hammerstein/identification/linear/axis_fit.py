@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.identification.linear.axis_search import FirstGuess, uniform_grids
 from hammerstein.identification.linear.axis_steps import Point, alone, refine, residuals
@@ -18,7 +18,6 @@ from hammerstein.identification.linear.axis_task import AxisTask, axis_of, durat
 from hammerstein.identification.static.regressors import Filter, SideBySide, Start
 from hammerstein.records.record import Record
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 CREEP_OPERATORS = 6

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics
 from hammerstein.identification.linear.axis_steps import Point, alone, refine, residuals, rms_behind
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, duration_s
@@ -20,7 +20,6 @@ from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.records.record import Record
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 TINY = 1e-300

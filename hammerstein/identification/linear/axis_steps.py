@@ -22,14 +22,12 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.identification.linear.axis_task import AxisTask, Heard
 from hammerstein.identification.static.normal_equations import coefficients, squares_left
 from hammerstein.identification.static.regressors import Filter, SideBySide
-
-Array = NDArray[np.float64]
 
 LARGEST_CHANGE = 0.5
 SMALLEST_CHANGE = 1e-6

@@ -7,15 +7,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import Axis, CreepMode, LinearBlock
 from hammerstein.identification.static.normal_equations import Moments, moments_of, pooled
 from hammerstein.identification.static.regressors import Columns, Filter, Start, delayed, regressor_blocks
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
 
 SERIES = 16
 """Terms of the exponential series, for a matrix with a norm of at most a half: the next one is rounding."""

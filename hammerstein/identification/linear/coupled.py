@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
@@ -31,7 +32,6 @@ from hammerstein.identification.static.static_block import (
 )
 from hammerstein.records.record import Record
 
-Array = NDArray[np.float64]
 Modes = NDArray[np.complex128]
 
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import CreepMode
 from hammerstein.errors import IdentificationError
-
-Array = NDArray[np.float64]
 
 
 def fit_creep(v_um: Array, y_um: Array, sample_time_s: float, modes: int) -> tuple[CreepMode, ...]:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock, split_delay
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import Thresholds, fit_static
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
 
 MOST_DELAY = 5
 DELAY_GAIN = 0.01

@@ -13,10 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hammerstein.arrays import Array, Complex, freeze
 from hammerstein.errors import IdentificationError, InputError
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 EXCITED = 1e-5
 """Part of the strongest line's power from which a line counts as excited: harmonics and noise stay below."""
@@ -63,7 +61,7 @@ class FrequencyResponse:
             value = getattr(self, item.name)
             if isinstance(value, np.ndarray):
                 value = np.array(value, order="C")
-                value.flags.writeable = False
+                freeze(value)
                 object.__setattr__(self, item.name, value)
 
     @property

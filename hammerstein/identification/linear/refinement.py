@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from hammerstein.arrays import Array, Complex
 from hammerstein.identification.linear.weighted_lines import Matrices, WeightedLines
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 CONDITION = 1e6
 """Condition of the eigenvectors above which A is not taken apart: nearly equal poles share their states."""

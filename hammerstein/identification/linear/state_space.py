@@ -5,17 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
 from hammerstein.identification.linear.refinement import refine
 from hammerstein.identification.linear.subspace import subspace
 from hammerstein.identification.linear.weighted_lines import Matrices, WeightedLines, Weighting, weigh
-
-Array = NDArray[np.float64]
 
 TRIAL = 3
 """Steps that each start is given before only the best one goes on."""
@@ -71,6 +66,7 @@ def fit_state_space(
     --------
     One resonance, excited by noise of period 256 and measured in steady state:
 
+    >>> import numpy as np
     >>> from scipy.signal import lfilter
     >>> u = np.tile(np.random.default_rng(1).standard_normal((1, 256)), 6)
     >>> y = lfilter([0.0, 0.4], [1.0, -1.2, 0.8], u)

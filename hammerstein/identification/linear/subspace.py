@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from hammerstein.arrays import Array
 from hammerstein.identification.linear.weighted_lines import Matrices, WeightedLines
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 MARGIN = 1e-6
 """Distance from the unit circle of a pole that stood on it, after it is put back inside."""

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from hammerstein.arrays import Array, Complex
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Weighting = Literal["power", "variance"]
 
 CHUNK = 4096

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii, WeightCovariance
@@ -38,7 +38,6 @@ from hammerstein.identification.static.static_block import (
 )
 from hammerstein.records.record import Record
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 

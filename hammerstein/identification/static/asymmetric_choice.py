@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.identification.operators import CURVE_SAMPLES, input_grids
 from hammerstein.identification.score import ranges
@@ -23,7 +23,6 @@ from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import Layout, Thresholds
 from hammerstein.records.record import Record
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 PLAYS = (10, 15, 20, 30, 60)

@@ -9,8 +9,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import BoucWen, BoucWenPair, WeightCovariance
@@ -21,8 +21,6 @@ from hammerstein.identification.static.normal_equations import Bounds, Solution,
 from hammerstein.identification.static.regressors import Filter, Start, delayed
 from hammerstein.identification.static.static_block import LEAST_SLOPE, direct_pairs, half_swing, path_filters
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
 
 SEARCH_SAMPLES = 20_000
 """Samples with which the starts are tried and searched."""

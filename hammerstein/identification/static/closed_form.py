@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
+from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair
 from hammerstein.identification.static.partition import nodes_uniform_in_time
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 

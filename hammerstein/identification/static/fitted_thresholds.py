@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.identification.static.static_block import StaticFit
 from hammerstein.identification.static.threshold_exchange import exchanged, finer
 from hammerstein.identification.static.threshold_search import (
@@ -17,8 +17,6 @@ from hammerstein.identification.static.threshold_search import (
     place_at,
     search_near,
 )
-
-Array = NDArray[np.float64]
 
 MOST_ROUNDS = 6
 """Most times that exchanges and steps follow each other."""

@@ -6,12 +6,10 @@ import itertools
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.static.normal_equations import Moments, moments_of
-
-Array = NDArray[np.float64]
 
 FOLDS = 4
 """Parts of which one is left out at a time."""

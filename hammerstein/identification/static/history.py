@@ -6,13 +6,12 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.preparation import driven_inputs, moves_while_held, run_in
 from hammerstein.records.record import Record
 
-Array = NDArray[np.float64]
 StartMode = Literal["auto", "rest", "repeated"]
 
 CLOSED_V = 0.01

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_solve, cholesky, orth
 from scipy.optimize import nnls
 
+from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
-
-Array = NDArray[np.float64]
 
 DEPENDENT = 1e-10
 """Eigenvalue of the scaled Gram matrix, relative to the largest, under which columns depend on each other."""

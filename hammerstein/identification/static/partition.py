@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import RateDependent, RatePlays
@@ -31,8 +31,6 @@ from hammerstein.identification.static.static_block import (
     refuse_unreached,
 )
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
 
 SEARCH_SAMPLES = 50_000
 """Samples with which growth and bandwidth are searched."""

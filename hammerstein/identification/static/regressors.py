@@ -18,11 +18,10 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.hysteresis import play
 from hammerstein.records.record import Record
-
-Array = NDArray[np.float64]
 
 BLOCK = 8192
 """Samples handled at once: large enough for BLAS, small enough for the cache."""

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.records.preparation import driven_inputs
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import Excursion, find_cycles
-
-Array = NDArray[np.float64]
 
 SAME_AMPLITUDE = 0.02
 """Part of the largest swing by which the cycles of one mean may differ."""

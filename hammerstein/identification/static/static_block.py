@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, WeightCovariance
@@ -33,7 +33,6 @@ from hammerstein.identification.static.regressors import (
 )
 from hammerstein.records.record import Record
 
-Array = NDArray[np.float64]
 Thresholds = Sequence[Sequence[Array]]
 Weighting = Literal["least_squares", "nonnegative", "invertible"]
 

@@ -21,16 +21,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hammerstein.arrays import Array
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, ThresholdCovariance, WeightCovariance
 from hammerstein.hysteresis.covariance import triangle
 from hammerstein.identification.static.normal_equations import Moments, squares_left
 from hammerstein.identification.static.static_block import StaticFit
 from hammerstein.identification.static.threshold_search import Grids, ThresholdTask, split
-
-Array = NDArray[np.float64]
 
 ROOM = 0.5
 """Part of the way to its neighbour that a threshold's standard error may take, or its place is open."""

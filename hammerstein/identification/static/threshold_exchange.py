@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hammerstein.arrays import Array
 from hammerstein.identification.static.normal_equations import Moments
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 FINE_COLUMNS = 96

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
 from hammerstein.identification.static.regressors import Start
@@ -27,7 +28,6 @@ from hammerstein.identification.static.static_block import half_swing, static_mo
 from hammerstein.identification.static.threshold_exchange import price
 from hammerstein.records.record import Record
 
-Array = NDArray[np.float64]
 Grids = tuple[Array, ...]
 
 LEAST_GAP = 1e-3

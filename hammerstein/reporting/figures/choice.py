@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hammerstein.arrays import Array
 from hammerstein.experiment.report import Band, Report, Sensitivity, Trace
 from hammerstein.experiment.selection import (
     FREQUENCY,
@@ -28,7 +29,7 @@ from hammerstein.reporting.figures.loop_data import (
 )
 from hammerstein.reporting.figures.loops import errors_figure, loops_figure
 from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
-from hammerstein.reporting.figures.style import Array, Role, plain, symbol
+from hammerstein.reporting.figures.style import Role, plain, symbol
 from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
 from hammerstein.signals import OnAxes
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from hammerstein.arrays import Array
 from hammerstein.reporting.figures.style import (
-    Array,
     few_ticks,
     legend_above,
     letter,

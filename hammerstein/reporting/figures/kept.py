@@ -9,9 +9,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from hammerstein.experiment.report import Report
+from hammerstein.model.simulation import WIRES
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario.scenario import WORDS
-from hammerstein.simulation import WIRES
 
 
 def drawn(report: Report, store: Store | None = None) -> Iterator[tuple[str, bytes]]:

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from hammerstein.arrays import Array
 from hammerstein.experiment.report import Report, Trace
 from hammerstein.metrics.cycle import settled_cycle
 from hammerstein.reporting.figures.loops import ErrorRun, LoopRun
-from hammerstein.reporting.figures.style import Array
 from hammerstein.scenario.scenario import Sweep
 
 MOST_CURVES = 6  # loops in one panel

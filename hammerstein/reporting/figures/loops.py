@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hammerstein.arrays import Array
 from hammerstein.experiment.selection import significant
 from hammerstein.reporting.figures.style import (
     MOST_POINTS,
     PALE,
     WIDTH_IN,
-    Array,
     few_ticks,
     legend_above,
     letter,

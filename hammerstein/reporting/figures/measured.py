@@ -11,7 +11,7 @@ from hammerstein.records.preparation import driven_inputs
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures.loops import LoopRun, loops_figure
 from hammerstein.reporting.figures.style import axis_label
-from hammerstein.storage.manifest import Owner
+from hammerstein.runtime.storage.manifest import Owner
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

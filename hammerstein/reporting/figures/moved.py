@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hammerstein.arrays import Array
 from hammerstein.regression.baseline import Key, Numbers, words_of
 from hammerstein.regression.compare import all_tolerances, deviation, limit, tolerance_of
 from hammerstein.reporting.figures.style import (
     PALE,
     WIDTH_IN,
-    Array,
     few_ticks,
     legend_above,
     letter,

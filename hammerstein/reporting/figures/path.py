@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hammerstein.arrays import Array
 from hammerstein.experiment.selection import significant
 from hammerstein.reporting.figures.smooth_path import ENOUGH, is_sparse, smooth_path
 from hammerstein.reporting.figures.style import (
@@ -17,7 +18,6 @@ from hammerstein.reporting.figures.style import (
     DARK,
     MOST_POINTS,
     WIDTH_IN,
-    Array,
     few_ticks,
     legend_above,
     letter,

@@ -8,14 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hammerstein.reporting.figures.style import (
-    DARK,
-    Array,
-    legend_above,
-    line_style,
-    new_figure,
-    styled,
-)
+from hammerstein.arrays import Array
+from hammerstein.reporting.figures.style import DARK, legend_above, line_style, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

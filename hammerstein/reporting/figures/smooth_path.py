@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hammerstein.arrays import Array
 
 ENOUGH = 60
 """Samples of a turn between which straight lines show no corner: they miss 0.14 % of its radius."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hammerstein.arrays import Array
 from hammerstein.reporting.figures.style import (
     WIDTH_IN,
-    Array,
     legend_above,
     letter,
     line_style,

@@ -11,8 +11,8 @@ from hammerstein.experiment.report import Report
 from hammerstein.reporting.figures.choice import figures_of
 from hammerstein.reporting.figures.narrow import make_narrow
 from hammerstein.reporting.figures.style import PNG_DPI, styled
-from hammerstein.storage.manifest import Owner
-from hammerstein.storage.staging import Stage, staged
+from hammerstein.runtime.storage.manifest import Owner
+from hammerstein.runtime.storage.staging import Stage, staged
 
 PNG_COMPRESSION = 6
 FEW_COLOURS = 64

@@ -12,8 +12,8 @@ from hammerstein.experiment.selection import is_direct, labels_of, number
 from hammerstein.metrics import KEY, Row
 from hammerstein.reporting.html.markup import rendered
 from hammerstein.reporting.page import place_of
-from hammerstein.storage.manifest import Manifest, Owner
-from hammerstein.storage.staging import staged
+from hammerstein.runtime.storage.manifest import Manifest, Owner
+from hammerstein.runtime.storage.staging import staged
 
 OVERVIEW = Owner("overview", sign=("index.html", '<meta name="generator" content="hammerstein overview">'))
 MOST_SHOWN = 3

@@ -22,8 +22,8 @@ from bokeh.models import (
     UIElement,
 )
 from bokeh.plotting import figure
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.escaping import clean
 from hammerstein.experiment.report import Report, Trace
 from hammerstein.experiment.selection import swept_over
@@ -33,8 +33,6 @@ from hammerstein.reporting.figures.path import PathRun
 from hammerstein.reporting.figures.style import COLOURS, DARK, thin_path, thin_trace
 from hammerstein.reporting.figures.sweep import LOGARITHMIC_FROM, SweepCurve
 from hammerstein.signals import OnAxes
-
-Array = NDArray[np.float64]
 
 MOST_VALUES = 60_000
 """Numbers of all curves together: as single precision in base64, a third of a megabyte."""

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited, remove_empty, write_through
-from hammerstein.storage.manifest import FileName, is_own_file
+from hammerstein.runtime.storage.manifest import FileName, is_own_file
 
 NEW, OLD, JOURNAL, DRAFT = "new", "old", "journal.json", "journal.part"
 EDITED = "edited"

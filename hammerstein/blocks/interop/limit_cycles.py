@@ -9,13 +9,11 @@ from typing import Any
 
 import control
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hammerstein.arrays import Array, Complex
+from hammerstein.blocks.interop.linear_system import Matrices, matrices_of
 from hammerstein.errors import InputError
-from hammerstein.interop.linear_system import Matrices, matrices_of
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 AMPLITUDES, FREQUENCIES = 150, 800
 HELD, SAME, TINY = 1e-8, 1e-6, 1e-12

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hammerstein.arrays import Array
 from hammerstein.blocks import Law
 from hammerstein.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 class Stream:

@@ -16,21 +16,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
-from hammerstein.axis_names import unique
+from hammerstein.blocks.axis_names import unique
+from hammerstein.blocks.instruments import Instruments
+from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.dynamics import AxesDynamics, Dynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import Content, is_there, read_limited, write_atomic
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
-from hammerstein.instruments import Instruments
 from hammerstein.pictured import Pictured
 from hammerstein.quantities import Name, Plain, Size
 from hammerstein.validation import mistakes_of, suggestion
-from hammerstein.voltages import Verdict, Voltages
 
 if TYPE_CHECKING:
+    from hammerstein.blocks.interop.block_system import BlockSystem
     from hammerstein.compensators.drive_file import Compensation
-    from hammerstein.interop.block_system import BlockSystem
-    from hammerstein.simulation import Plant, Response, Wire
+    from hammerstein.model.simulation import Plant, Response, Wire
 
 FORMAT = "hammerstein-model/2"
 OLD_FORMAT = "hammerstein-model/1"
@@ -192,8 +192,8 @@ class HammersteinModel(Pictured):
 
     def _plant(self, sample_time_s: float, instruments: Instruments | None) -> Plant:
         """Give the model in a set-up on a sample grid."""
-        from hammerstein.interop.block_system import require_grid
-        from hammerstein.simulation import Plant
+        from hammerstein.blocks.interop.block_system import require_grid
+        from hammerstein.model.simulation import Plant
 
         require_grid(None, sample_time_s, "model")
         around = instruments or Instruments.ideal()

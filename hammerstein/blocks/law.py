@@ -6,15 +6,14 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hammerstein.driving import DriveRange
+from hammerstein.arrays import Array
+from hammerstein.blocks.driving import DriveRange
 from hammerstein.errors import InputError, SimulationError
 
 if TYPE_CHECKING:
-    from hammerstein.interop.block_system import BlockSystem
-
-Array = NDArray[np.float64]
+    from hammerstein.blocks.interop.block_system import BlockSystem
 
 
 class State(Protocol):
@@ -146,7 +145,7 @@ class Law(ABC, Generic[S]):
 
         Raises InputError for another sample time than the law was designed for.
         """
-        from hammerstein.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, require_grid, signals
 
         require_grid(self.sample_time_s, sample_time_s, "compensator")
         block = Stepwise(self.rest(), self.step, lambda state: state.as_dict(), self.restore)

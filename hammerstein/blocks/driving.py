@@ -14,11 +14,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hammerstein.arrays import Array
+from hammerstein.blocks.instruments import Drive, slack_v
+from hammerstein.blocks.voltages import Voltages
 from hammerstein.errors import InputError
-from hammerstein.instruments import Drive, slack_v
-from hammerstein.voltages import Voltages
-
-Array = NDArray[np.float64]
 
 
 class Recorded(Protocol):

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.blocks import Law
 from hammerstein.compensators.cycle import centred, played, rms
+from hammerstein.compensators.learning.unsure import Unsure
 from hammerstein.errors import InputError
-from hammerstein.learning.unsure import Unsure
 from hammerstein.model import HammersteinModel
-
-Array = NDArray[np.float64]
 
 SIGNIFICANT = 3.0  # standard deviations of the noise: what an error must exceed to be learnt
 LEAST_PERIODS = 3

@@ -9,12 +9,12 @@ from typing import Any, Generic, TypeVar
 
 import control
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hammerstein.arrays import Array
+from hammerstein.blocks.interop.packing import Packing
 from hammerstein.errors import InputError
-from hammerstein.interop.packing import Packing
 
-Array = NDArray[np.float64]
 S = TypeVar("S")
 
 REMEMBERED = 4

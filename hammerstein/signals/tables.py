@@ -9,16 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited
 from hammerstein.quantities import POSITION_UM
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Array = NDArray[np.float64]
 
 
 def read_signal(path: Path) -> tuple[Array, Array, list[str]]:

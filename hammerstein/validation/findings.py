@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from hammerstein.errors import Mistake
-from hammerstein.schema_places import Place, Schema
+from hammerstein.validation.schema_places import Place, Schema
 
 MOST_SHOWN = 60  # characters of a value
 MOST_OWNERS = 3

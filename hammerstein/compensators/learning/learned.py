@@ -6,12 +6,13 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from hammerstein.blocks import Array, Law, Learner
+from hammerstein.arrays import Array
+from hammerstein.blocks import Law, Learner
+from hammerstein.blocks.driving import RangeLike
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.cycle import centred
-from hammerstein.driving import RangeLike
-from hammerstein.learning.lesson import lesson
-from hammerstein.learning.unsure import RESONANCE, WEIGHTS, Unsure
+from hammerstein.compensators.learning.lesson import lesson
+from hammerstein.compensators.learning.unsure import RESONANCE, WEIGHTS, Unsure
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Deviation, Frequency, Trial
 

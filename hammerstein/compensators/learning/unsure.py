@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, LinearBlock, discretise
 from hammerstein.model import HammersteinModel
-
-Array = NDArray[np.float64]
 
 DEVIATIONS = 2.0  # standard deviations that are counted on
 SURE = 0.5  # relative error up to which all of an error is learnt

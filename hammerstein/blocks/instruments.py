@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 from hammerstein.quantities import END_V, Bandwidth, End, Limit, Noise, SampleTime, Step
 
-Array = NDArray[np.float64]
 Interval = tuple[End, End]
 
 ALLOWED = 1e-9
@@ -103,7 +103,7 @@ class Drive(BaseModel):
 
         out : (input, sample) where the voltages are put; a new array if not given
         """
-        from hammerstein.instrument_kernels import convert
+        from hammerstein.blocks.instrument_kernels import convert
 
         limits = self.limits(len(u_v))
         beyond = limits + np.array([[-1.0], [1.0]]) * slack_v(limits)
@@ -130,7 +130,7 @@ class Sensor(BaseModel):
 
     def read(self, filtered_um: Array, generator: np.random.Generator) -> Array:
         """Readings (output, sample) of positions that have passed the sensor's bandwidth."""
-        from hammerstein.instrument_kernels import read_positions
+        from hammerstein.blocks.instrument_kernels import read_positions
 
         reading = np.empty(filtered_um.shape)
         filtered = np.ascontiguousarray(filtered_um)

@@ -6,11 +6,10 @@ from typing import Any
 
 import control
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 
-Array = NDArray[np.float64]
 Matrices = tuple[Array, Array, Array, Array, float | None]
 
 

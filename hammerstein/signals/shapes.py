@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 from hammerstein.plugins import Family
 from hammerstein.quantities import (
@@ -32,10 +33,7 @@ from hammerstein.quantities import (
     Size,
     Wait,
 )
-from hammerstein.signal_tables import read_signal
-
-Array = NDArray[np.float64]
-
+from hammerstein.signals.tables import read_signal
 
 MOST_LINES = 2000  # of a multisine
 FARTHEST_RATIO = 100  # of the two frequencies of a Lissajous figure

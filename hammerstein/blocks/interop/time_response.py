@@ -7,11 +7,9 @@ from typing import NamedTuple
 
 import control
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 class Trace(NamedTuple):

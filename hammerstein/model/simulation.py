@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.axis_names import column
+from hammerstein.arrays import Array
 from hammerstein.blocks import Controller
-from hammerstein.driving import DriveRange
+from hammerstein.blocks.axis_names import column
+from hammerstein.blocks.driving import DriveRange
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import LinearBlock, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Memory
 from hammerstein.hysteresis.kind import refuse_not_finite
-from hammerstein.instruments import Instruments
 from hammerstein.model import HammersteinModel
 from hammerstein.pictured import Pictured
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V, Range
@@ -26,9 +27,8 @@ if TYPE_CHECKING:
     import control
     import pandas as pd
 
-    from hammerstein.interop.block_system import BlockSystem
+    from hammerstein.blocks.interop.block_system import BlockSystem
 
-Array = NDArray[np.float64]
 Wire = Literal["reference_um", "requested_v", "drive_v", "hysteresis_um", "position_um", "reading_um"]
 OF_INPUTS = ("requested_v", "drive_v", "saturated")
 OF_OUTPUTS = ("reference_um", "hysteresis_um", "position_um", "reading_um")
@@ -47,7 +47,7 @@ def limits_of(name: str) -> Range:
 
 def within(wires: Mapping[str, Array], first: int, stop: int) -> bool:
     """Whether wires (axis, sample), by name, stay within all bounds from one sample to another."""
-    from hammerstein.instrument_kernels import outside
+    from hammerstein.blocks.instrument_kernels import outside
 
     limits = {name: limits_of(name) for name in wires}
     return not any(outside(w, first, stop, limits[n].low, limits[n].high) for n, w in wires.items())
@@ -168,14 +168,14 @@ class Response(Pictured):
 
         Raises InputError for a reference that this run does not have.
         """
-        from hammerstein.interop.time_response import time_response
+        from hammerstein.blocks.interop.time_response import time_response
 
         given: tuple[Wire, ...] = ("drive_v",) if self.reference_um is None else ("reference_um",)
         return time_response(self.time_s, self._signals(outputs), self._signals(inputs or given))
 
     def _signals(self, wires: Sequence[str]) -> dict[str, Array]:
         """Signals of some wires by the names that systems give them, ``drive_v[0]`` and so on."""
-        from hammerstein.interop.block_system import signals
+        from hammerstein.blocks.interop.block_system import signals
 
         found: dict[str, Array] = {}
         for name in wires:
@@ -394,7 +394,7 @@ class Plant:
 
         Raises InputError for a wire that does not leave the plant.
         """
-        from hammerstein.interop.block_system import BlockSystem, Stepwise, signals
+        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
 
         inside = ("reference_um", "requested_v", "saturated")
         counts = dict.fromkeys(OF_OUTPUTS, self.model.hysteresis.n_outputs)

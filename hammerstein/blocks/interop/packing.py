@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError
-
-Array = NDArray[np.float64]
 
 LIMBS, BITS = 4, 32  # a lone whole number, such as the state of a random generator, has up to 128 bits
 

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hammerstein.arrays import Array
 from hammerstein.blocks import Law
 from hammerstein.compensators.cycle import centred, rms
-from hammerstein.learning.lesson import Lesson, lesson
-from hammerstein.learning.unsure import Unsure
+from hammerstein.compensators.learning.lesson import Lesson, lesson
+from hammerstein.compensators.learning.unsure import Unsure
 from hammerstein.model import HammersteinModel
-from hammerstein.simulation import Plant
-
-Array = NDArray[np.float64]
+from hammerstein.model.simulation import Plant
 
 SETTLING, MEASURED = 5, 20  # periods
 

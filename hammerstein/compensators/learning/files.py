@@ -7,18 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.axis_names import column
+from hammerstein.arrays import Array
+from hammerstein.blocks.axis_names import column
 from hammerstein.compensators.cycle import Cycle, design_of
 from hammerstein.compensators.drive_file import Terms, read_path
+from hammerstein.compensators.learning.lesson import MEASURED, Lesson, lesson
+from hammerstein.compensators.learning.unsure import Unsure
 from hammerstein.errors import InputError
-from hammerstein.learning.lesson import MEASURED, Lesson, lesson
-from hammerstein.learning.unsure import Unsure
 from hammerstein.model import HammersteinModel
-from hammerstein.signal_tables import read_signal
-
-Array = NDArray[np.float64]
+from hammerstein.signals.tables import read_signal
 
 
 def learn_from_files(

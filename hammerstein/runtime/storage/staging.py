@@ -14,9 +14,17 @@ from pathlib import Path
 from hammerstein.errors import InputError
 from hammerstein.files import begun, ended, reason_of, remove_empty
 from hammerstein.runtime.interrupts import deferred_interrupts
-from hammerstein.storage.exchange import NEW, Exchange, clear, exchange, recover
-from hammerstein.storage.lock import LOCK, locked
-from hammerstein.storage.manifest import MANIFEST, Entry, Holder, Manifest, Owner, digest_of, refuse_link
+from hammerstein.runtime.storage.exchange import NEW, Exchange, clear, exchange, recover
+from hammerstein.runtime.storage.lock import LOCK, locked
+from hammerstein.runtime.storage.manifest import (
+    MANIFEST,
+    Entry,
+    Holder,
+    Manifest,
+    Owner,
+    digest_of,
+    refuse_link,
+)
 
 ROOM = ".hammerstein-new"
 

@@ -1,0 +1,18 @@
+"""What is followed or sent: test signals as frozen values, and tables of them."""
+
+from hammerstein.signals.shapes import (
+    MOST_LINES as MOST_LINES,
+    SIGNALS as SIGNALS,
+    Circle as Circle,
+    Excitation as Excitation,
+    FromFile as FromFile,
+    Lissajous as Lissajous,
+    Multisine as Multisine,
+    OnAxes as OnAxes,
+    OneFrequency as OneFrequency,
+    Reference as Reference,
+    Sine as Sine,
+    Spiral as Spiral,
+    Triangle as Triangle,
+    smooth_step as smooth_step,
+)
