@@ -42,9 +42,9 @@ def test_only_what_can_be_switched_off_may_be_infinite():
 
 @pytest.mark.parametrize("resolution", [0.0, 1e-12, 0.04])
 def test_a_resolution_is_none_or_one_that_numbers_have(resolution):
-    assert Sensor(resolution_um=resolution, noise_um=0.0).read(np.full((1, 1), 20.0), None) == pytest.approx(
-        20
-    )
+    assert Sensor(resolution_um=resolution, noise_um=0.0).read(
+        np.full((1, 1), 20.0), np.random.default_rng(0)
+    ) == pytest.approx(20)
     for finer in (5e-324, 1e-300, 1e-13):
         with pytest.raises(ValidationError, match="must be 0, or 1e-12 to 1e6"):
             Sensor(resolution_um=finer)
