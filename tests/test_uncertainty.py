@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
+import hammerstein
 from hammerstein.blocks.instruments import Instruments
+from hammerstein.commands.crew import WORTH_PROCESSES_S, apart
 from hammerstein.errors import InputError
 from hammerstein.experiment.draws import Figures, drawn_metrics
 from hammerstein.experiment.run import run
@@ -10,6 +12,7 @@ from hammerstein.experiment.uncertainty_bands import _bands
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.html.overview import write_overview
+from hammerstein.runtime.workers import Processes
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.uncertainty import Uncertainty
 
@@ -115,3 +118,22 @@ def test_a_card_shows_the_band_and_what_was_learnt(tmp_path):
     shown = f"{number(worst.median_um)} ({number(worst.p5_um)} to {number(worst.p95_um)}) um"
     assert "Worst error in trial 2 over 4 drawn actuators, median (5 to 95 %)" in page
     assert shown in page
+
+
+def test_draws_in_processes_are_those_of_this_process():
+    scenario = {
+        "question": "How wide is the band?",
+        "actuator": "duo_bimorph_static",
+        "reference": {"kind": "circle", "radius_um": 20.0, "frequency_hz": 50.0},
+        "compensators": [{"label": "exact", "law": "exact_inverse", "model": "duo_bimorph_static"}],
+        "uncertainty": {"draws": 60, "weights": 0.05},
+    }
+    with Processes(2) as crew:
+        there = hammerstein.run(scenario, jobs=crew)
+    assert there.to_json() == hammerstein.run(scenario, jobs=1).to_json()
+
+
+def test_many_short_runs_that_take_long_together_have_processes():
+    with apart(2, 1.1 * WORTH_PROCESSES_S) as crew:
+        assert isinstance(crew, Processes)
+    assert [apart(*asked).__enter__() for asked in ((2, 0.9 * WORTH_PROCESSES_S), (1, 1e9))] == [2, 1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -20,6 +20,9 @@ Address = Annotated[
         "--cluster", metavar="ADDRESS", help="Send the work to this Dask scheduler, tcp://HOST:PORT."
     ),
 ]
+
+WORTH_PROCESSES_S = 60.0
+"""Time of many short runs, as planned, from which they are worth the start of processes."""
 
 
 @contextmanager
@@ -38,12 +41,24 @@ def workers(jobs: int, cluster: str | None) -> Iterator[Jobs]:
         yield crew
 
 
-def compile_here(cluster: str | None, scenarios: int, jobs: int) -> None:
+def apart(jobs: Jobs, seconds: float) -> AbstractContextManager[Jobs]:
+    """Give processes for many short runs that take so long together on one processor, as planned.
+
+    Threads of one process share Python's interpreter, but begin at once.
+    """
+    from hammerstein.runtime.workers import Processes
+
+    if isinstance(jobs, int) and jobs > 1 and seconds > WORTH_PROCESSES_S:
+        return Processes(jobs)
+    return nullcontext(jobs)
+
+
+def compile_here(cluster: str | None, scenarios: int, jobs: Jobs) -> None:
     """Compile the time loops, where this machine runs them: all of them where processes would need them."""
     from hammerstein.commands.warm_up import compile_once
 
     if cluster is None:
-        compile_once(complain, several=scenarios > 1 and jobs > 1)
+        compile_once(complain, several=not isinstance(jobs, int) or (scenarios > 1 and jobs > 1))
 
 
 def announce(text: str, seconds: float, yes: bool) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from hammerstein.commands.crew import Address, announce, compile_here, workers
+from hammerstein.commands.crew import Address, announce, apart, compile_here, workers
 from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Watch
@@ -17,6 +17,7 @@ from hammerstein.runtime.cache import folder_of_runs
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from contextlib import AbstractContextManager
 
     from hammerstein.experiment.batch import Outcome
     from hammerstein.experiment.report import Report
@@ -195,9 +196,8 @@ def _run_what_changed(
         begin_loading()  # before this process loads what it needs itself
     from hammerstein.experiment.batch import run_all
 
-    with workers(jobs, cluster) as crew:
-        crew = _planned(left, crew, yes)
-        compile_here(cluster, len(left), jobs)
+    with workers(jobs, cluster) as asked, _planned(left, asked, yes) as crew:
+        compile_here(cluster, len(left), crew)
         there = writer.on(crew)
         with Watch(len(left)) as watch:
             for outcome in run_all(left, there, crew, watch.progress, there.store):
@@ -206,8 +206,12 @@ def _run_what_changed(
     return outcomes
 
 
-def _planned(scenarios: dict[str, Scenario], jobs: fanning.Jobs, yes: bool) -> fanning.Jobs:
+def _planned(
+    scenarios: dict[str, Scenario], jobs: fanning.Jobs, yes: bool
+) -> AbstractContextManager[fanning.Jobs]:
     """Give the jobs that fit the memory together; what takes long is told, and wants ``--yes`` of a person.
+
+    A single scenario that is drawn often has processes; several have one each in any case.
 
     Raises InputError where a person watches and has not said yes.
     """
@@ -216,12 +220,13 @@ def _planned(scenarios: dict[str, Scenario], jobs: fanning.Jobs, yes: bool) -> f
 
     plans, workers_there = plans_of(scenarios), workers_of(jobs)
     announce(*together(plans).announcement(workers_there), yes)
-    if not isinstance(jobs, int):
-        return jobs
-    fitting = jobs_that_fit(plans, jobs)
-    if fitting < jobs:
-        complain(f"{jobs} jobs do not fit the memory together: {fitting} run side by side")
-    return fitting
+    if isinstance(jobs, int):
+        fitting = jobs_that_fit(plans, jobs)
+        if fitting < jobs:
+            complain(f"{jobs} jobs do not fit the memory together: {fitting} run side by side")
+        jobs = fitting
+    drawn = len(scenarios) == 1 and all(one.uncertainty is not None for one in scenarios.values())
+    return apart(jobs, together(plans).seconds if drawn else 0.0)
 
 
 def _fail_with(outcomes: list[Outcome]) -> None:
@@ -266,9 +271,8 @@ def check(
             refuse_unwritable(option, file.parent)
             refuse_overwriting(option, file, content)
     scenarios = load_all(paths)
-    with workers(jobs, cluster) as crew:
-        crew = _planned(scenarios, crew, yes)
-        compile_here(cluster, len(scenarios), jobs)
+    with workers(jobs, cluster) as asked, _planned(scenarios, asked, yes) as crew:
+        compile_here(cluster, len(scenarios), crew)
         with Watch(len(scenarios)) as watch:
             result = check_files(paths, baseline, update_baseline, crew, watch.progress, watch.finished)
     if junit is not None:

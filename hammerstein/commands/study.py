@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
-from hammerstein.commands.crew import Address, announce, workers
+from hammerstein.commands.crew import Address, announce, apart, workers
 from hammerstein.commands.terminal import complain, tell
 
 if TYPE_CHECKING:
@@ -59,13 +59,15 @@ def sweep(
     if useless:
         complain(useless)
     failed = 0
-    with workers(jobs, cluster) as crew, _written(out) as table:
-        announce(*_announced(scenario, path, workers_of(crew)), yes)
+    with workers(jobs, cluster) as asked, _written(out) as table:
+        told, seconds = _announced(scenario, path, workers_of(asked))
+        announce(told, seconds, yes)
         if store is not None:
-            store = store.computed(getattr(crew, "elsewhere", ""))
-        for one in sampled(scenario, str(path), crew, None, store):
-            failed += bool(one.error)
-            table.add(one)
+            store = store.computed(getattr(asked, "elsewhere", ""))
+        with apart(asked, workers_of(asked) * seconds) as crew:
+            for one in sampled(scenario, str(path), crew, None, store):
+                failed += bool(one.error)
+                table.add(one)
     if store is not None and store.problem:
         complain(store.problem)
     if failed:
