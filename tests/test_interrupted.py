@@ -1,7 +1,9 @@
 """Ctrl-C is answered in time while a compiled loop runs for minutes."""
 
+import builtins
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -15,6 +17,7 @@ import pytest
 import hammerstein
 from hammerstein.compiled import spans
 from hammerstein.dynamics import discretise
+from hammerstein.runtime import leaving
 
 SLOW = """
 question = "?"
@@ -171,3 +174,27 @@ def _crowd():
     except (OSError, ValueError, IndexError):
         running = os.getloadavg()[0]
     return running / (os.cpu_count() or 1)
+
+
+def test_who_waits_for_a_signal_imports_nothing(monkeypatch):
+    """Two threads that import at once may wait for each other for ever."""
+    asked, left, real = [], [], builtins.__import__
+
+    def noted(name, *rest, **more):
+        asked.append((threading.current_thread().name, name))
+        return real(name, *rest, **more)
+
+    monkeypatch.setattr(builtins, "__import__", noted)
+    monkeypatch.setattr(leaving, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(os, "_exit", left.append)
+    monkeypatch.setattr("multiprocessing.process.active_children", list)
+    reader, writer = socket.socketpair()
+    with writer:
+        waits = threading.Thread(
+            target=leaving._wait, args=(reader, lambda: left.append("told")), name="waits"
+        )
+        waits.start()
+        writer.send(bytes([signal.SIGINT]))
+        waits.join(10.0)
+    assert left == ["told", leaving.INTERRUPTED]
+    assert [name for thread, name in asked if thread == "waits"] == []

@@ -11,6 +11,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from time import sleep
 from typing import Any
 
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
@@ -106,12 +107,12 @@ def ended_in_time(say: Callable[[], None]) -> Iterator[None]:
 
 
 def _wait(reader: Any, say: Callable[[], None]) -> None:
-    """Wait for a signal; from then on the process has only so long, even to clean up behind it."""
-    import multiprocessing
-    import threading
+    """Wait for a signal; from then on the process has only so long, even to clean up behind it.
 
-    from hammerstein.files import discard_unfinished
-
+    Nothing is imported here: of two threads that import at once, each may wait for the other for ever, as
+    where Python 3.11 forgets the lock of a module in the middle of taking another, and the main thread
+    imports most of what it needs just now. What is not loaded has nothing to be cleaned up.
+    """
     ending = {int(number) for number in INTERRUPTS}
     with reader:
         while (got := reader.recv(1)) not in (LEAVE, b""):
@@ -119,9 +120,15 @@ def _wait(reader: Any, say: Callable[[], None]) -> None:
                 break
         else:
             return
-        threading.Event().wait(PATIENCE_S)  # the socket stays open: more signals may come
-        discard_unfinished()
-        for process in multiprocessing.active_children():
+        sleep(PATIENCE_S)  # the socket stays open: more signals may come
+        _loaded("hammerstein.files", "discard_unfinished", tuple)()
+        for process in _loaded("multiprocessing.process", "active_children", tuple)():
             process.kill()
         say()
         os._exit(INTERRUPTED)
+
+
+def _loaded(module: str, name: str, otherwise: Callable[[], Any]) -> Callable[[], Any]:
+    """A function of a module, if that is loaded."""
+    found: Callable[[], Any] = getattr(sys.modules.get(module), name, otherwise)
+    return found
