@@ -218,15 +218,16 @@ def _planned(
     from hammerstein.experiment.plan import jobs_that_fit, plans_of, together
     from hammerstein.runtime.fanning import workers_of
 
-    plans, workers_there = plans_of(scenarios), workers_of(jobs)
-    announce(*together(plans).announcement(workers_there), yes)
+    plans = plans_of(scenarios)
+    whole = together(plans)
+    announce(*whole.announcement(workers_of(jobs)), yes)
     if isinstance(jobs, int):
         fitting = jobs_that_fit(plans, jobs)
         if fitting < jobs:
             complain(f"{jobs} jobs do not fit the memory together: {fitting} run side by side")
         jobs = fitting
     drawn = len(scenarios) == 1 and all(one.uncertainty is not None for one in scenarios.values())
-    return apart(jobs, together(plans).seconds if drawn else 0.0)
+    return apart(jobs, whole.seconds if drawn else 0.0)
 
 
 def _fail_with(outcomes: list[Outcome]) -> None:

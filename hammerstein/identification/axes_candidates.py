@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,7 +45,7 @@ from hammerstein.identification.static_candidates import (
     static_blocks,
     without_dynamics,
 )
-from hammerstein.identification.task import Blocks, Built, Found, Task, thresholds_of
+from hammerstein.identification.task import Blocks, Built, Found, Progress, Task, thresholds_of
 from hammerstein.identification.verdict import FELT, axis_identified, creep_identified
 from hammerstein.records.record import Record
 
@@ -61,8 +61,6 @@ PATIENCE = 2
 """Turns in a row without that, after which they end."""
 FEWER = (0.75, 0.5)
 """Parts of the number of thresholds with which their fit is tried again."""
-
-Progress = Callable[[str], None]
 
 
 def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> Built:

@@ -22,10 +22,8 @@ from hammerstein.identification.static.history import StartMode, found_starts, j
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.static_candidates import late_static
-from hammerstein.identification.task import Task
+from hammerstein.identification.task import Progress, Task
 from hammerstein.records.record import Record
-
-Progress = Callable[[str], None]
 
 DELAY_OPERATORS = 15
 """Operators with which the delay is found where their number is still open."""

@@ -15,7 +15,7 @@ from hammerstein.identification.account import Judgement, account, model_of
 from hammerstein.identification.axes_candidates import build_axes
 from hammerstein.identification.choice import Trial, chosen, crossed_squares, judged_squares, parameters_of
 from hammerstein.identification.excitation import answers, refuse_noise, refuse_one_way
-from hammerstein.identification.first_look import Progress, first_task, settle_s_of, start_mode
+from hammerstein.identification.first_look import first_task, settle_s_of, start_mode
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.linear.axis_search import FirstGuess
@@ -27,7 +27,7 @@ from hammerstein.identification.static.history import judged_starts
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.static_candidates import build_static, with_errors
-from hammerstein.identification.task import Built, Found, Task
+from hammerstein.identification.task import Built, Found, Progress, Task
 from hammerstein.identification.verdict import axis_identified, invertibility_of
 from hammerstein.model import HammersteinModel
 from hammerstein.records.preparation import FEWEST_AT_REST, dead_start, refuse_swapped

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,8 +29,6 @@ PATIENCE = 2
 """Orders in a row that lower the error no more, after which they end."""
 ORDERS = (1, 2, 3, 4, 6, 8, 12)
 """States for each output that are tried where no order is given."""
-
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)

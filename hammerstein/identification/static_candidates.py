@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from hammerstein.arrays import Array
@@ -38,8 +37,6 @@ from hammerstein.records.record import Record
 MOST_ROUNDS = 8
 """Most rounds of a fit of thresholds."""
 KEPT = "fitting the thresholds gains nothing: they are uniform in time"
-
-Progress = Callable[[str], None]
 
 
 def build_static(task: Task) -> Built:

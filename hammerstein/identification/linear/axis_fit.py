@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -12,13 +12,11 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis
-from hammerstein.identification.linear.axis_search import FirstGuess, uniform_grids
+from hammerstein.identification.linear.axis_search import FirstGuess, Progress, uniform_grids
 from hammerstein.identification.linear.axis_steps import Point, alone, refine, residuals
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of, duration_s
 from hammerstein.identification.static.regressors import Filter, SideBySide, Start
 from hammerstein.records.record import Record
-
-Progress = Callable[[str], None]
 
 CREEP_OPERATORS = 6
 STRETCHES = 16
