@@ -8,7 +8,6 @@ moved at once here, as ``axis_steps`` moves the parameters of an axis.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +19,7 @@ from hammerstein.identification.linear.axis_fit import fit_axis
 from hammerstein.identification.linear.axis_search import TINY, thinning
 from hammerstein.identification.linear.axis_steps import FIRST_DAMPING, LARGEST_CHANGE
 from hammerstein.identification.linear.axis_task import AxisTask, parameters_of
-from hammerstein.identification.score import begun, path_before
+from hammerstein.identification.score import path_before
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients
 from hammerstein.identification.static.rate_dependent import SEARCH_SAMPLES, STABLE, Slopes, differences
@@ -129,8 +128,7 @@ class _Search:
 
     def axis_tasks(self, block: RateDependent) -> list[AxisTask]:
         """Tasks of the axes behind a block, with differences of its plays as columns."""
-        each = zip(self.task.records, self.task.starts, strict=True)
-        kept = tuple(_differences(block, *both) for both in each)
+        kept = self._columns(block)
         return [self._axis_task(o, kept) for o in range(self.task.outputs)]
 
     def place(self, theta: Array, x: tuple[Array, ...]) -> _Place:
@@ -143,7 +141,7 @@ class _Search:
         tasks = self.axis_tasks(block)
         moments = [_moments(*both) for both in zip(tasks, x, strict=True)]
         solved = self.slopes.solved(moments)
-        bends = self._bends(theta, [self.slopes.weights(s.coefficients) for s, _ in solved])
+        bends = self._bends(theta, np.array([s.coefficients for s, _ in solved]))
         curvature, pull, cost, first = np.zeros((size, size)), np.zeros(size), 0.0, s
         for o, (one, own) in enumerate(zip(tasks, x, strict=True)):
             more = tuple(
@@ -166,26 +164,22 @@ class _Search:
         return AxisTask(task.records, task.starts, (), o, shape, task.delay_samples, sensor, every, kept)
 
     def _columns(self, block: RateDependent) -> tuple[Columns, ...]:
-        """Outputs of a block over each record, and before it."""
-        return tuple(
-            _responded(block, record, start)
-            for record, start in zip(self.task.records, self.task.starts, strict=True)
-        )
+        """Differences of the plays of a block over each record, and before it."""
+        each = zip(self.task.records, self.task.starts, strict=True)
+        return tuple(_differences(block, *both) for both in each)
 
-    def _bends(self, theta: Array, weights: Sequence[Array]) -> list[list[Columns]]:
-        """Derivatives (record) (output) of the block's outputs by its numbers, a row each."""
+    def _bends(self, theta: Array, slopes: Array) -> list[list[Columns]]:
+        """Derivatives (record) (output) of the outputs of a block by its numbers, a row each.
+
+        slopes : (output, slope) of its plays
+        """
         ends = []
         for change in STEP * np.eye(len(theta)):
-            ahead, behind = (
-                self._columns(self.block_of(theta + way * change).with_weights(weights))
-                for way in (1.0, -1.0)
-            )
-            ends.append([(a.values - b.values) / (2.0 * STEP) for a, b in zip(ahead, behind, strict=True)])
+            ahead, behind = (self._columns(self.block_of(theta + way * change)) for way in (1.0, -1.0))
+            pairs = zip(ahead, behind, strict=True)
+            ends.append([slopes @ ((a.values - b.values) / (2.0 * STEP)) for a, b in pairs])
         return [
-            [
-                Columns(np.array([end[i][o] for end in ends]), np.zeros(len(theta)))
-                for o in range(self.task.outputs)
-            ]
+            [Columns(np.array([end[i][o] for end in ends]), np.zeros(len(theta))) for o in range(len(slopes))]
             for i in range(len(self.task.records))
         ]
 
@@ -198,16 +192,6 @@ def _differences(block: RateDependent, record: Record, start: Start) -> Columns:
         for u in (record.u_v, before[:, None])
     )
     return Columns(values, held[:, 0])
-
-
-def _responded(block: RateDependent, record: Record, start: Start) -> Columns:
-    here = block.on_grid(record.sample_time_s)
-    memory = begun(here, record, start)
-    before, _ = here.respond(path_before(record, start)[:, -1:], memory)
-    values, after = here.respond(record.u_v, memory)
-    if start.kind == "repeated":
-        values, _ = here.respond(record.u_v, after)
-    return Columns(values, before[:, 0])
 
 
 def _within(one: AxisTask, free: Array) -> AxisTask:
