@@ -81,7 +81,7 @@ def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tu
     tried = [_before(task, thresholds_v, Behind((), delay)) for delay in delays]
     if settings.dynamics != "auto" or _several_rates(task.records):
         tried += [_with_axes(task, thresholds_v, tried[0].block)] if settings.dynamics != "none" else []
-    trials = [_trial(task, one, held) for one in tried]
+    trials = trials_of(task, tried, held)
     nearest = min(range(len(delays)), key=lambda i: trials[i].percent)
     kept = [nearest, *range(len(delays), len(tried))]
     found = tried[kept[chosen([trials[i] for i in kept])]]
@@ -104,19 +104,39 @@ def _several_rates(records: Sequence[Record]) -> bool:
     return max(rates) > TWO_RATES * min(rates)
 
 
-def _trial(task: Task, one: _Whole, held: Sequence[Record]) -> Trial:
-    """What speaks for a model: its errors on the records held back, or else on those of the fit."""
+def trials_of(task: Task, tried: Sequence[Whole], held: Sequence[Record]) -> list[Trial]:
+    """What speaks for each model: its errors on the records held back, or else on those of the fit.
+
+    All are judged on the same samples: a beginning that one of them explains counts for all.
+    """
     record, swing = task.records[0], float(half_swing(task.records).max())
-    mode = task.settings.start
-    judged = held or task.records
-    starts = judged_starts(held, one.candidate.predict, one.settle_s, mode) if held else one.starts
-    squares = judged_squares(one.candidate, judged, starts)
-    block, dynamics = one.candidate.hysteresis.counted_from(record.rest_v), one.candidate.dynamics
-    told = invertibility_of(block, dynamics, swing, record.sample_time_s, record.inputs)[0]
-    return Trial(one.name, parameters_of(one.candidate), squares, told)
+    judged, found = held or task.records, []
+    for one in tried:
+        squares = judged_squares(one.candidate, judged, _judged_alike(task, one, tried, held))
+        block, dynamics = one.candidate.hysteresis.counted_from(record.rest_v), one.candidate.dynamics
+        told = invertibility_of(block, dynamics, swing, record.sample_time_s, record.inputs)[0]
+        found.append(Trial(one.name, parameters_of(one.candidate), squares, told))
+    return found
 
 
-class _Whole(NamedTuple):
+def _judged_alike(
+    task: Task, one: Whole, tried: Sequence[Whole], held: Sequence[Record]
+) -> tuple[Start, ...]:
+    """Starts with which one of several models is judged; those that it was fitted with where they explain."""
+    simpler = [other.candidate.predict for other in tried if other is not one]
+    settle_s = max(other.settle_s for other in tried)
+
+    def judge(records: Sequence[Record]) -> tuple[Start, ...]:
+        return judged_starts(records, one.candidate.predict, settle_s, task.settings.start, simpler)
+
+    if held:
+        return judge(held)
+    open_ = unexplained(task.records, one.starts)
+    again = dict(zip(open_, judge([task.records[i] for i in open_]), strict=True))
+    return tuple(again.get(i, start) for i, start in enumerate(one.starts))
+
+
+class Whole(NamedTuple):
     """A block with what stands behind it."""
 
     candidate: Candidate
@@ -141,7 +161,7 @@ class _Whole(NamedTuple):
         return float(np.log(1e3)) * max(times, default=0.0)
 
 
-def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> _Whole:
+def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whole:
     """Block, axes and starts fitted in turn until nothing is gained.
 
     The block is fitted with its bounds and all that is not linear in it, the axes with its weights.
@@ -169,7 +189,7 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> _Who
 
 def _in_front(
     task: Task, thresholds_v: Thresholds, block: Replacement, found: Behind, *, anew: bool
-) -> tuple[_Whole, Behind]:
+) -> tuple[Whole, Behind]:
     """Block in front of the axes found, and the axes again where both were fitted together.
 
     ``anew`` chooses the columns again; otherwise they stay those of ``block``.
@@ -181,7 +201,7 @@ def _in_front(
     return _before(task, thresholds_v, found, Replacement(hysteresis)), found
 
 
-def _starts_behind(task: Task, thresholds_v: Thresholds, whole: _Whole) -> tuple[Start, ...]:
+def _starts_behind(task: Task, thresholds_v: Thresholds, whole: Whole) -> tuple[Start, ...]:
     """Starts that suit a model with axes.
 
     What a record did not tell before lag and creep were known is asked again: slow modes that are fitted as
@@ -202,12 +222,12 @@ def _starts_behind(task: Task, thresholds_v: Thresholds, whole: _Whole) -> tuple
     return each_alone(quick.records, starts, fit, unexplained(task.records, starts))
 
 
-def _before(task: Task, thresholds_v: Thresholds, found: Behind, like: Replacement | None = None) -> _Whole:
+def _before(task: Task, thresholds_v: Thresholds, found: Behind, like: Replacement | None = None) -> Whole:
     """Block before the axes found, with the columns of another one if it is given."""
     late = replace(task, delay_samples=found.delay_samples)
     dynamics = StaticDynamics(n_outputs=task.outputs) if found.is_static else found.dynamics
     block = REPLACEMENTS[task.settings.hysteresis](late, thresholds_v, dynamics, like)
-    return _Whole(late.candidate(block.hysteresis, dynamics), found, block, task.starts)
+    return Whole(late.candidate(block.hysteresis, dynamics), found, block, task.starts)
 
 
 def _asymmetric(
