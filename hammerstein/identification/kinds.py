@@ -11,7 +11,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics
-from hammerstein.hysteresis import Hysteresis, RateDependent
+from hammerstein.hysteresis import BoucWen, Hysteresis, RateDependent
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.behind import Behind, search_behind, sure_behind
 from hammerstein.identification.choice import Trial, chosen, judged_squares, parameters_of
@@ -37,9 +37,8 @@ Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
 
 MOST_TURNS = 4
 """Most times that block and axes are fitted in turn; each must lower the error by half a percent."""
-CHOSEN_TURNS, DELAY_TURN = 2, 1
-"""Turns in which the columns of the block are chosen anew, and the one in which the delay is found: behind a
-block that was found in front of axes."""
+DELAY_TURN = 1
+"""Turn in which the delay is found: behind a block that was found in front of axes."""
 BEGINNING = 20_000
 """Samples of all records together that tell how they began."""
 
@@ -164,7 +163,8 @@ class Whole(NamedTuple):
 def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whole:
     """Block, axes and starts fitted in turn until nothing is gained.
 
-    The block is fitted with its bounds and all that is not linear in it, the axes with its weights.
+    The block is fitted with its bounds and all that is not linear in it, the axes with its weights. Columns
+    are chosen in every turn: in front of axes that are not yet what they come to, too few pass for enough.
 
     alone : the block as it was found without axes
     """
@@ -174,7 +174,7 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whol
     for turn in range(MOST_TURNS):
         late = free and turn == DELAY_TURN
         found = search_behind(task, whole.block.hysteresis, found, late)
-        whole, found = _in_front(task, thresholds_v, whole.block, found, anew=turn < CHOSEN_TURNS)
+        whole, found = _in_front(task, thresholds_v, whole.block, found, anew=True)
         starts = _starts_behind(task, thresholds_v, whole)
         moved = starts != task.starts
         if moved:
@@ -290,6 +290,7 @@ def _bouc_wen(
         starts=task.starts,
         delay_samples=task.whole_delay,
         through=task.paths(dynamics),
+        like=like.hysteresis if like and isinstance(like.hysteresis, BoucWen) else None,
     )
     record = task.records[0]
     notes = [
