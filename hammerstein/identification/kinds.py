@@ -45,11 +45,15 @@ BEGINNING = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Replacement:
-    """A block of another kind, what is to be said of it, and the columns that were chosen if any were."""
+    """A block of another kind, what is to be said of it, and the columns that were chosen if any were.
+
+    ``rough`` asks of those that are to be like it no more than to be told apart.
+    """
 
     hysteresis: Hysteresis[Any]
     notes: tuple[str, ...] = ()
     choice: AsymmetricChoice | None = None
+    rough: bool = False
 
 
 def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tuple[Task, Built]:
@@ -213,11 +217,11 @@ def _starts_behind(task: Task, thresholds_v: Thresholds, whole: Whole) -> tuple[
         return starts
     most = max(BEGINNING // len(task.records), FEWEST)
     parts = tuple(record.part(0, min(record.samples, most)) for record in task.records)
-    quick = replace(task, records=parts)
+    quick, rough = replace(task, records=parts), replace(whole.block, rough=True)
 
     def fit(starts: Sequence[Start]) -> Callable[[Record, Start], Array]:
         begun = replace(quick, starts=tuple(starts))
-        return _before(begun, thresholds_v, whole.behind, whole.block).candidate.predict
+        return _before(begun, thresholds_v, whole.behind, rough).candidate.predict
 
     return each_alone(quick.records, starts, fit, unexplained(task.records, starts))
 
@@ -291,6 +295,7 @@ def _bouc_wen(
         delay_samples=task.whole_delay,
         through=task.paths(dynamics),
         like=like.hysteresis if like and isinstance(like.hysteresis, BoucWen) else None,
+        rough=like is not None and like.rough,
     )
     record = task.records[0]
     notes = [

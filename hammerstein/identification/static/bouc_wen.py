@@ -35,7 +35,7 @@ SEARCHED = 4
 MOST_EVALUATIONS = 60
 NEAR, FINE = (1e-4, 1e-6), (1e-9, 1e-12)
 """Steps of the shape and of the error, as parts of them, at which the search from each start ends, and the
-last one, which goes on from the best of these."""
+last one, which goes on from the best of these; a rough one ends as early."""
 KEPT = 4
 """Shapes of each input whose columns are kept: a search moves one input at a time."""
 
@@ -64,6 +64,7 @@ def fit_bouc_wen(
     delay_samples: int = 0,
     through: Sequence[LinearBlock] = (),
     like: BoucWen | None = None,
+    rough: bool = False,
 ) -> BoucWenFit:
     """Find d, a, beta and gamma of all pairs by least squares.
 
@@ -75,7 +76,8 @@ def fit_bouc_wen(
     ----------
     records : at least one, all with the same axes
     invertible, starts, delay_samples, through : as for ``fit_static``
-    like : model near the best one, from which alone the search goes on, less far
+    like : model near the best one, from which alone the search goes on
+    rough : whether the search ends early
 
     Raises
     ------
@@ -93,7 +95,7 @@ def fit_bouc_wen(
         near = [_near(_Task.of(few, first, delay_samples, through, o, reach)) for o in outputs]
     else:
         near = [_shape_of(row, reach) for row in like.pairs]
-    end = FINE if like is None else NEAR
+    end = NEAR if rough else FINE
     shapes = [_search(task, begin, end) for task, begin in zip(whole, near, strict=True)]
     found = [task.solution(shape) for task, shape in zip(whole, shapes, strict=True)]
     held = _held(whole, shapes, found, reach) if invertible else []
