@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.arrays import Array, freeze, frozen
+from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.bank import PlayState
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
@@ -129,7 +130,7 @@ class ZoneLines:
 
 
 @dataclass(frozen=True, eq=False)
-class AsymmetricState:
+class AsymmetricState(Memory):
     """Memory of an asymmetric model: that of its plays, and the outputs of the smallest play an input.
 
     plays : memory of the play operators; smallest_v : (m,) where the dead-zones stand [V]
@@ -137,15 +138,6 @@ class AsymmetricState:
 
     plays: PlayState
     smallest_v: Array
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists that JSON keeps to the last bit."""
-        return {"plays": self.plays.as_dict(), "smallest_v": self.smallest_v.tolist()}
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> AsymmetricState:
-        """Restore what ``as_dict`` saved."""
-        return cls(PlayState.from_dict(data["plays"]), np.array(data["smallest_v"], dtype=np.float64))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -256,10 +248,6 @@ class Asymmetric(Hysteresis[AsymmetricState]):
         """Memory after a path; see ``Hysteresis.after``."""
         smallest = [played(path, [r])[0] for path, r in zip(path_v, self.smallest_v, strict=True)]
         return AsymmetricState(self.plays.after(path_v), np.array(smallest))
-
-    def restore(self, data: dict[str, Any]) -> AsymmetricState:
-        """State from what ``as_dict`` gave."""
-        return AsymmetricState.from_dict(data)
 
     def _respond(self, u_v: Array, start: AsymmetricState) -> tuple[Array, AsymmetricState]:
         from hammerstein.hysteresis.asymmetric_kernels import add_dead_zones

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict
 
 from hammerstein.arrays import Array
+from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis.pair import WeightCovariance
 from hammerstein.plugins import Family
@@ -26,14 +27,6 @@ SLOPES_KEPT = 8
 
 SLOW_S = 1e6
 """Sample time on which a voltage that is swept has no rate [s]."""
-
-
-class Memory(Protocol):
-    """What a block remembers between two samples; JSON keeps it to the last bit."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists and numbers."""
-        ...
 
 
 class Normals(Protocol):
@@ -114,9 +107,9 @@ class Hysteresis(ABC, Generic[S]):
         v, state = self.respond(path_v)
         return v[:, -1].copy(), state
 
-    @abstractmethod
     def restore(self, data: dict[str, Any]) -> S:
         """Memory from what its ``as_dict`` gave."""
+        return self.rest().restored(data)
 
     @abstractmethod
     def _respond(self, u_v: Array, start: S) -> tuple[Array, S]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -167,10 +167,6 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
         bank = self.bank
         rows = [plays @ bank.w[k, : len(plays)] for k, plays in enumerate(plays_v)]
         return np.asarray(np.sum(rows, axis=0))
-
-    def restore(self, data: dict[str, Any]) -> PlayState:
-        """Memory from what ``PlayState.as_dict`` gave."""
-        return PlayState.from_dict(data)
 
     def _respond(self, u_v: Array, start: PlayState) -> tuple[Array, PlayState]:
         from hammerstein.compiled import spans

@@ -6,13 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.arrays import Array, frozen
+from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite, refuse_unbuilt
 from hammerstein.hysteresis.pair import WeightCovariance, played
@@ -65,22 +66,12 @@ class RatePlays:
 
 
 @dataclass(frozen=True, eq=False)
-class RateState:
+class RateState(Memory):
     """Memory: outputs of the plays (m, n_max), last two voltages (m, 2) [V], filtered rates (m,) [V/s]."""
 
     plays_v: Array
     last_v: Array
     rate_v_per_s: Array
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists that JSON keeps to the last bit."""
-        return {name: getattr(self, name).tolist() for name in ("plays_v", "last_v", "rate_v_per_s")}
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> RateState:
-        """Restore what ``as_dict`` saved."""
-        names = ("plays_v", "last_v", "rate_v_per_s")
-        return cls(*(np.array(data[name], dtype=np.float64) for name in names))
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,10 +226,6 @@ class RateDependent(Hysteresis[RateState]):
         state = self.after(path_v)
         return np.einsum("kio,ki->o", self.bank.w, state.plays_v), state
 
-    def restore(self, data: dict[str, Any]) -> RateState:
-        """Memory from what ``as_dict`` gave."""
-        return RateState.from_dict(data)
-
     def _respond(self, u_v: Array, start: RateState) -> tuple[Array, RateState]:
         from hammerstein.compiled import spans
         from hammerstein.hysteresis.rate_dependent_kernels import respond_rate_dependent
@@ -246,7 +233,7 @@ class RateDependent(Hysteresis[RateState]):
         if not np.isfinite(u_v).all():
             refuse_not_finite(u_v)
         bank, y = self.bank, np.empty((self.n_outputs, u_v.shape[1]))
-        state = RateState(start.plays_v.copy(), start.last_v.copy(), start.rate_v_per_s.copy())
+        state = start.copy()
         plays = (bank.n, bank.r, bank.b, bank.lam, bank.w)
         memory = (state.plays_v, state.last_v, state.rate_v_per_s)
         for first, stop in spans(u_v.shape[1], 8 * bank.w.size):
