@@ -20,6 +20,13 @@ def frozen(values: ArrayLike) -> Array:
     return array
 
 
+def freeze_fields(value: object, *names: str) -> None:
+    """Let fields of a frozen value be ``frozen`` copies of what was given; None stays."""
+    for name in names:
+        given = getattr(value, name)
+        object.__setattr__(value, name, None if given is None else frozen(given))
+
+
 def freeze(*arrays: NDArray[Any]) -> None:
     """Let nobody write to these arrays."""
     for array in arrays:

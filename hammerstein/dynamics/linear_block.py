@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hammerstein.arrays import Array, freeze
+from hammerstein.arrays import Array, freeze_fields
 from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,10 +51,7 @@ class LinearBlock:
     sample_time_s: float
 
     def __post_init__(self) -> None:
-        for name in "ABCD":
-            matrix = np.array(getattr(self, name), dtype=np.float64)
-            freeze(matrix)
-            object.__setattr__(self, name, matrix)
+        freeze_fields(self, *"ABCD")
 
     def __repr__(self) -> str:
         return (

@@ -6,18 +6,18 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field
 
 from hammerstein.arrays import Array, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite, refuse_unbuilt
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import WeightCovariance
-from hammerstein.hysteresis.pair_file import CovarianceFile
+from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, covariances
 from hammerstein.quantities import PerVolt, Weight
 
 
@@ -268,36 +268,20 @@ class BoucWen(Hysteresis[BoucWenState]):
 
     def file(self) -> BoucWenFile:
         """Give its form in a model file."""
-        known = self.weight_covariance
-        return BoucWenFile(
-            pairs=tuple(tuple(BoucWenPairFile.of(pair) for pair in row) for row in self.pairs),
-            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
-        )
+        return BoucWenFile.model_validate(self)
 
 
-class BoucWenPairFile(BaseModel):
+class BoucWenPairFile(PartFile):
     """One pair in a model file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     direct_um_per_v: Weight = Field(description="slope once the hysteretic part has come to its limit")
     hysteretic_um_per_v: Weight = Field(default=0.0, description="what the hysteretic part takes off")
     beta_per_v: PerVolt = Field(default=0.0, description="how fast it forgets; 0 or more")
     gamma_per_v: PerVolt = Field(default=0.0, description="how much faster growing than falling")
 
-    @model_validator(mode="after")
-    def _is_a_pair(self) -> Self:
-        refuse_unbuilt(self.pair)
-        return self
-
-    def pair(self) -> BoucWenPair:
+    def value(self) -> BoucWenPair:
         """Give the pair this describes."""
         return BoucWenPair(**self.model_dump())
-
-    @classmethod
-    def of(cls, pair: BoucWenPair) -> BoucWenPairFile:
-        """Describe a pair."""
-        return cls.model_validate({name: getattr(pair, name) for name in cls.model_fields})
 
 
 class BoucWenFile(HysteresisFile):
@@ -309,8 +293,5 @@ class BoucWenFile(HysteresisFile):
 
     def hysteresis(self) -> BoucWen:
         """Give the hysteresis this describes."""
-        known = self.weight_covariance
-        return BoucWen(
-            tuple(tuple(pair.pair() for pair in row) for row in self.pairs),
-            None if known is None else tuple(one.covariance() for one in known),
-        )
+        pairs = tuple(tuple(pair.value() for pair in row) for row in self.pairs)
+        return BoucWen(pairs, covariances(self.weight_covariance))

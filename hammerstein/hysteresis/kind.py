@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVa
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, model_validator
 
 from hammerstein.arrays import Array
 from hammerstein.blocks import Memory
@@ -268,9 +268,9 @@ def slopes_of(hysteresis: Hysteresis[Any], k: int, amplitude_v: float) -> Array:
 
 
 class HysteresisFile(BaseModel, ABC):
-    """One kind of hysteresis in a model file, told by its ``kind``."""
+    """One kind of hysteresis in a model file, told by its ``kind``; also made of the hysteresis itself."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", from_attributes=True)
 
     if TYPE_CHECKING:  # a field of every kind
         kind: str
@@ -278,6 +278,11 @@ class HysteresisFile(BaseModel, ABC):
     @abstractmethod
     def hysteresis(self) -> Hysteresis[Any]:
         """Give the hysteresis this describes; InputError where it is none."""
+
+    @model_validator(mode="after")
+    def _is_a_hysteresis(self) -> Self:
+        refuse_unbuilt(self.hysteresis)
+        return self
 
 
 HYSTERESIS: Family[HysteresisFile] = Family(HysteresisFile, "kind")  # type: ignore[type-abstract]

@@ -6,18 +6,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field
 
-from hammerstein.arrays import Array, frozen
+from hammerstein.arrays import Array, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite, refuse_unbuilt
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import WeightCovariance, played
-from hammerstein.hysteresis.pair_file import CovarianceFile
+from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, covariances
 from hammerstein.quantities import Bandwidth, Delay, Threshold, Weight
 
 
@@ -46,8 +46,7 @@ class RatePlays:
     lambda_s_per_v: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "thresholds_v", frozen(self.thresholds_v))
-        object.__setattr__(self, "growth_s", frozen(self.growth_s))
+        freeze_fields(self, "thresholds_v", "growth_s")
         r, b = self.thresholds_v, self.growth_s
         mistakes = []
         if r.ndim != 1 or not r.size or b.shape != r.shape:
@@ -265,38 +264,20 @@ class RateDependent(Hysteresis[RateState]):
 
     def file(self) -> RateDependentFile:
         """Give its form in a model file; the sample time is that of who uses it."""
-        known = self.weight_covariance
-        return RateDependentFile(
-            inputs=tuple(RatePlaysFile.of(plays) for plays in self.inputs),
-            weights_um_per_v=tuple(tuple(tuple(w.tolist()) for w in row) for row in self.weights_um_per_v),
-            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
-        )
+        return RateDependentFile.model_validate(self)
 
 
-class RatePlaysFile(BaseModel):
+class RatePlaysFile(PartFile):
     """Plays of one input in a model file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     thresholds_v: tuple[Threshold, ...]
     growth_s: tuple[Delay, ...] = Field(description="volts a threshold grows for each V/s")
     bandwidth_hz: Bandwidth = 500.0
     lambda_s_per_v: Delay = Field(default=0.0, description="where the growth flattens; 0: it does not")
 
-    @model_validator(mode="after")
-    def _are_plays(self) -> Self:
-        refuse_unbuilt(self.plays)
-        return self
-
-    def plays(self) -> RatePlays:
+    def value(self) -> RatePlays:
         """Give the plays this describes."""
-        r, b = (np.asarray(values, dtype=float) for values in (self.thresholds_v, self.growth_s))
-        return RatePlays(r, b, self.bandwidth_hz, self.lambda_s_per_v)
-
-    @classmethod
-    def of(cls, plays: RatePlays) -> RatePlaysFile:
-        """Describe the plays."""
-        return cls.model_validate({name: getattr(plays, name) for name in cls.model_fields})
+        return RatePlays(**self.model_dump())
 
 
 class RateDependentFile(HysteresisFile):
@@ -309,9 +290,8 @@ class RateDependentFile(HysteresisFile):
 
     def hysteresis(self) -> RateDependent:
         """Give the hysteresis this describes."""
-        known = self.weight_covariance
         return RateDependent(
-            tuple(plays.plays() for plays in self.inputs),
+            tuple(plays.value() for plays in self.inputs),
             tuple(tuple(np.asarray(w, dtype=float) for w in row) for row in self.weights_um_per_v),
-            weight_covariance=None if known is None else tuple(one.covariance() for one in known),
+            weight_covariance=covariances(self.weight_covariance),
         )
