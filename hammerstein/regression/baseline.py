@@ -14,7 +14,6 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.report import Report
 from hammerstein.files import Content, read_limited, refuse_overwriting, write_atomic
-from hammerstein.metrics import KEY
 from hammerstein.validation import mistakes_of
 
 FORMAT = "hammerstein-baseline/1"
@@ -112,7 +111,7 @@ def numbers_of(report: Report) -> Numbers:
     """
     bands: dict[Key, dict[str, float]] = {}
     for band in report.bands:
-        numbers = bands.setdefault(key_of({name: getattr(band, name) for name in KEY}), {})
+        numbers = bands.setdefault(key_of(band.key()), {})
         numbers |= {f"{band.metric}.{part}": getattr(band, f"{part}_um") for part in ("p5", "median", "p95")}
     rows = [(row.key(), dict(row.figures) | bands.get(key_of(row.key()), {})) for row in report.rows]
     judged = (found for verdict in report.verdicts for found in verdict.numbers())

@@ -239,6 +239,13 @@ class Scenario(BaseModel):
         others = self.assessment.actuators() if self.assessment is not None else ()
         return self._files() + [Path(name) for name in others if Path(name).is_file()]
 
+    def content(self) -> list[Any]:
+        """Everything that its numbers follow from, as plain JSON: itself, and hashes of what its files hold.
+
+        Raises OSError where a file cannot be read.
+        """
+        return [self.portable(), [hashlib.sha256(path.read_bytes()).hexdigest() for path in self.files()]]
+
     def digest(self) -> str:
         """Short hash of everything in the scenario that changes its numbers, what its files hold included."""
         content = {key: value for key, value in self.portable().items() if key not in WORDS}
