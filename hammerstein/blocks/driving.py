@@ -93,12 +93,6 @@ class DriveRange:
         """Lowest and highest voltage (m,), counted from the working point [V]."""
         return self.low_v - self.working_point_v, self.high_v - self.working_point_v
 
-    @property
-    def largest_v(self) -> Array:
-        """Farthest from the working point (m,) that a voltage can be [V]."""
-        low, high = self.counted
-        return np.asarray(np.maximum(np.abs(low), np.abs(high)))
-
     def history(self) -> Array:
         """Voltages (m, steps) from rest, which comes first, to the start; counted from the working point."""
         low, high = self.counted
