@@ -175,6 +175,7 @@ def test_play_says_what_is_wrong(
         ("stage_fit/fit.json", ["fit report", "record_x.csv"]),
         ("reports/circle/report.json", ["report", "How round"]),
         ("reports/baseline/circle.json", ["baseline", "rows"]),
+        ("duo_bimorph", ["model", "15 operators", "279.7 Hz"]),
     ],
 )
 def test_show_tells_what_a_file_holds(

@@ -44,14 +44,18 @@ def init(
 
 
 def show(
-    file: Annotated[Path, typer.Argument(help="Scenario, model, record, drive file, report or baseline.")],
+    file: Annotated[
+        Path,
+        typer.Argument(help="Scenario, model or packaged actuator, record, drive file, report or baseline."),
+    ],
     as_json: AsJson = False,
 ) -> None:
     """Print what a file holds, before anything runs."""
     from hammerstein.commands.contents import contents_of
     from hammerstein.commands.tables import facts_table
+    from hammerstein.model import packaged_actuators, place_of
 
-    found = contents_of(file)
+    found = contents_of(place_of(str(file)) if str(file) in packaged_actuators() else file)
     if as_json:
         tell_json({"file": str(file), "kind": found.kind, **dict(found.facts)})
         return
