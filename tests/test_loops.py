@@ -117,6 +117,15 @@ def test_sensor_noise_and_quantisation_move_nothing(excitation, amplitude, seed)
         assert loop.drift_um == pytest.approx(0.0, abs=0.02)
 
 
+def test_the_size_of_the_motion_changes_no_part_of_a_loop():
+    u, size = sine(3), 2.0**-13  # a power of two, so that no rounding differs
+    y = measured(respond(u))
+    for loop, small in zip(loop_table(record(u, y)), loop_table(record(u, size * y)), strict=True):
+        assert small.settled == loop.settled
+        for told in ("height_um", "width_um", "area_v_um", "closure_um", "drift_um"):
+            assert getattr(small, told) == pytest.approx(size * getattr(loop, told), rel=1e-9)
+
+
 def test_a_loop_little_higher_than_the_noise():
     """3.5 um, as a cross-coupling: peak to peak of the raw samples would be 7 percent too much."""
     u = sine(21)

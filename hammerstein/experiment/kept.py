@@ -13,7 +13,7 @@ from typing import Any
 from hammerstein.experiment.measure import Result, rows_of
 from hammerstein.experiment.prepare import Case, Progress, SetUp
 from hammerstein.experiment.report import Target, Trace
-from hammerstein.metrics import METRICS, Row
+from hammerstein.metrics import Row
 from hammerstein.model.simulation import WIRES, Response
 from hammerstein.runtime.fanning import Jobs, in_order, on_workers
 from hammerstein.runtime.store import Kept, Store, key_of
@@ -87,7 +87,7 @@ class KeptCases:
             "volts": scenario.drive is not None,
             "measure": scenario.measure.model_dump_json(),
             "seed": scenario.seed,
-            "metrics": list(METRICS),
+            "metrics": [metric.name for metric in scenario.metrics()],
         }
 
     @cached_property
