@@ -8,10 +8,10 @@ from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, freeze, freeze_fields, frozen
+from hammerstein.arrays import Array, Indices, freeze, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.bank import PlayState
@@ -81,7 +81,7 @@ class ZoneLines:
     slope, intercept : (m, n_max+1, p) line of each zone; zero at the working point
     """
 
-    n: NDArray[np.int64]
+    n: Indices
     ends: Array
     slope: Array
     intercept: Array

@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.arrays import Array, freeze
+from hammerstein.arrays import Array, Indices, freeze
 from hammerstein.blocks import Memory
 from hammerstein.hysteresis.pair import Pair
-
-Counts = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +21,8 @@ class PlayState(Memory):
     count : (m,) height of each stack; end, x, d : (m, operator+1); below : (m, operator+1, p)
     """
 
-    count: Counts
-    end: Counts
+    count: Indices
+    end: Indices
     x: Array
     d: Array
     below: Array
@@ -43,13 +40,13 @@ class Bank:
     guide, scale : (m, levels), (m,) where the search for a threshold begins, see ``kernels``
     """
 
-    n: Counts
+    n: Indices
     r: Array
     w: Array
     slope: Array
     moment: Array
     lines: Array
-    guide: Counts
+    guide: Indices
     scale: Array
 
     @classmethod

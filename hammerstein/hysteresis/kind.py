@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVa
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import ConfigDict, model_validator
 
 from hammerstein.arrays import Array
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis.pair import WeightCovariance
 from hammerstein.plugins import Family
+from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.block_system import BlockSystem
@@ -267,10 +268,10 @@ def slopes_of(hysteresis: Hysteresis[Any], k: int, amplitude_v: float) -> Array:
     return hysteresis.swept_slopes(k, amplitude_v)
 
 
-class HysteresisFile(BaseModel, ABC):
+class HysteresisFile(Strict, ABC):
     """One kind of hysteresis in a model file, told by its ``kind``; also made of the hysteresis itself."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", from_attributes=True)
+    model_config = ConfigDict(from_attributes=True)
 
     if TYPE_CHECKING:  # a field of every kind
         kind: str

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError
@@ -15,12 +15,13 @@ from hammerstein.hysteresis.covariance import ThresholdCovariance
 from hammerstein.hysteresis.kind import refuse_unbuilt
 from hammerstein.hysteresis.pair import Pair, WeightCovariance
 from hammerstein.quantities import Entry, NoCycles, Threshold, Weight, WeightError
+from hammerstein.validation import Strict
 
 
-class PartFile(BaseModel, ABC):
+class PartFile(Strict, ABC):
     """A part of a hysteresis in a model file; also made of the part itself, whose names it has."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", from_attributes=True)
+    model_config = ConfigDict(from_attributes=True)
 
     @abstractmethod
     def value(self) -> object:

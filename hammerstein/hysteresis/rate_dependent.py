@@ -9,10 +9,10 @@ from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, freeze_fields, frozen
+from hammerstein.arrays import Array, Indices, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
@@ -77,7 +77,7 @@ class RateState(Memory):
 class RateBank:
     """All plays of every input as the kernels want them: n (m,), r and b (m, n_max), w (m, n_max, p)."""
 
-    n: NDArray[np.int64]
+    n: Indices
     r: Array
     b: Array
     lam: Array

@@ -12,15 +12,12 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hammerstein.arrays import Array
 from hammerstein.records.noise import noise_rms, quantum
 from hammerstein.records.preparation import driven_alone, driven_inputs
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import Excursion, find_cycles
-
-Indices = NDArray[np.int64]
 
 SMOOTHED = 10
 """Most samples on each side that a noisy output is smoothed over."""

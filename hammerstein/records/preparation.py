@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.arrays import Array, freeze
+from hammerstein.arrays import Array, Complex, freeze
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis import play
 from hammerstein.records.checks import where
@@ -274,7 +273,7 @@ def lag_rad(records: Sequence[Record]) -> Array:
     return np.asarray(np.arctan2(-sign * response.imag, np.abs(response.real)))
 
 
-def _slow_response(records: Sequence[Record]) -> tuple[NDArray[np.complex128], bool]:
+def _slow_response(records: Sequence[Record]) -> tuple[Complex, bool]:
     """Response (output, input) over the slower half of the power; whether inputs can be told apart."""
     driven = sorted({k for record in records for k in driven_inputs(record)})
     size = np.sqrt(sum(record.u_v[driven].var(axis=1) * record.samples for record in records))
@@ -292,7 +291,7 @@ def _slow_response(records: Sequence[Record]) -> tuple[NDArray[np.complex128], b
     return response, bool(np.linalg.cond(power) < COHERENT)
 
 
-def _spectra(signals: Array) -> NDArray[np.complex128]:
+def _spectra(signals: Array) -> Complex:
     window = np.hanning(signals.shape[1])
     return np.asarray(np.fft.rfft(window * (signals - signals.mean(axis=1, keepdims=True))))
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat, ValidationError
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.report import Report
 from hammerstein.files import Content, read_limited, refuse_overwriting, write_atomic
-from hammerstein.validation import mistakes_of
+from hammerstein.validation import Strict, mistakes_of
 
 FORMAT = "hammerstein-baseline/1"
 CONTENT = Content("baseline", sign="hammerstein-baseline/")
@@ -24,19 +24,15 @@ Key = tuple[tuple[str, str | float], ...]
 Numbers = Mapping[Key, Mapping[str, float]]
 
 
-class RowFile(BaseModel):
+class RowFile(Strict):
     """One row in a baseline file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     key: dict[str, str | FiniteFloat]
     numbers: dict[str, FiniteFloat]
 
 
-class BaselineFile(BaseModel):
+class BaselineFile(Strict):
     """What a baseline file holds."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: Literal["hammerstein-baseline/1"]
     scenario_digest: str
