@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import theory
 
-from hammerstein.actuators.build import with_thresholds
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import discretise
 from hammerstein.errors import IdentificationError
@@ -13,6 +12,7 @@ from hammerstein.experiment.simulated_identification import identify_each
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
+from hammerstein.paper.actuators import with_thresholds
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec
 from hammerstein.signals import Lissajous, Triangle
 

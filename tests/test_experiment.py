@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import theory as table
 import theory_linear as theory
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from hammerstein.blocks.instruments import Drive, Instruments, Sensor, standard_noise
 from hammerstein.blocks.voltages import Voltages
@@ -115,6 +116,21 @@ def test_rows_depend_neither_on_jobs_nor_on_the_run():
     )
     texts = {run(scenario, "same", jobs=jobs).to_json() for jobs in (1, 2, 1)}
     assert len(texts) == 1
+
+
+def test_a_run_has_linear_algebra_on_one_thread_and_leaves_the_caller_s():
+    """Sums of several threads end in other last bits; the command line's environment asks for one anyway."""
+
+    def threads():
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    seen = []
+    with threadpool_limits(2, "blas"):
+        before = threads()
+        run(_scenario(drive=LOOP), "x", progress=lambda *told: seen.append(threads()))
+        assert threads() == before
+    assert seen
+    assert set().union(*seen) <= {1}
 
 
 def test_seed_changes_the_noise_and_not_the_position():

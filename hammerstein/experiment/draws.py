@@ -15,7 +15,7 @@ from hammerstein.arrays import Array
 from hammerstein.experiment.kept import KeptCases, rows_from
 from hammerstein.experiment.measure import drawn_rows
 from hammerstein.experiment.prepare import Case, Experiment, Progress, SetUp
-from hammerstein.metrics import METRICS, Row
+from hammerstein.metrics import Row, metrics_of
 from hammerstein.model.simulation import Plant
 from hammerstein.runtime.fanning import Jobs, in_order, on_workers
 from hammerstein.runtime.store import Kept
@@ -64,7 +64,7 @@ class Figures:
 
 def drawn_metrics() -> list[str]:
     """Names of the figures that are found on every actuator."""
-    return [metric.name for metric in METRICS.values() if metric.drawn]
+    return [metric.name for metric in metrics_of() if metric.drawn]
 
 
 def figures_on(

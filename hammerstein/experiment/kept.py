@@ -13,7 +13,7 @@ from typing import Any
 from hammerstein.experiment.measure import Result, rows_of
 from hammerstein.experiment.prepare import Case, Progress, SetUp, scenario_axes
 from hammerstein.experiment.report import Prediction, Trace
-from hammerstein.metrics import METRICS, Row
+from hammerstein.metrics import Row
 from hammerstein.model.simulation import WIRES, Response
 from hammerstein.runtime.fanning import Jobs, in_order, on_workers
 from hammerstein.runtime.store import Kept, Store, key_of
@@ -85,7 +85,7 @@ class KeptCases:
             "volts": scenario.drive is not None,
             "measure": scenario.measure.model_dump_json(),
             "seed": scenario.seed,
-            "metrics": list(METRICS),
+            "metrics": [metric.name for metric in scenario.metrics()],
         }
 
     @cached_property

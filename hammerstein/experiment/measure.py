@@ -16,7 +16,7 @@ from hammerstein.experiment.prepare import Case, SetUp, Window, scenario_axes
 from hammerstein.experiment.recording import Target, recorded, targets_of
 from hammerstein.experiment.report import Prediction, Trace
 from hammerstein.experiment.settling import advice, settled
-from hammerstein.metrics import METRICS, LoopFigures, Measured, Metric, Row, loop_figures
+from hammerstein.metrics import LoopFigures, Measured, Metric, Row, loop_figures, metrics_of
 from hammerstein.model.simulation import Response
 from hammerstein.signals import OneFrequency
 
@@ -45,7 +45,7 @@ def rows_of(setup: SetUp, case: Case) -> Result:
     _refuse_still(setup, case, response)
     window = Window.of(setup.scenario, case.signal, response.sample_time_s)
     loops = _loops(setup, case, response, window)
-    rows = tuple(_rows(setup, case, response, targets, METRICS.values(), loops))
+    rows = tuple(_rows(setup, case, response, targets, setup.scenario.metrics(), loops))
     names = scenario_axes(setup.scenario, setup.plant.model)
     predictions = tuple(
         Prediction(t.label, t.reading_um[:, window.first :], t.position_um[:, window.first :])
@@ -82,7 +82,7 @@ def _refuse_still(setup: SetUp, case: Case, response: Response) -> None:
 
 def drawn_rows(setup: SetUp, case: Case, response: Response) -> tuple[Row, ...]:
     """Rows of one case with the figures alone of which an uncertain actuator gives a band."""
-    drawn = [metric for metric in METRICS.values() if metric.drawn]
+    drawn = [metric for metric in metrics_of() if metric.drawn]
     return tuple(_rows(setup, case, response, targets_of(setup, case, response)[0], drawn))
 
 

@@ -18,6 +18,7 @@ from hammerstein.experiment.uncertainty_bands import bands_of
 from hammerstein.metrics import Row
 from hammerstein.model.simulation import Response
 from hammerstein.runtime.fanning import Jobs
+from hammerstein.runtime.one_thread import one_blas_thread
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import scenario_of
 from hammerstein.scenario.scenario import ScenarioSource
@@ -115,6 +116,7 @@ def _chosen(
     raise InputError("simulate", f"the scenario has no case {compensator!r} on axis {excited_axis!r}")
 
 
+@one_blas_thread()
 def run(
     scenario: ScenarioSource,
     name: str | None = None,

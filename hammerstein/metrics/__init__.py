@@ -7,7 +7,6 @@ tolerances and baseline follow.
 from hammerstein.metrics.arrays import (
     LoopFigures,
     drift,
-    epsilon,
     euclidean,
     loop_figures,
     radial,
@@ -15,7 +14,7 @@ from hammerstein.metrics.arrays import (
     worst,
 )
 from hammerstein.metrics.measured import Measured
-from hammerstein.metrics.metric import METRICS, Metric, metric
+from hammerstein.metrics.metric import METRICS, Metric, metric, metrics_of
 from hammerstein.metrics.row import KEY, Row
 
 __all__ = [
@@ -26,10 +25,10 @@ __all__ = [
     "Metric",
     "Row",
     "drift",
-    "epsilon",
     "euclidean",
     "loop_figures",
     "metric",
+    "metrics_of",
     "radial",
     "rms",
     "worst",

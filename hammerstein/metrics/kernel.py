@@ -54,12 +54,12 @@ def _top(values, samples):  # type: ignore[no-untyped-def]
 
 @compiled()
 def plane_errors(u, v, x, y, p, q, middle):  # type: ignore[no-untyped-def]
-    """Largest errors in the plane: of the radius of two paths, and |theta| of the first (paper).
+    """Largest errors of the radius of two paths in the plane.
 
     u, v : reference (N,); x, y : reading (N,); p, q : position (N,), all counted from a middle (2,)
     """
-    first, second, thetas = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
-    reading, position, theta = 0.0, 0.0, 0.0
+    first, second = np.empty(BLOCK), np.empty(BLOCK)
+    reading, position = 0.0, 0.0
     for start in range(0, u.shape[0], BLOCK):
         count = min(BLOCK, u.shape[0] - start)
         for i in range(count):
@@ -70,8 +70,6 @@ def plane_errors(u, v, x, y, p, q, middle):  # type: ignore[no-untyped-def]
             wanted = np.sqrt(a * a + b * b)
             first[at(i)] = abs(np.sqrt(c * c + d * d) - wanted)
             second[at(i)] = abs(np.sqrt(e * e + f * f) - wanted)
-            thetas[at(i)] = abs((a + b) * (a + b) - (c + d) * (c + d))
         reading = max(reading, _top(first, count))
         position = max(position, _top(second, count))
-        theta = max(theta, _top(thetas, count))
-    return reading, position, theta
+    return reading, position

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from hammerstein.metrics.metric import METRICS
+from hammerstein.metrics.metric import METRICS, metrics_of
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,8 @@ class Row:
 
     def columns(self) -> dict[str, Any]:
         """Everything in the row by name, None where a figure has no meaning."""
-        return self.key() | {name: self.figures.get(name) for name in METRICS}
+        names = (*(metric.name for metric in metrics_of()), *self.figures)
+        return self.key() | {name: self.figures.get(name) for name in names}
 
 
 KEY = tuple(field.name for field in fields(Row) if field.name != "figures")

@@ -99,13 +99,13 @@ def _key_cells(rows: Sequence[Row], label: str, condition: Condition) -> tuple[s
 
 
 def _path_errors(report: Report, rows: Sequence[Row], title: str, which: str, remark: str) -> NumberTable:
-    """Each axis as rms / worst; distance and radius of all axes; the paper's epsilon of the reading."""
+    """Each axis as rms / worst; distance and radius of all axes; what the assessment asks for."""
     several = len(report.axes) > 1
     shared = {
         f"euclidean_rms{which}_um": "distance, rms",
         f"euclidean_max{which}_um": "distance, worst",
         f"radial_max{which}_um": "radius, worst",
-    } | ({} if which else {"epsilon_max_um": "epsilon (see below)"})
+    } | ({} if which else {m.name: m.heading for m in report.scenario.metrics() if m.heading})
     present = {n: w for n, w in shared.items() if several and getattr(rows[0], n) is not None}
     header = (
         *_key_header(report, rows),

@@ -107,6 +107,11 @@ class Assessment(BaseModel, ABC):
         """A verdict from the fields that were kept of it."""
 
     @classmethod
+    def shipped(cls) -> Mapping[str, Path]:
+        """Scenarios that it brings, and numbers accepted for them: from names in a new folder to files."""
+        return {}
+
+    @classmethod
     def prepare(cls, out: Path, page: Path | None) -> None:
         """Refuse folders that cannot take what ``write`` writes; InputError says why."""
 

@@ -19,6 +19,7 @@ from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators import COMPENSATORS
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited
+from hammerstein.metrics import Metric, metrics_of
 from hammerstein.model import place_of
 from hammerstein.plugins import load_plugins
 from hammerstein.quantities import (
@@ -227,6 +228,10 @@ class Scenario(BaseModel):
         """Content as plain JSON, the same wherever its files lie."""
         content = json.loads(self.model_dump_json(exclude_none=True))
         return {key: _without_folders(value, key) for key, value in content.items()}
+
+    def metrics(self) -> list[Metric]:
+        """What a run measures: the figures of merit of every run, and those that its assessment asks for."""
+        return metrics_of("" if self.assessment is None else self.assessment.kind)
 
     def _files(self) -> list[Path]:
         """Model files and signals that the run needs, as far as they exist."""
