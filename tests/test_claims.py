@@ -9,9 +9,12 @@ from pydantic import ValidationError
 from hammerstein.errors import InputError
 from hammerstein.experiment.run import run
 from hammerstein.metrics import Row
+from hammerstein.model import HammersteinModel
+from hammerstein.paper.causes import variations
 from hammerstein.paper.claims import Agreement, Claim, Quantity
 from hammerstein.paper.page import write_page
 from hammerstein.paper.verdicts import Change, verdicts
+from hammerstein.scenario import Scenario
 
 
 def _row(rms, frequency=50.0, measured="x", true=None, label="a"):
@@ -184,6 +187,26 @@ def test_the_cause_of_a_lagging_sensor_is_found_on_the_chain_itself():
     assert changed["dynamics"] == pytest.approx(verdict.answers[0].value, rel=1e-9)
     assert "passes" not in changed  # the law has none
     assert verdict.reason.startswith("the sensor, in identification and judgement: 3, with an ideal sensor")
+
+
+@pytest.mark.parametrize("octaves", [{}, {"of": "octaves_above", "found_hz": 50}])
+def test_a_claim_that_counts_from_where_it_was_found_is_not_asked_what_finding_it_elsewhere_makes(octaves):
+    content = {
+        "question": "?",
+        "actuator": "duo_bimorph",
+        "reference": {"kind": "sine", "amplitude_um": 50, "frequency_hz": 50},
+        "compensators": [
+            {"label": "a", "law": "inverse_multiplicative", "identification": {"frequency_hz": 50}}
+        ],
+    }
+    tried = variations(
+        Scenario.model_validate(content),
+        HammersteinModel.load("duo_bimorph"),
+        _claim({"at_least": 0.5}, quantity={"metric": "rms_um", **octaves}),
+    )
+    found = {variation.factor for variation in tried}
+    assert "dynamics" in found
+    assert ("identification_frequency" in found) == (not octaves)
 
 
 def test_met_claims_need_no_reason():

@@ -385,6 +385,12 @@ def test_noise_estimate_ignores_the_signal(samples):
     assert noise_rms(u + 0.05 * rng.standard_normal(u.size)) == pytest.approx(0.05, rel=0.06)
 
 
+def test_noise_is_told_from_20_samples_on():
+    noise = np.random.default_rng(5).standard_normal(20)
+    assert noise_rms(noise) > 0.2
+    assert noise_rms(noise[:-1]) == 0.0
+
+
 def test_dead_band_covers_noise_and_converter():
     rng = np.random.default_rng(4)
     noise = rng.standard_normal(100_000)

@@ -29,6 +29,11 @@ class TestPreparation:
         u = np.concatenate([np.zeros(80), U]) + 0.005 * rng.standard_normal(N + 80)
         assert prepare(Record([u], [u], 5e-3)).dead_start_samples == pytest.approx(80, abs=3)
 
+    def test_a_delay_is_left_alone_unless_it_is_asked_for(self):
+        late = Record([U], [np.concatenate([np.zeros(3), X[:-3]])], 5e-3)
+        assert prepare(late).delay_samples == 0
+        assert prepare(late, 5).delay_samples > 0
+
     def test_without_dead_start_offsets_are_the_middle(self):
         late = slice(30, None)
         prepared = prepare(Record([U[late] + 2.0, 0 * U[late] + 0.5], [X[late] - 50.0], 5e-3))

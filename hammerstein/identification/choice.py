@@ -55,7 +55,13 @@ class Trial:
 
     @property
     def percent(self) -> float:
-        """Rms error in percent of the range; infinite for a model that cannot be used."""
+        """Rms error in percent of the range; infinite for a model that cannot be used.
+
+        Examples
+        --------
+        >>> Trial("linear", 1, np.array([1e-4, 1e-4])).percent
+        1.0
+        """
         return 100.0 * math.sqrt(float(np.mean(self.squares)))
 
 

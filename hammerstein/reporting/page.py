@@ -66,8 +66,8 @@ CAPTIONS = {
     "drift": "The mean error of the true position over each measured cycle, of the axis that is driven.",
     "path": "(a) the path in the plane, (b) the axes over time, (c) the errors over time: of each axis, the "
     "distance in the plane, and that of the true position. Where one curve would hide others the scale is "
-    "logarithmic. Thin short dashes are what the path is compared with. The legend gives the worst distance "
-    "of the whole run.",
+    "logarithmic, of errors with a sign beyond the first tick on each side of zero. Thin short dashes are "
+    "what the path is compared with. The legend gives the worst distance of the whole run.",
 }
 
 MOST_STATEMENTS = 15
