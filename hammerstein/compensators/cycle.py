@@ -24,6 +24,7 @@ from hammerstein.compensators.drive_file import (
 )
 from hammerstein.dynamics import LinearBlock, discretise
 from hammerstein.errors import InputError, SimulationError
+from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 
 TRIED_PERIODS = (4, 8, 16, 32)
@@ -91,11 +92,6 @@ class Cycle:
             ("predicted", "um", outputs, self.played_um),
         )
         return drive_csv(time_s, groups, ["Voltages of one period: absolute, in V.", *self.statements()])
-
-
-def rms(row: Array) -> float:
-    """Root of the mean square."""
-    return float(np.sqrt(np.mean(row**2)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,6 @@ from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Offset, Plain, SampleTime
 from hammerstein.validation import Strict, mistakes_of
 
-FORMAT = "hammerstein-export/1"
 MODEL = "model"
 """As a law: the actuator itself."""
 

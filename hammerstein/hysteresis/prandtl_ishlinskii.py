@@ -159,15 +159,6 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
             plays.append(values)
         return plays
 
-    def weighted(self, plays_v: Sequence[Array]) -> Array:
-        """Output (output,) of given play outputs, one array an input on that input's threshold grid [um].
-
-        v_l = sum over j and i of w_lji p_ji                                           (paper, eq. 4)
-        """
-        bank = self.bank
-        rows = [plays @ bank.w[k, : len(plays)] for k, plays in enumerate(plays_v)]
-        return np.asarray(np.sum(rows, axis=0))
-
     def _respond(self, u_v: Array, start: PlayState) -> tuple[Array, PlayState]:
         from hammerstein.compiled import spans
         from hammerstein.hysteresis.play_kernels import respond_turning_points

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -23,8 +22,6 @@ from hammerstein.records.checks import (
     where,
 )
 from hammerstein.records.outliers import Outliers, listed, outlier_mistakes, without_outliers
-
-PathLike = str | Path
 
 
 @dataclass(frozen=True, eq=False)
