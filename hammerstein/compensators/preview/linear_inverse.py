@@ -114,7 +114,7 @@ def linear_inverse(dynamics: Dynamics, sample_time_s: float) -> LinearInverse:
 
     Examples
     --------
-    >>> from hammerstein.dynamics.models import Axis
+    >>> from hammerstein.dynamics import AxesDynamics, Axis
     >>> axis = AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12),))
     >>> linear_inverse(axis, 50e-6).preview_samples
     1
