@@ -19,6 +19,7 @@ from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import BLOCK, Plant
+from hammerstein.runtime.one_thread import one_blas_thread
 from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.scenario.scenario import Measure
 
@@ -118,11 +119,12 @@ def test_rows_depend_neither_on_jobs_nor_on_the_run():
     assert len(texts) == 1
 
 
+def threads():
+    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+
 def test_a_run_has_linear_algebra_on_one_thread_and_leaves_the_caller_s():
     """Sums of several threads end in other last bits; the command line's environment asks for one anyway."""
-
-    def threads():
-        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
     seen = []
     with threadpool_limits(2, "blas"):
@@ -131,6 +133,18 @@ def test_a_run_has_linear_algebra_on_one_thread_and_leaves_the_caller_s():
         assert threads() == before
     assert seen
     assert set().union(*seen) <= {1}
+
+
+def test_whoever_leaves_last_puts_the_threads_of_linear_algebra_back():
+    with threadpool_limits(2, "blas"):
+        before = threads()
+        first, second = one_blas_thread(), one_blas_thread()
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        assert threads() <= {1}
+        second.__exit__(None, None, None)
+        assert threads() == before
 
 
 def test_seed_changes_the_noise_and_not_the_position():
