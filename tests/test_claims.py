@@ -141,7 +141,11 @@ def test_cut_voltages_are_told_beside_the_claim():
     row = Row("a", "x", "x", 200.0, figures={"rms_um": 1.0, "saturated_samples": 12})
     (verdict,) = verdicts([_claim({"at_most": 2.0})], {"plant": (row,)})
     assert verdict.agrees
-    assert verdict.reason == "the reference exceeds the range: the drive cut 12 samples"
+    cut = "the reference exceeds the range: the drive cut 12 samples"
+    assert verdict.reason == cut
+    changes = _changed(("sensor", "ideal", 0.2))
+    (unmet,) = verdicts([_claim({"at_most": 0.5})], {"plant": (row,)}, changes)
+    assert unmet.reason == f"{cut}. The sensor, in identification and judgement: 1, ideal 0.2"
 
 
 def test_rows_are_divided_by_those_of_their_own_place():
