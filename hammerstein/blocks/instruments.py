@@ -130,12 +130,15 @@ class Sensor(BaseModel):
 
     def read(self, filtered_um: Array, generator: np.random.Generator) -> Array:
         """Readings (output, sample) of positions that have passed the sensor's bandwidth."""
+        reading = np.array(filtered_um, dtype=np.float64, order="C")
+        self.read_in_place(reading, generator, 0, reading.shape[1])
+        return reading
+
+    def read_in_place(self, um: Array, generator: np.random.Generator, first: int, stop: int) -> None:
+        """Turn such positions (output, sample) into their readings, from one sample up to another."""
         from hammerstein.blocks.instrument_kernels import read_positions
 
-        reading = np.empty(filtered_um.shape)
-        filtered = np.ascontiguousarray(filtered_um)
-        read_positions(filtered, generator, self.noise_um, self.range_um, self.resolution_um, reading)
-        return reading
+        read_positions(generator, self.noise_um, self.range_um, self.resolution_um, first, stop, um)
 
     def clipped(self, reading_um: Array) -> int:
         """Samples of the readings (output, sample) at which the range cut one of them, or may have."""

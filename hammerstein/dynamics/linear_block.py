@@ -125,9 +125,6 @@ class LinearBlock:
 
         Raises InputError where ``sample_time_s`` of the signal is not the block's own, or shapes differ.
         """
-        from hammerstein.compiled import spans
-        from hammerstein.dynamics.linear_kernel import respond_linear
-
         if sample_time_s is not None and not math.isclose(sample_time_s, self.sample_time_s, rel_tol=1e-9):
             raise InputError(
                 "signal",
@@ -139,9 +136,16 @@ class LinearBlock:
             raise InputError("signal", f"has {v.shape[0]} axes, the block wants {self.n_inputs}")
         x = self.rest() if start is None else np.array(start, dtype=np.float64)
         y = np.empty((self.n_outputs, v.shape[1]))
-        for first, end in spans(v.shape[1], len(self.rows[2])):
-            respond_linear(*self.rows, x, v, first, end, y)
+        self.carry_on(v, x, 0, v.shape[1], y)
         return y, x
+
+    def carry_on(self, v_um: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
+        """Put outputs into y_um (p, sample) from one sample up to another; ``state`` (n,) is moved on."""
+        from hammerstein.compiled import spans
+        from hammerstein.dynamics.linear_kernel import respond_linear
+
+        for start, end in spans(stop - first, len(self.rows[2])):
+            respond_linear(*self.rows, state, v_um, first + start, first + end, y_um)
 
     def step(self, v_um: ArrayLike, state: Array) -> tuple[Array, Array]:
         """Output (p,) for one sample (m,), and the state after it; equal to ``respond`` to the last bit."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, room
 from hammerstein.blocks import Controller, Law, Learner
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Instruments
@@ -118,9 +118,8 @@ class SetUp:
         refuse_too_long(window.total, hysteresis.n_inputs, hysteresis.n_outputs)
         law = None if scenario.drive is not None else self.laws[case.label]
         m, p = hysteresis.n_inputs, hysteresis.n_outputs
-        # One piece of memory, which the system gives in fewer and larger pages than three.
-        room = np.empty((2 * m + p * (law is not None), window.total))
-        drive_v, asked_v, path_um = np.split(room, [m, 2 * m])
+        wires = room(2 * m + p * (law is not None), window.total)
+        drive_v, asked_v, path_um = np.split(wires, [m, 2 * m])
         if law is None:
             self._sample(case, asked_v)
             return _following(plant, plant.driven(asked_v, False, out=drive_v), None, case)

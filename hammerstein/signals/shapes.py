@@ -214,8 +214,7 @@ class Circle(OneFrequency):
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "circle")
-        angle = 2.0 * np.pi * self.frequency_hz * time_s + math.radians(self.phase_deg)
-        return self.radius * np.stack([np.cos(angle), np.sin(angle)])
+        return _round(time_s, self.radius, self.frequency_hz, self.phase_deg)
 
 
 class Spiral(OneFrequency):
@@ -231,9 +230,8 @@ class Spiral(OneFrequency):
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "spiral")
-        angle = 2.0 * np.pi * self.frequency_hz * time_s + math.radians(self.phase_deg)
         decay = np.exp(-np.maximum(time_s - self.trigger_s, 0.0) / self.decay_s)
-        return np.asarray(self.radius * decay * np.stack([np.cos(angle), np.sin(angle)]))
+        return np.asarray(self.radius * decay * _round(time_s, 1.0, self.frequency_hz, self.phase_deg))
 
     @property
     def repeats(self) -> bool:
@@ -326,6 +324,15 @@ class Multisine(Shape):
     def highest_frequency_hz(self) -> float:
         """Frequency of the highest line."""
         return self.highest_hz
+
+
+def _round(time_s: Array, radius: float, frequency_hz: float, phase_deg: float) -> Array:
+    """Path (2, sample) of a circle at given times (sample,) [s]."""
+    from hammerstein.signals.circle_kernel import go_round
+
+    times, path = np.ascontiguousarray(time_s, dtype=np.float64), np.empty((2, len(time_s)))
+    go_round(times, float(radius), 2.0 * np.pi * frequency_hz, math.radians(phase_deg), path)
+    return path
 
 
 def _sum_of_sines(time_s: Array, lines_hz: Array, phases: Array) -> Array:
