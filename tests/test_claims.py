@@ -273,7 +273,7 @@ def test_the_page_opens_with_what_holds_where_and_puts_calibration_apart(tmp_pat
         "Under none of them holds, with the factor that brings each nearest on its own actuator: "
         "C2 (no single factor)." in opening
     )
-    counted, apart = text.split("The actuators were made to meet these")
+    counted, apart = text.split("The actuators were made from these loops")
     assert "| C3 |" in apart
     assert "| C3 |" not in counted
     assert "| (1" in counted  # in brackets: not met
