@@ -141,7 +141,11 @@ def test_cut_voltages_are_told_beside_the_claim():
     row = Row("a", "x", "x", 200.0, figures={"rms_um": 1.0, "saturated_samples": 12})
     (verdict,) = verdicts([_claim({"at_most": 2.0})], {"plant": (row,)})
     assert verdict.agrees
-    assert verdict.reason == "the reference exceeds the range: the drive cut 12 samples"
+    cut = "the reference exceeds the range: the drive cut 12 samples"
+    assert verdict.reason == cut
+    changes = _changed(("sensor", "ideal", 0.2))
+    (unmet,) = verdicts([_claim({"at_most": 0.5})], {"plant": (row,)}, changes)
+    assert unmet.reason == f"{cut}. The sensor, in identification and judgement: 1, ideal 0.2"
 
 
 def test_rows_are_divided_by_those_of_their_own_place():
@@ -269,7 +273,7 @@ def test_the_page_opens_with_what_holds_where_and_puts_calibration_apart(tmp_pat
         "Under none of them holds, with the factor that brings each nearest on its own actuator: "
         "C2 (no single factor)." in opening
     )
-    counted, apart = text.split("The actuators were made to meet these")
+    counted, apart = text.split("The actuators were made from these loops")
     assert "| C3 |" in apart
     assert "| C3 |" not in counted
     assert "| (1" in counted  # in brackets: not met

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import SimulationError
 from hammerstein.experiment.prepare import Case, SetUp, Window
 from hammerstein.experiment.recording import recorded, targets_of
@@ -222,11 +223,15 @@ def _sampling(setup: SetUp) -> Iterator[str]:
     highest = max(signal.highest_frequency_hz for signal in scenario.signals())
     share = hold_share(highest, step)
     if share > HOLD_SHARE:
-        yield (
+        held = (
             f"Every voltage is held for {1e6 * step:g} us: at {highest:g} Hz this alone puts a sine "
             f"{100.0 * share:.2g} % of its amplitude off, more than {100.0 * HOLD_SHARE:g} % from "
-            f"{HOLD_SHARE / (math.pi * step):.3g} Hz on. Only a law or model with dynamics knows of it."
+            f"{HOLD_SHARE / (math.pi * step):.3g} Hz on. "
         )
+        if isinstance(setup.plant.model.dynamics, StaticDynamics):
+            yield held + "Without dynamics that is so between the samples, and the figures are those at them."
+        else:
+            yield held + "Only a law or model with dynamics knows of it."
     for source in (*scenario.compensators, *scenario.models):
         own = getattr(source.identification, "sample_time_s", None)
         if own is not None and not math.isclose(own, step):
