@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Rows = NDArray[np.int64]
+Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 
@@ -20,7 +21,42 @@ def frozen(values: ArrayLike) -> Array:
     return array
 
 
+def freeze_fields(value: object, *names: str) -> None:
+    """Let fields of a frozen value be ``frozen`` copies of what was given; None stays."""
+    for name in names:
+        given = getattr(value, name)
+        object.__setattr__(value, name, None if given is None else frozen(given))
+
+
 def freeze(*arrays: NDArray[Any]) -> None:
     """Let nobody write to these arrays."""
     for array in arrays:
         array.flags.writeable = False
+
+
+PAGE = 2**21
+"""Bytes of a large page of memory."""
+KEPT = 15 * PAGE
+"""Bytes of the largest piece of memory that glibc lends again without giving it back to the system."""
+
+
+def room(rows: int, samples: int) -> Array:
+    """Memory (row, sample) for long signals, not yet written to, in the way that costs the system least.
+
+    What is new from the system is cleared page by page as it is first written to, which takes as long as
+    a few passes over it. A smaller piece is what the run before has left, where the library of the system
+    keeps that. A larger one lies on large pages, which the system gives at once.
+    """
+    numbers, page = rows * samples, PAGE // 8
+    if 8 * numbers < KEPT:
+        _keep()
+        return np.empty((rows, samples))
+    piece = np.empty((numbers // page + 2) * page)
+    first = -piece.ctypes.data % PAGE // 8
+    return piece[first : first + numbers].reshape(rows, samples)
+
+
+@cache
+def _keep() -> None:
+    """Let glibc keep what is freed: up to twice the largest piece that it has seen freed, up to 32 MB."""
+    np.empty(KEPT // 8)

@@ -152,6 +152,12 @@ def test_without_a_hysteretic_part_it_is_a_gain_matrix():
     np.testing.assert_allclose(block(a=0.0 * A).respond(u)[0], D @ u, atol=1e-12)
 
 
+def test_what_forgets_nothing_is_a_gain():
+    u = np.random.default_rng(SEED).normal(0.0, 5.0, (1, 300))
+    straight = BoucWen([[BoucWenPair(2.0, hysteretic_um_per_v=0.5)]])
+    np.testing.assert_allclose(straight.respond(u)[0], 1.5 * u, atol=1e-9)
+
+
 def test_the_output_does_not_depend_on_the_rate():
     """Ten times as many samples on the same way give the same, but for the rounding of the rational step."""
     turns = np.array([0.0, 9.0, -6.0, 4.0, -2.0])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import theory
 
-from hammerstein.actuators.build import with_thresholds
-from hammerstein.blocks.instruments import Instruments
+from hammerstein.blocks.instruments import Drive, Instruments
+from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import discretise
 from hammerstein.errors import IdentificationError
 from hammerstein.experiment import simulated_identification
@@ -13,6 +13,7 @@ from hammerstein.experiment.simulated_identification import identify_each
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
+from hammerstein.paper.actuators import with_thresholds
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec
 from hammerstein.signals import Lissajous, Triangle
 
@@ -76,6 +77,20 @@ def test_joint_fit_finds_resonance_damping_and_an_unseen_record(name):
     true = plant.respond(u, [1]).position_um
     predicted, _ = discretise(model.dynamics, T).respond(model.hysteresis.respond(u)[0])
     assert (np.sqrt(np.mean((predicted - true)[:, 1600:] ** 2, axis=1)) < 0.15).all()
+
+
+def test_records_of_a_joint_fit_go_from_rest_about_the_middle_of_the_range():
+    model = HammersteinModel.load("duo_bimorph_static")
+    offset = replace(model, voltages=Voltages.of([35.0, 55.0], [35.0, 35.0], [55.0, 55.0]))
+    plant = Plant(offset, Instruments(drive=Drive(range_v=(30.0, 60.0))))
+    drive = simulated_identification._Excursion.of(plant, None)
+    for k, record in enumerate(simulated_identification._records(plant, JOINT, drive, [1, 2])):
+        u = record.u_v[k]
+        assert u[0] == pytest.approx([35.0, 55.0][k], abs=0.1)
+        assert u.min() > 34.9
+        assert u.max() < 55.1
+        settled = u[len(u) // 2 :]  # where the voltage has long left its rest
+        assert 0.5 * (settled.min() + settled.max()) == pytest.approx(45.0, abs=1.5)
 
 
 def test_creep_is_found_from_a_slow_record():

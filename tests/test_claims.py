@@ -9,9 +9,12 @@ from pydantic import ValidationError
 from hammerstein.errors import InputError
 from hammerstein.experiment.run import run
 from hammerstein.metrics import Row
+from hammerstein.model import HammersteinModel
+from hammerstein.paper.causes import variations
 from hammerstein.paper.claims import Agreement, Claim, Quantity
 from hammerstein.paper.page import write_page
 from hammerstein.paper.verdicts import Change, verdicts
+from hammerstein.scenario import Scenario
 
 
 def _row(rms, frequency=50.0, measured="x", true=None, label="a"):
@@ -138,7 +141,11 @@ def test_cut_voltages_are_told_beside_the_claim():
     row = Row("a", "x", "x", 200.0, figures={"rms_um": 1.0, "saturated_samples": 12})
     (verdict,) = verdicts([_claim({"at_most": 2.0})], {"plant": (row,)})
     assert verdict.agrees
-    assert verdict.reason == "the reference exceeds the range: the drive cut 12 samples"
+    cut = "the reference exceeds the range: the drive cut 12 samples"
+    assert verdict.reason == cut
+    changes = _changed(("sensor", "ideal", 0.2))
+    (unmet,) = verdicts([_claim({"at_most": 0.5})], {"plant": (row,)}, changes)
+    assert unmet.reason == f"{cut}. The sensor, in identification and judgement: 1, ideal 0.2"
 
 
 def test_rows_are_divided_by_those_of_their_own_place():
@@ -184,6 +191,26 @@ def test_the_cause_of_a_lagging_sensor_is_found_on_the_chain_itself():
     assert changed["dynamics"] == pytest.approx(verdict.answers[0].value, rel=1e-9)
     assert "passes" not in changed  # the law has none
     assert verdict.reason.startswith("the sensor, in identification and judgement: 3, with an ideal sensor")
+
+
+@pytest.mark.parametrize("octaves", [{}, {"of": "octaves_above", "found_hz": 50}])
+def test_a_claim_that_counts_from_where_it_was_found_is_not_asked_what_finding_it_elsewhere_makes(octaves):
+    content = {
+        "question": "?",
+        "actuator": "duo_bimorph",
+        "reference": {"kind": "sine", "amplitude_um": 50, "frequency_hz": 50},
+        "compensators": [
+            {"label": "a", "law": "inverse_multiplicative", "identification": {"frequency_hz": 50}}
+        ],
+    }
+    tried = variations(
+        Scenario.model_validate(content),
+        HammersteinModel.load("duo_bimorph"),
+        _claim({"at_least": 0.5}, quantity={"metric": "rms_um", **octaves}),
+    )
+    found = {variation.factor for variation in tried}
+    assert "dynamics" in found
+    assert ("identification_frequency" in found) == (not octaves)
 
 
 def test_met_claims_need_no_reason():
@@ -246,7 +273,7 @@ def test_the_page_opens_with_what_holds_where_and_puts_calibration_apart(tmp_pat
         "Under none of them holds, with the factor that brings each nearest on its own actuator: "
         "C2 (no single factor)." in opening
     )
-    counted, apart = text.split("The actuators were made to meet these")
+    counted, apart = text.split("The actuators were made from these loops")
     assert "| C3 |" in apart
     assert "| C3 |" not in counted
     assert "| (1" in counted  # in brackets: not met

@@ -149,6 +149,13 @@ def test_a_singular_model_is_refused():
         ExactInverseLaw(model, 10.0)
 
 
+def test_where_the_output_stands_still_the_drive_stays():
+    """Slope 2, then 0 from 1 V on: 2 um at most, however far the reference goes."""
+    law = ExactInverseLaw(_model([[Pair([0.0, 1.0], [2.0, -2.0])]]), 10.0, run_anyway=True)
+    drive, _ = law.respond(np.array([[0.5, 1.5, 10.0, 12.0]]))
+    assert drive[0] == pytest.approx([0.25, 0.75, 1.0, 1.0])
+
+
 def test_operators_that_the_range_never_engages_do_not_count():
     hysteresis = _model([[Pair([0.0, 5.0], [2.0, -3.0])]]).hysteresis
     assert not invertibility(hysteresis, 6.0).invertible

@@ -16,7 +16,7 @@ from hammerstein.errors import LostProcessError
 from hammerstein.runtime import workers
 from hammerstein.runtime.fanning import in_order
 from hammerstein.runtime.processes import loaded_beforehand
-from hammerstein.runtime.workers import Processes, signal_name
+from hammerstein.runtime.workers import Processes, ProcessesAndThis, signal_name
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of this kind are POSIX")
 
@@ -188,10 +188,10 @@ def test_a_process_that_cannot_begin_is_tried_twice_and_nobody_waits_for_ever(
     left = [error()] * times
 
     class Worker(workers._Worker):
-        def __init__(self):
+        def __init__(self, loads):
             if left:
                 raise left.pop()
-            super().__init__()
+            super().__init__(loads)
 
     monkeypatch.setattr(workers, "_Worker", Worker)
     with Processes(1) as processes:
@@ -269,6 +269,27 @@ def test_leaving_early_ends_the_workers():
     assert isinstance(long.exception(), LostProcessError)
     after = [p for p in psutil.Process().children(recursive=True) if p not in before]
     assert_gone([p for p in after if "resource_tracker" not in "".join(p.cmdline())][1:], 2.0)
+
+
+def slow_number():
+    time.sleep(0.05)
+    return os.getpid()
+
+
+def test_this_process_is_a_worker_beside_the_others_and_begins_before_them():
+    with ProcessesAndThis(2) as processes:
+        futures = [processes.submit(slow_number) for _ in range(100)]
+        pids = [future.result() for future in futures]
+    assert pids[0] == os.getpid()
+    assert len(set(pids)) == 2
+
+
+def test_nobody_waits_for_the_worker_that_is_this_process():
+    start = time.monotonic()
+    with contextlib.suppress(KeyboardInterrupt), ProcessesAndThis(1) as processes:
+        processes.submit(time.sleep, 30.0)
+        raise KeyboardInterrupt
+    assert time.monotonic() - start < 20.0
 
 
 def test_a_task_that_cannot_be_sent_is_told_and_the_next_is_done():

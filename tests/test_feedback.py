@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import control
 import numpy as np
@@ -137,6 +138,16 @@ def test_saturated_is_where_more_is_asked_than_the_drive_gives(law, model):
     np.testing.assert_array_equal(run.saturated, np.abs(run.requested_v) > 10.0)
     assert run.saturated.any()
     assert np.abs(run.requested_v).max() < 20.0
+
+
+@pytest.mark.parametrize("asked_v", [-10.0, 10.0])
+def test_the_end_of_the_range_itself_is_not_saturated(model, asked_v):
+    nothing = Gains(np.zeros(2), np.zeros(2), np.zeros(2))
+    forward = SimpleNamespace(drive_for=lambda reference_um: np.full(reference_um.shape, asked_v))
+    law = FeedbackController(model, 10.0, T, 2000.0, gains=nothing, feedforward=forward)
+    run = _run(law, model, _path(radius=10.0, frequency_hz=50.0), QUIET)
+    assert (run.requested_v == asked_v).all()
+    assert not run.saturated.any()
 
 
 @pytest.mark.parametrize("derivative", [False, True])

@@ -270,7 +270,13 @@ def test_errors_of_an_axis_are_seen_beside_those_of_a_compensator_that_fails() -
     ideal = {"bandwidth_hz": "inf", "noise_um": 0, "resolution_um": 0}
     content = {"actuator": "duo_bimorph", "instruments": {"sensor": ideal}}
     report = report_of(reference=CIRCLE, compensators=[failing, good], **content)
-    assert any(axes.get_yscale() == "symlog" for axes in figures_of(report)["path"].axes)
+    signed = [axes for axes in figures_of(report)["path"].axes if axes.get_yscale() == "symlog"]
+    worst = max(row.figures["euclidean_max_um"] for row in report.rows)
+    assert len(signed) == 2
+    for axes in signed:  # where the linear middle ends, and how far the failing one goes
+        (_, nearest, largest) = (tick for tick in axes.get_yticks() if tick >= 0.0)
+        assert nearest == axes.yaxis.get_transform().linthresh
+        assert 0.5 * worst < largest <= worst
 
 
 def test_an_error_of_rounding_neither_fills_an_axis_with_ticks_nor_stretches_it() -> None:

@@ -38,6 +38,14 @@ def excitation(samples=4000):
     return np.concatenate([np.zeros(20), sine, sines])
 
 
+@pytest.mark.parametrize(("thresholds", "places"), [(5, 8), (19, 5), (60, 3)])
+def test_between_two_thresholds_so_many_places_are_tried_that_there_are_about_96(thresholds, places):
+    grid = np.linspace(0.0, AMPLITUDE, thresholds, endpoint=False)[1:]
+    fine = finer(grid, AMPLITUDE)
+    assert len(fine) == thresholds * places
+    assert np.isin(grid, fine).all()
+
+
 def wandering(generator, inputs, samples=6000):
     walk = np.cumsum(generator.standard_normal((inputs, samples)), axis=1)
     low, high = walk.min(axis=1, keepdims=True), walk.max(axis=1, keepdims=True)

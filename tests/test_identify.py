@@ -17,7 +17,7 @@ from hammerstein.identification.linear.coupled import ModalCopies, behind_gain, 
 from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.history import cautious_start, closed, judged_starts
 from hammerstein.identification.static.regressors import Start
-from hammerstein.identification.verdict import invertibility_of, verdict
+from hammerstein.identification.verdict import UNTOLD, invertibility_of, verdict
 from hammerstein.model import HammersteinModel
 from hammerstein.records.preparation import run_in
 from hammerstein.records.reading import read_records
@@ -179,6 +179,14 @@ def test_weights_behind_a_known_coupled_block_come_back():
         fit = fit_static_coupled([record], [[r] * 2] * 2, block, [Start("rest")], method=method)
         found = np.array([[pair.weights_um_per_v for pair in row] for row in fit.hysteresis.pairs])
         assert np.abs(found - w).max() < 1e-8
+    falling = w.copy()
+    falling[0, 0] = [-0.4, 2.4]  # whose first slope falls, and with it the determinant
+    record = Record(u, responses(a, b, c, theory.prandtl_ishlinskii(u, [[r] * 2] * 2, falling)), 1e-3)
+    for method, comes_back in (("least_squares", True), ("invertible", False)):
+        fit = fit_static_coupled([record], [[r] * 2] * 2, block, [Start("rest")], method=method)
+        found = np.array([[pair.weights_um_per_v for pair in row] for row in fit.hysteresis.pairs])
+        assert (np.abs(found - falling).max() < 1e-8) == comes_back
+        assert (found[0, 0, 0] > 0.0) != comes_back
     path = ModalCopies.of(block, 1, 0, 1)
     said, _ = path.respond(u[:1], path.rest())
     assert np.abs(said - responses(a, b[:, :1], c[1:], u[:1])).max() < 1e-9
@@ -238,6 +246,11 @@ def test_verdict_speaks_of_what_it_compares():
     )
     assert "The linear dynamics improve the model: they lower the error from 7.9 to 0.69 %." in said
     assert said.endswith("does not represent these records: y saturates.")
+    asked = {
+        kept: verdict(scores, True, (), "second_order", kept) for kept in ("static_hysteresis", "hammerstein")
+    }
+    assert asked["static_hysteresis"] == f"{UNTOLD} {verdict(scores, True, (), 'auto', 'static_hysteresis')}"
+    assert asked["hammerstein"] == verdict(scores, True, (), "auto", "hammerstein")
 
 
 def test_a_linear_block_without_inverse_is_blamed_with_its_frequency():

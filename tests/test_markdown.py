@@ -244,6 +244,8 @@ def test_table_of_a_path_holds_distance_radius_and_the_paper_s_epsilon() -> None
         for value in (row.euclidean_rms_um, row.euclidean_max_um, row.radial_max_um, row.epsilon_max_um)
     )
     assert true.header[-1] == "radius, worst"
+    own = next(iter(number_tables(report_of(reference=CIRCLE, compensators=[NONE]))))
+    assert own.header[-1] == "radius, worst", "a run that answers no paper has none of its figures"
     assert true.lines[1][-1] == number(row.radial_max_true_um)
 
 

@@ -3,11 +3,12 @@ import json
 import numpy as np
 import pytest
 
-from hammerstein.actuators.build import build
+from hammerstein.actuators import stacks
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel, packaged_actuators
+from hammerstein.paper import actuators
 
 
 def _ragged():
@@ -115,7 +116,7 @@ def test_unwritable_place_leaves_nothing(tmp_path):
 def test_packaged_actuators_are_what_their_command_makes(tmp_path):
     static = HammersteinModel.load("duo_bimorph_static")
     static.save(tmp_path / "duo_bimorph_static.json")
-    made = build(tmp_path)
+    made = actuators.build(tmp_path) + stacks.build(tmp_path)
     assert sorted([p.stem for p in made] + ["duo_bimorph_static"]) == packaged_actuators()
     for path in made:
         fresh, packaged = HammersteinModel.load(path), HammersteinModel.load(path.stem)

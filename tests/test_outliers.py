@@ -20,6 +20,14 @@ def test_a_short_jump_away_and_back_is_one_in_any_unit(scale):
     np.testing.assert_allclose(found.y, scale * 5.0 * U, atol=1e-3 * scale)
 
 
+@pytest.mark.parametrize(("times", "is_one"), [(6.0, True), (3.0, False)])
+def test_a_jump_is_one_from_four_times_the_usual_large_step_on(times, is_one):
+    y = 5.0 * U
+    middle = int(np.argmin(np.abs(U[0, 1000:1300]))) + 1000
+    y[0, middle] += times * np.abs(np.diff(y)).max()
+    assert without_outliers(U, y).lost_y.any() == is_one
+
+
 def test_the_sample_before_the_last_may_be_one():
     y = 5.0 * U
     y[0, -2] += 30.0

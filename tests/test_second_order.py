@@ -13,7 +13,7 @@ from theory_linear import second_order_step
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
 from hammerstein.identification.axes_candidates import dynamics_of
 from hammerstein.identification.linear.axis_delay import _part_of_a_sample, checked_delay
-from hammerstein.identification.linear.axis_fit import AxisFit, fit_axes
+from hammerstein.identification.linear.axis_fit import AxisFit, fit_axes, fit_axis
 from hammerstein.identification.linear.axis_search import search_axes
 from hammerstein.identification.linear.axis_steps import refine
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
@@ -156,6 +156,13 @@ def test_creep_comes_back_from_a_slow_record_beside_fast_ones():
         modes = sorted(axis.axis.creep, key=lambda mode: mode.time_constant_s)
         assert [mode.gain for mode in modes] == pytest.approx([0.04, 0.06], rel=0.02)
         assert [mode.time_constant_s for mode in modes] == pytest.approx([0.5, 8.0], rel=0.02)
+
+
+def test_a_resonance_shows_whatever_the_size_of_the_motion():
+    records = [Record(r.u_v, 2.0**-13 * r.y_um, T) for r in campaign(0.2, frequencies=(100.0, 250.0))]
+    starts = (Start("rest"),) * len(records)
+    task = AxisTask(tuple(records), starts, (R, R), 0, AxisShape(), 0, SENSOR_HZ)
+    assert fit_axis(task, np.log(AXES[0])).excited
 
 
 def test_a_slow_record_tells_no_resonance():

@@ -48,7 +48,7 @@ def test_the_end_of_the_path_is_no_lack_of_settling():
         "smooth_start_s": 0.02,
     }
     (text,) = _told(reference=triangle, compensators=[law])
-    assert "ahead, and the last cycle hears of the end of the path" in text
+    assert "ahead, and the last cycle responds to the end of the path" in text
 
 
 @pytest.mark.parametrize("cycles", [2, 8])

@@ -2,6 +2,7 @@
 
 import pytest
 
+from hammerstein.arrays import PAGE, room
 from hammerstein.commands import cli, watch
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.plan import jobs_that_fit, plan_of
@@ -161,3 +162,11 @@ def test_what_takes_long_says_so_and_wants_yes_of_a_person(tmp_path, monkeypatch
         code, said = call(watched, *options)
         assert "this takes about" in said
     assert begun == [1, 1]
+
+
+def test_memory_for_long_signals_lies_on_large_pages():
+    few, many = room(3, 1000), room(6, 900_000)
+    assert few.shape == (3, 1000)
+    assert many.shape == (6, 900_000)
+    assert many.ctypes.data % PAGE == 0
+    assert all(array.flags.c_contiguous and array.flags.writeable for array in (few, many))

@@ -45,7 +45,7 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return place
 
 
-@pytest.mark.parametrize("options", [[], ["--paper"]])
+@pytest.mark.parametrize("options", [[], ["--of", "paper"]])
 @pytest.mark.parametrize("linked", [True, False])
 def test_init_writes_nothing_past_what_stands_in_the_way_of_a_folder(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], linked: bool
@@ -74,7 +74,7 @@ def test_an_init_that_fails_in_the_middle_leaves_nothing(
         rename(source, place)
 
     monkeypatch.setattr("os.rename", full)
-    assert call("init", target, "--paper") == 2
+    assert call("init", target, "--of", "paper") == 2
     assert f"{target}: cannot be written (no space left on device)" in capsys.readouterr().err
     assert not target.exists() or not list(target.iterdir())
 
@@ -111,11 +111,19 @@ def test_nothing_is_ever_written_over(folder: Path, capsys: pytest.CaptureFixtur
 
 
 def test_the_paper_comes_with_its_accepted_numbers(tmp_path: Path) -> None:
-    assert call("init", tmp_path / "paper", "--paper") == 0
+    assert call("init", tmp_path / "paper", "--of", "paper") == 0
     names = {path.stem for path in (tmp_path / "paper").glob("*.toml")}
     held = {path.stem for path in (tmp_path / "paper/reports/baseline").glob("*.json")}
     assert names == held == {path.stem for path in (Path(__file__).parents[1] / "scenarios").glob("*.toml")}
-    assert call("init", tmp_path / "paper", "--paper") == 2
+    assert call("init", tmp_path / "paper", "--of", "paper") == 2
+
+
+def test_init_of_something_unknown_names_what_is_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("init", tmp_path / "new", "--of", "papr") == 2
+    assert "--of: nothing of 'papr' is there; give one of paper" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
 
 
 def test_play_does_what_compensate_predicts(folder: Path) -> None:
@@ -167,6 +175,7 @@ def test_play_says_what_is_wrong(
         ("stage_fit/fit.json", ["fit report", "record_x.csv"]),
         ("reports/circle/report.json", ["report", "How round"]),
         ("reports/baseline/circle.json", ["baseline", "rows"]),
+        ("duo_bimorph", ["model", "15 operators", "279.7 Hz"]),
     ],
 )
 def test_show_tells_what_a_file_holds(

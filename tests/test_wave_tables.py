@@ -1,5 +1,6 @@
 """One settled period of a periodic path, and the tables of devices: what is stated is what is played."""
 
+import io
 import json
 import re
 
@@ -65,6 +66,8 @@ def test_a_settled_period_repeats_itself(tmp_path):
     played = _replayed(found.drive_v)
     assert np.abs(played - found.played_um).max() < 1e-9
     assert rms(played - found.reference_um) < 0.01  # steps of the converter, 0.3 mV
+    written = pd.read_csv(io.StringIO(found.to_csv()), comment="#")
+    assert written["time_s"].to_numpy() == pytest.approx(T * np.arange(800), abs=1e-9)
 
 
 def test_the_first_period_is_another_one(tmp_path):
@@ -94,7 +97,13 @@ def test_a_replay_reproduces_the_stated_error(tmp_path, capsys, options, separat
     assert said["rms_um"][0] <= said["rms_um"][1] * 1.001
     if "nv200" in options:
         assert table.shape[1] == 1000  # of 1024; 800 us would be too few a point
-    assert "No device was at hand" in out.read_text()
+    text = out.read_text()
+    assert "No device was at hand" in text
+    assert (f"Table rate {hold} at a servo update time of 50 us" in text) == ("pi" in options)
+    limits = (
+        f"points {table.shape[1]}, rate {1.0 / (hold * T):g} Hz, low {table.min():g}, high {table.max():g}"
+    )
+    assert (limits in text) == ("csv" in options)
 
 
 def test_points_are_placed_for_the_least_played_error(tmp_path):

@@ -1,11 +1,14 @@
-"""Made-up stacks by recipe, for kinds of hysteresis that the paper's table does not show."""
+"""Made-up stacks by recipe, asymmetric and rate-dependent: ``python -m hammerstein.actuators.stacks``."""
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hammerstein.actuators import DEFAULT
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics
 from hammerstein.hysteresis import (
@@ -111,6 +114,20 @@ def _made_up(
         instruments=instruments,
         provenance={
             "source": "made up by the recipe of hammerstein.actuators.stacks",
-            "command": "python -m hammerstein.actuators.build",
+            "command": "python -m hammerstein.actuators.stacks",
         },
     )
+
+
+def build(folder: Path) -> list[Path]:
+    """Write the stacks into a folder, with converter and sensor of the default actuator."""
+    instruments = HammersteinModel.load(DEFAULT).instruments
+    stacks = (rate_dependent_stack(instruments), asymmetric_stack(instruments))
+    for stack in stacks:
+        stack.save(folder / f"{stack.name}.json")
+    return [folder / f"{stack.name}.json" for stack in stacks]
+
+
+if __name__ == "__main__":
+    for written in build(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent):
+        sys.stdout.write(f"{written}\n")

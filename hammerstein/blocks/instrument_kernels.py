@@ -49,22 +49,22 @@ def outside(wire, first, stop, low, high):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def read_positions(filtered, generator, noise, largest, step, reading):  # type: ignore[no-untyped-def]
-    """Readings of positions: noise, range and step.
+def read_positions(generator, noise, largest, step, first, end, reading):  # type: ignore[no-untyped-def]
+    """Make readings of positions: noise, range and step.
 
     The numbers of the generator are those of its ``standard_normal``, drawn sample by sample.
 
-    filtered : (p, N) [um]; noise : rms [um]; largest : reading of either sign [um]; step : of the reading
-    reading : (p, N), overwritten
+    noise : rms [um]; largest : reading of either sign [um]; step : of the reading
+    reading : (p, N) positions [um], turned into readings from sample first up to end
     """
-    p, samples = filtered.shape
+    p = reading.shape[0]
     drawn = np.zeros(p * BLOCK)
-    for start in range(0, samples, BLOCK):
-        stop = min(start + BLOCK, samples)
+    for start in range(first, end, BLOCK):
+        stop = min(start + BLOCK, end)
         if noise != 0.0:
             for i in range(p * (stop - start)):
                 drawn[at(i)] = generator.standard_normal()
         for o in range(p):
             for t in range(start, stop):
-                noisy = filtered[o, at(t)] + noise * drawn[at((t - start) * p + o)]
+                noisy = reading[o, at(t)] + noise * drawn[at((t - start) * p + o)]
                 reading[o, at(t)] = converted(noisy, -largest, largest, step)

@@ -21,7 +21,7 @@ Address = Annotated[
     ),
 ]
 
-WORTH_PROCESSES_S = 60.0
+WORTH_PROCESSES_S = 30.0
 """Time of many short runs, as planned, from which they are worth the start of processes."""
 
 
@@ -46,10 +46,10 @@ def apart(jobs: Jobs, seconds: float) -> AbstractContextManager[Jobs]:
 
     Threads of one process share Python's interpreter, but begin at once.
     """
-    from hammerstein.runtime.workers import Processes
+    from hammerstein.runtime.workers import ProcessesAndThis
 
     if isinstance(jobs, int) and jobs > 1 and seconds > WORTH_PROCESSES_S:
-        return Processes(jobs)
+        return ProcessesAndThis(jobs)
     return nullcontext(jobs)
 
 

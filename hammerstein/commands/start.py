@@ -15,16 +15,21 @@ from hammerstein.commands.terminal import complain, show as show_table, tell, te
 
 def init(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to; here if not given.")] = Path("."),
-    paper: Annotated[
-        bool, typer.Option("--paper", help="Copy the scenarios of the paper, with their accepted numbers.")
-    ] = False,
+    of: Annotated[
+        str | None,
+        typer.Option(
+            "--of",
+            metavar="NAME",
+            help="Copy ready scenarios with their accepted numbers: paper, or of a plug-in.",
+        ),
+    ] = None,
 ) -> None:
     """Make a working folder: records, a model, a scenario, its numbers, and what to do next."""
-    from hammerstein.commands.working_folder import own_folder, paper_folder, refuse_started
+    from hammerstein.commands.working_folder import folder_of, own_folder, refuse_started
 
     there = "" if folder == Path(".") else f"cd {shlex.quote(str(folder))}, then "
-    if paper:
-        paper_folder(folder)
+    if of is not None:
+        folder_of(of, folder)
         tell(f"scenarios in {folder}; {there}hammerstein run . or hammerstein check .")
         return
     from hammerstein.commands.warm_up import compile_once
@@ -39,14 +44,18 @@ def init(
 
 
 def show(
-    file: Annotated[Path, typer.Argument(help="Scenario, model, record, drive file, report or baseline.")],
+    file: Annotated[
+        Path,
+        typer.Argument(help="Scenario, model or packaged actuator, record, drive file, report or baseline."),
+    ],
     as_json: AsJson = False,
 ) -> None:
     """Print what a file holds, before anything runs."""
     from hammerstein.commands.contents import contents_of
     from hammerstein.commands.tables import facts_table
+    from hammerstein.model import packaged_actuators, place_of
 
-    found = contents_of(file)
+    found = contents_of(place_of(str(file)) if str(file) in packaged_actuators() else file)
     if as_json:
         tell_json({"file": str(file), "kind": found.kind, **dict(found.facts)})
         return

@@ -120,12 +120,13 @@ def _written(out: Path) -> Iterator[_Table]:
 
 def _lines(one: Sampled) -> Iterator[dict[str, Any]]:
     """One line a row, with the values of its run; a run without rows has one line."""
-    from hammerstein.metrics import KEY, METRICS
+    from hammerstein.metrics import KEY, metrics_of
 
     run: Mapping[str, Any] = {"sample": one.number, **{key: float(v) for key, v in one.point.items()}}
-    none = dict.fromkeys((*KEY, *METRICS))
+    names = [metric.name for metric in metrics_of()]
+    none = dict.fromkeys((*KEY, *names))
     for columns in [row.columns() for row in one.rows] or [none]:
-        figures = {name: None if columns[name] is None else float(columns[name]) for name in METRICS}
+        figures = {name: None if columns[name] is None else float(columns[name]) for name in names}
         yield {**run, **{name: columns[name] for name in KEY}, **figures, "error": one.error}
 
 

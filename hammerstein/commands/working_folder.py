@@ -14,11 +14,12 @@ import numpy as np
 from hammerstein.actuators import DEFAULT
 from hammerstein.errors import InputError
 from hammerstein.files import begun, ended, reason_of, remove_empty
+from hammerstein.plugins import load_plugins
+from hammerstein.scenario.assessment import ASSESSMENTS
 
 Say = Callable[[str], None]
 
-PACKAGE = Path(__file__).parents[1]
-STARTER = PACKAGE / "starter"
+STARTER = Path(__file__).parents[1] / "starter"
 SAMPLE_TIME_S, AMPLITUDE_V = 50e-6, 10.0
 SINE_SAMPLES, MULTISINE_SAMPLES = 1200, 3000
 COLUMNS = ("u_x", "u_y"), ("x", "y")
@@ -52,26 +53,18 @@ def own_folder(target: Path, say: Say) -> None:
         _run(room, lambda what, done, of: say(f"3 of 3: running the scenario: {what}, {done} of {of}"))
 
 
-def paper_folder(target: Path) -> None:
-    """Copy the shipped scenarios, and the numbers that were accepted for them.
+def folder_of(assessment: str, target: Path) -> None:
+    """Copy the scenarios that a kind of assessment brings, and the numbers that were accepted for them.
 
-    Raises InputError as ``own_folder`` does.
+    Raises InputError as ``own_folder`` does, and where no such kind brings any.
     """
-    scenarios, baselines = (
-        _shipped("paper/scenarios", "*.toml", "scenarios"),
-        _shipped("paper/baseline", "*.json", "reports/baseline"),
-    )
+    load_plugins()
+    brought = {name: files for name, kind in ASSESSMENTS.kinds.items() if (files := kind.shipped())}
+    if assessment not in brought:
+        raise InputError("--of", f"nothing of {assessment!r} is there; give one of {', '.join(brought)}")
     with _made(target) as room:
-        for file in scenarios:
-            _copy(file, room / file.name)
-        for file in baselines:
-            _copy(file, room / "reports/baseline" / file.name)
-
-
-def _shipped(name: str, pattern: str, checkout: str) -> list[Path]:
-    """Files that stand in the package once it is installed, and beside it in its source."""
-    folder = PACKAGE / name
-    return sorted((folder if folder.is_dir() else PACKAGE.parent / checkout).glob(pattern))
+        for name, file in brought[assessment].items():
+            _copy(file, room / name)
 
 
 @contextmanager

@@ -20,12 +20,14 @@ from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.fanning import Jobs
+from hammerstein.runtime.one_thread import one_blas_thread
 
 TIMED_SAMPLES = 20_000
 REPEATS = 5
 """Samples of the forward model that are timed, and how often; the shortest time counts."""
 
 
+@one_blas_thread()
 def compare(
     records: Sequence[Record],
     settings: Settings | None = None,

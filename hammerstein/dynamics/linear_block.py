@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, freeze
+from hammerstein.arrays import Array, Complex, Indices, freeze_fields
 from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,10 +51,7 @@ class LinearBlock:
     sample_time_s: float
 
     def __post_init__(self) -> None:
-        for name in "ABCD":
-            matrix = np.array(getattr(self, name), dtype=np.float64)
-            freeze(matrix)
-            object.__setattr__(self, name, matrix)
+        freeze_fields(self, *"ABCD")
 
     def __repr__(self) -> str:
         return (
@@ -125,9 +122,6 @@ class LinearBlock:
 
         Raises InputError where ``sample_time_s`` of the signal is not the block's own, or shapes differ.
         """
-        from hammerstein.compiled import spans
-        from hammerstein.dynamics.linear_kernel import respond_linear
-
         if sample_time_s is not None and not math.isclose(sample_time_s, self.sample_time_s, rel_tol=1e-9):
             raise InputError(
                 "signal",
@@ -139,9 +133,16 @@ class LinearBlock:
             raise InputError("signal", f"has {v.shape[0]} axes, the block wants {self.n_inputs}")
         x = self.rest() if start is None else np.array(start, dtype=np.float64)
         y = np.empty((self.n_outputs, v.shape[1]))
-        for first, end in spans(v.shape[1], len(self.rows[2])):
-            respond_linear(*self.rows, x, v, first, end, y)
+        self.carry_on(v, x, 0, v.shape[1], y)
         return y, x
+
+    def carry_on(self, v_um: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
+        """Put outputs into y_um (p, sample) from one sample up to another; ``state`` (n,) is moved on."""
+        from hammerstein.compiled import spans
+        from hammerstein.dynamics.linear_kernel import respond_linear
+
+        for start, end in spans(stop - first, len(self.rows[2])):
+            respond_linear(*self.rows, state, v_um, first + start, first + end, y_um)
 
     def step(self, v_um: ArrayLike, state: Array) -> tuple[Array, Array]:
         """Output (p,) for one sample (m,), and the state after it; equal to ``respond`` to the last bit."""
@@ -161,14 +162,14 @@ class LinearBlock:
         return BlockSystem(block, *wires, sample_time_s, name)
 
     @cached_property
-    def rows(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    def rows(self) -> tuple[Indices, Indices, Array]:
         """Non-zero entries of [[A, B], [C, D]] row by row: axes that do not couple cost nothing."""
         full = np.block([[self.A, self.B], [self.C, self.D]])
         filled = full != 0.0
         start = np.concatenate([[0], np.cumsum(filled.sum(axis=1))]).astype(np.int64)
         return start, np.nonzero(filled)[1].astype(np.int64), full[filled]
 
-    def response(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
+    def response(self, frequency_hz: ArrayLike) -> Complex:
         """Frequency response (frequency, p, m) of the block on its grid."""
         z = np.exp(2j * np.pi * np.atleast_1d(np.asarray(frequency_hz)) * self.sample_time_s)
         n = self.A.shape[0]

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import SimulationError
-from hammerstein.experiment.prepare import Case, SetUp, Window, scenario_axes
-from hammerstein.experiment.recording import Target, recorded, targets_of
-from hammerstein.experiment.report import Prediction, Trace
+from hammerstein.experiment.prepare import Case, SetUp, Window
+from hammerstein.experiment.recording import recorded, targets_of
+from hammerstein.experiment.report import Target, Trace
 from hammerstein.experiment.settling import advice, settled
-from hammerstein.metrics import METRICS, LoopFigures, Measured, Metric, Row, loop_figures
+from hammerstein.metrics import LoopFigures, Measured, Metric, Row, loop_figures, metrics_of
 from hammerstein.model.simulation import Response
 from hammerstein.signals import OneFrequency
 
@@ -45,17 +46,16 @@ def rows_of(setup: SetUp, case: Case) -> Result:
     _refuse_still(setup, case, response)
     window = Window.of(setup.scenario, case.signal, response.sample_time_s)
     loops = _loops(setup, case, response, window)
-    rows = tuple(_rows(setup, case, response, targets, METRICS.values(), loops))
-    names = scenario_axes(setup.scenario, setup.plant.model)
+    rows = tuple(_rows(setup, case, response, targets, setup.scenario.metrics(), loops))
     predictions = tuple(
-        Prediction(t.label, t.reading_um[:, window.first :], t.position_um[:, window.first :])
-        for t in targets
-        if t is not None and setup.scenario.drive is not None
+        target.part(slice(window.first, None))
+        for target in targets
+        if target is not None and setup.scenario.drive is not None
     )
     trace = Trace(
         label=case.label,
         signal=case.signal,
-        excited_axis="all" if case.axis is None else names[case.axis],
+        excited_axis=setup.excited_axis(case),
         response=response.after(window.first),
         first_sample=window.first,
         predictions=predictions,
@@ -82,7 +82,7 @@ def _refuse_still(setup: SetUp, case: Case, response: Response) -> None:
 
 def drawn_rows(setup: SetUp, case: Case, response: Response) -> tuple[Row, ...]:
     """Rows of one case with the figures alone of which an uncertain actuator gives a band."""
-    drawn = [metric for metric in METRICS.values() if metric.drawn]
+    drawn = [metric for metric in metrics_of() if metric.drawn]
     return tuple(_rows(setup, case, response, targets_of(setup, case, response)[0], drawn))
 
 
@@ -128,10 +128,9 @@ def _middle(case: Case, response: Response) -> Array | None:
 
 def _key(setup: SetUp, case: Case) -> dict[str, Any]:
     """What tells the rows of a case from those of others, whatever the response is compared with."""
-    names = scenario_axes(setup.scenario, setup.plant.model)
     signal = case.signal.model_dump()
     return {
-        "excited_axis": "all" if case.axis is None else names[case.axis],
+        "excited_axis": setup.excited_axis(case),
         "frequency_hz": case.signal.highest_frequency_hz,
         "amplitude_v": signal.get("amplitude_v", signal.get("radius_v")),
         "amplitude_um": signal.get("amplitude_um", signal.get("radius_um")),
@@ -224,11 +223,15 @@ def _sampling(setup: SetUp) -> Iterator[str]:
     highest = max(signal.highest_frequency_hz for signal in scenario.signals())
     share = hold_share(highest, step)
     if share > HOLD_SHARE:
-        yield (
+        held = (
             f"Every voltage is held for {1e6 * step:g} us: at {highest:g} Hz this alone puts a sine "
             f"{100.0 * share:.2g} % of its amplitude off, more than {100.0 * HOLD_SHARE:g} % from "
-            f"{HOLD_SHARE / (math.pi * step):.3g} Hz on. Only a law or model with dynamics knows of it."
+            f"{HOLD_SHARE / (math.pi * step):.3g} Hz on. "
         )
+        if isinstance(setup.plant.model.dynamics, StaticDynamics):
+            yield held + "Without dynamics that is so between the samples, and the figures are those at them."
+        else:
+            yield held + "Only a law or model with dynamics knows of it."
     for source in (*scenario.compensators, *scenario.models):
         own = getattr(source.identification, "sample_time_s", None)
         if own is not None and not math.isclose(own, step):

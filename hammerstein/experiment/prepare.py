@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, room
 from hammerstein.blocks import Controller, Law, Learner
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Instruments
@@ -85,10 +85,19 @@ class SetUp:
     models: dict[str, HammersteinModel]
     laws: dict[str, AnyLaw]
 
+    @cached_property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes that the scenario's signal has."""
+        return scenario_axes(self.scenario, self.plant.model)
+
+    def excited_axis(self, case: Case) -> str:
+        """Name of the axis that a case excites; ``all`` where they are driven together."""
+        return "all" if case.axis is None else self.axes[case.axis]
+
     def cases(self) -> Iterator[Case]:
         """Every case, in the order of the report."""
         scenario = self.scenario
-        axes = driven_axes(scenario, len(scenario_axes(scenario, self.plant.model)))
+        axes = driven_axes(scenario, len(self.axes))
         for signal, trial in scenario.runs():
             tested = [c.label for c in scenario.compensators if c.is_tested_at(signal.highest_frequency_hz)]
             for label in [""] if scenario.drive is not None else tested:
@@ -118,9 +127,8 @@ class SetUp:
         refuse_too_long(window.total, hysteresis.n_inputs, hysteresis.n_outputs)
         law = None if scenario.drive is not None else self.laws[case.label]
         m, p = hysteresis.n_inputs, hysteresis.n_outputs
-        # One piece of memory, which the system gives in fewer and larger pages than three.
-        room = np.empty((2 * m + p * (law is not None), window.total))
-        drive_v, asked_v, path_um = np.split(room, [m, 2 * m])
+        wires = room(2 * m + p * (law is not None), window.total)
+        drive_v, asked_v, path_um = np.split(wires, [m, 2 * m])
         if law is None:
             self._sample(case, asked_v)
             return _following(plant, plant.driven(asked_v, False, out=drive_v), None, case)
@@ -187,7 +195,7 @@ class SetUp:
         """Values (axis, sample) of the signal of a case from one sample to before another."""
         time_s = self.plant.sample_time_s * np.arange(first, stop, dtype=np.float64)
         rest = 0.0 if self.scenario.drive is None else self.plant.range.working_point_v
-        return values_of(case, time_s, len(scenario_axes(self.scenario, self.plant.model)), rest)
+        return values_of(case, time_s, len(self.axes), rest)
 
 
 def _asked_for(law: Law[Any], path_um: Array, drive_v: Array) -> Array:

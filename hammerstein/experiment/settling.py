@@ -63,5 +63,5 @@ def _why(setup: SetUp, case: Case) -> str:
         slowest = max(mode.time_constant_s for axis in dynamics.axes for mode in axis.creep)
         return f"the actuator creeps, with time constants up to {slowest:g} s"
     if ahead_s > END_SHARE * case.signal.period_s:
-        return f"its law looks {ahead_s:.3g} s ahead, and the last cycle hears of the end of the path"
+        return f"its law looks {ahead_s:.3g} s ahead, and the last cycle responds to the end of the path"
     return "the cycles go on differing"

@@ -178,8 +178,9 @@ def _records(plant: Plant, spec: JointFitSpec, drive: _Excursion, seeds: list[in
         ] + [Multisine(amplitude=amplitude_v, lowest_hz=lowest, highest_hz=highest, seed=seeds[0])]
         waves = np.concatenate([burst.sample(time_s, 1)[0] for burst in bursts])
         away = drive.centre_v[k] - drive.rest_v[k]
-        ramp = away * smooth_step(np.arange(len(waves)) / samples)
-        blocks.append(np.concatenate([np.zeros(REST_SAMPLES), waves + ramp]))
+        ramp = smooth_step(np.arange(len(waves)) / samples)
+        grown = ramp * waves if away else waves  # on the way to the middle, full waves would leave the range
+        blocks.append(np.concatenate([np.zeros(REST_SAMPLES), grown + away * ramp]))
     one, m = blocks[0], len(blocks)
     voltage = drive.rest_v[:, None] + block_diag(*blocks)
     response = plant.respond(voltage, seeds)

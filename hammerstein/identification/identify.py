@@ -32,6 +32,7 @@ from hammerstein.identification.verdict import axis_identified, invertibility_of
 from hammerstein.model import HammersteinModel
 from hammerstein.records.preparation import FEWEST_AT_REST, dead_start, refuse_swapped
 from hammerstein.records.record import Record
+from hammerstein.runtime.one_thread import one_blas_thread
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -54,6 +55,7 @@ def _told(work: Callable[P, T]) -> Callable[P, T]:
 
 
 @_told
+@one_blas_thread()
 def identify(
     records: Sequence[Record],
     settings: Settings | None = None,

@@ -7,7 +7,6 @@ tolerances and baseline follow.
 from hammerstein.metrics.arrays import (
     LoopFigures,
     drift,
-    epsilon,
     euclidean,
     loop_figures,
     radial,
@@ -15,21 +14,22 @@ from hammerstein.metrics.arrays import (
     worst,
 )
 from hammerstein.metrics.measured import Measured
-from hammerstein.metrics.metric import METRICS, Metric, metric
-from hammerstein.metrics.row import KEY, Row
+from hammerstein.metrics.metric import METRICS, Metric, metric, metrics_of
+from hammerstein.metrics.row import KEY, Keyed, Row
 
 __all__ = [
     "KEY",
     "METRICS",
+    "Keyed",
     "LoopFigures",
     "Measured",
     "Metric",
     "Row",
     "drift",
-    "epsilon",
     "euclidean",
     "loop_figures",
     "metric",
+    "metrics_of",
     "radial",
     "rms",
     "worst",

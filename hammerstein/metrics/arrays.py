@@ -34,17 +34,6 @@ def radial(reference: Array, position: Array) -> Array:
     return np.asarray(np.linalg.norm(position, axis=0) - np.linalg.norm(reference, axis=0))
 
 
-def epsilon(reference: Array, position: Array) -> Array:
-    """The paper's error of a two-axis path (sample,), as printed (section 5.4).
-
-        eps = sgn(theta) sqrt|theta|,   theta = (x_r + y_r)^2 - (x + y)^2
-
-    It turns a small error into a large value where x_r + y_r is large; judge paths by the error per axis.
-    """
-    theta = reference.sum(axis=0) ** 2 - position.sum(axis=0) ** 2
-    return np.asarray(np.sign(theta) * np.sqrt(np.abs(theta)))
-
-
 def drift(error: Array, samples_a_cycle: int) -> Array:
     """Mean error of the last cycle minus that of the first (axis,), from the error (axis, sample).
 

@@ -52,13 +52,8 @@ class Measured:
         return None if self.target_position_um is None else self.position_um - self.target_position_um
 
     @cached_property
-    def distance_um(self) -> Array | None:
-        """Distance (sample,) of the reading from what it is compared with [um]."""
-        return None if self.error_um is None else euclidean(self.error_um)
-
-    @cached_property
     def true_distance_um(self) -> Array | None:
-        """The same of the true position [um]."""
+        """Distance (sample,) of the true position from what it is compared with [um]."""
         return None if self.true_error_um is None else euclidean(self.true_error_um)
 
     @cached_property
@@ -78,8 +73,12 @@ class Measured:
         """Reading and position against the path that was asked for; None where that has not two axes."""
         if self.reference_um is None or len(self.reference_um) != 2:
             return None
-        middle = np.zeros(2) if self.middle_um is None else self.middle_um
-        return PlaneErrors.of(self.reference_um, self.reading_um, self.position_um, middle)
+        return PlaneErrors.of(self.reference_um, self.reading_um, self.position_um, self.middle)
+
+    @property
+    def middle(self) -> Array:
+        """Middle (output,) of the path [um], from which radii are counted."""
+        return np.zeros(len(self.reading_um)) if self.middle_um is None else self.middle_um
 
     @cached_property
     def unsaturated(self) -> NDArray[np.bool_]:

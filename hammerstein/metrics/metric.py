@@ -24,7 +24,9 @@ class Metric:
     of : its value for the measured window of a case
     ratio_of : name of the figure that it is a ratio to: where that is zero, it is last bits over last bits
     exact : whether it is a count, which no tolerance lets move
-    drawn : whether an uncertain actuator gives a band of it
+    drawn : whether an uncertain actuator gives a band of it, where every run has it
+    asked_by : kind of assessment that alone wants it, as of one publication; empty: every run has it
+    heading : of its column beside the distance and the radius of a path; empty: it has none there
     """
 
     name: str
@@ -33,6 +35,8 @@ class Metric:
     ratio_of: str | None = None
     exact: bool = False
     drawn: bool = False
+    asked_by: str = ""
+    heading: str = ""
 
     def values(self, measured: Measured) -> list[float | None]:
         """One value an output; None where the figure has no meaning."""
@@ -48,8 +52,19 @@ METRICS: dict[str, Metric] = {}
 """Every figure by its name, in the order of the columns."""
 
 
+def metrics_of(assessment: str = "") -> list[Metric]:
+    """What a run with this kind of assessment measures."""
+    return [metric for metric in METRICS.values() if metric.asked_by in ("", assessment)]
+
+
 def metric(
-    meaning: str, *, ratio_of: str | None = None, exact: bool = False, drawn: bool = False
+    meaning: str,
+    *,
+    ratio_of: str | None = None,
+    exact: bool = False,
+    drawn: bool = False,
+    asked_by: str = "",
+    heading: str = "",
 ) -> Callable[[Callable[[Measured], Values]], Metric]:
     """Register a function of a ``Measured`` as the figure of merit of its name.
 
@@ -70,7 +85,7 @@ def metric(
         name = function.__name__
         if name in METRICS:
             raise InputError(f"metric {name}", "this name is taken")
-        METRICS[name] = Metric(name, meaning, function, ratio_of, exact, drawn)
+        METRICS[name] = Metric(name, meaning, function, ratio_of, exact, drawn, asked_by, heading)
         return METRICS[name]
 
     return register
@@ -145,16 +160,6 @@ def radial_max_true_um(m: Measured) -> Values:
     return None if m.in_the_plane is None else m.in_the_plane.radial_true
 
 
-@metric(
-    "largest absolute value of the paper's error measure, as printed: sgn(theta) sqrt(|theta|) with "
-    "theta = (x_r + y_r)^2 - (x + y)^2 [um]. It turns a small error into a large value where x_r + y_r is "
-    "large: at 50 um, an error of 0.1 um gives several um. It cannot be what the paper plots; judge a path "
-    "by the error of each axis, the distance and the radius"
-)
-def epsilon_max_um(m: Measured) -> Values:
-    return None if m.in_the_plane is None else m.in_the_plane.epsilon
-
-
 @metric("mean error of the true position over the last cycle less that over the first [um]")
 def drift_true_um(m: Measured) -> Values:
     if m.target_position_um is None or m.cycle_samples is None:
@@ -177,7 +182,7 @@ def width_um(m: Measured) -> Values:
     return _loops(m, lambda loop: loop.width_um)
 
 
-@metric("width over height, h/H in the paper [%]", ratio_of="height_um")
+@metric("width over height [%]", ratio_of="height_um")
 def width_percent(m: Measured) -> Values:
     return _loops(m, lambda loop: loop.width_percent)
 

@@ -37,11 +37,10 @@ class PathErrors:
 
 @dataclass(frozen=True)
 class PlaneErrors:
-    """Largest errors of a path of two axes [um]: of the radius of reading and position, and the paper's."""
+    """Largest errors of the radius of a path of two axes [um], of reading and position."""
 
     radial: float
     radial_true: float
-    epsilon: float
 
     @classmethod
     def of(cls, reference: Array, reading: Array, position: Array, middle: Array) -> Self:
@@ -49,8 +48,8 @@ class PlaneErrors:
         from hammerstein.metrics.kernel import plane_errors
 
         rows = (*_rows(reference), *_rows(reading), *_rows(position))
-        radial, true, theta = plane_errors(*rows, middle)
-        return cls(float(radial), float(true), float(np.sqrt(theta)))
+        radial, true = plane_errors(*rows, middle)
+        return cls(float(radial), float(true))
 
 
 def _rows(wire: Array) -> tuple[Array, ...]:

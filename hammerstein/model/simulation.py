@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, room
 from hammerstein.blocks import Controller
 from hammerstein.blocks.axis_names import column
 from hammerstein.blocks.driving import DriveRange
@@ -333,23 +333,22 @@ class Plant:
     ) -> tuple[Response, PlantState]:
         """Response to what has left the drive, and the state after it; see ``carry_on``."""
         samples = driven.drive_v.shape[1]
-        shape = self.model.hysteresis.n_outputs, samples
+        p = self.model.hysteresis.n_outputs
         given: dict[str, Any] = {"requested_v": driven.requested_v, "drive_v": driven.drive_v}
         if reference_um is not None:
             given["reference_um"] = reference_um
-        room = np.empty((3, *shape))  # one piece: the system gives it in fewer and larger pages
-        found = dict(zip(("hysteresis_um", "position_um", "reading_um"), room, strict=True))
-        memory, linear, known = start.memory, start.linear, True
+        wires = room(3 * p, samples)
+        v_um, moved_um, reading_um = wires[:p], wires[p:], wires[2 * p :]
+        found = {"hysteresis_um": v_um, "position_um": wires[p : 2 * p], "reading_um": reading_um}
+        memory, linear, known = start.memory, start.linear.copy(), True
         for first in range(0, samples, BLOCK):
             here = slice(first, min(first + BLOCK, samples))
             known = known and within(given, here.start, here.stop)
             if not (known or np.isfinite(driven.drive_v).all()):
                 refuse_not_finite(driven.drive_v)
-            v_um, memory = self.model.static_response(driven.drive_v[:, here], memory)
-            both_um, linear = self.block.respond(v_um, linear)
-            position_um, filtered_um = both_um[: shape[0]], both_um[shape[0] :]
-            found["hysteresis_um"][:, here], found["position_um"][:, here] = v_um, position_um
-            found["reading_um"][:, here] = self.instruments.sensor.read(filtered_um, start.noise)
+            v_um[:, here], memory = self.model.static_response(driven.drive_v[:, here], memory)
+            self.block.carry_on(v_um, linear, here.start, here.stop, moved_um)
+            self.instruments.sensor.read_in_place(reading_um, start.noise, here.start, here.stop)
             known = known and within(found, here.start, here.stop)
         response = Response(
             sample_time_s=self.sample_time_s,

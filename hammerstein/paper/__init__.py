@@ -4,6 +4,7 @@ A kind of assessment like those of others: nothing in the package imports this r
 ``paper`` of the group ``hammerstein.blocks`` names.
 """
 
+from hammerstein.paper import epsilon
 from hammerstein.paper.assessment import Paper
 
-__all__ = ["Paper"]
+__all__ = ["Paper", "epsilon"]

@@ -97,6 +97,13 @@ class Paper(Assessment):
         return ClaimVerdict(**{**content, "answers": answers, "changes": changes})
 
     @classmethod
+    def shipped(cls) -> Mapping[str, Path]:
+        """Every scenario of this project, and its baseline."""
+        return _shipped("shipped/scenarios", "*.toml", "scenarios", "") | _shipped(
+            "shipped/baseline", "*.json", "reports/baseline", "reports/baseline/"
+        )
+
+    @classmethod
     def prepare(cls, out: Path, page: Path | None) -> None:
         """Refuse folders that hold other people's files under these names."""
         from hammerstein.paper.page import CLAIMS, PAGE
@@ -113,3 +120,11 @@ class Paper(Assessment):
 
         kept = write_claims(reports, out)
         return kept if page is None else kept + write_page(reports, out, page)
+
+
+def _shipped(name: str, pattern: str, checkout: str, target: str) -> dict[str, Path]:
+    """Files that stand in the room once it is installed, and beside the package in its source."""
+    room = Path(__file__).parent
+    folder = room / name
+    found = (folder if folder.is_dir() else room.parents[1] / checkout).glob(pattern)
+    return {f"{target}{path.name}": path for path in sorted(found)}

@@ -71,7 +71,8 @@ def variations(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Ite
         words = f"identified at {volts:.2g} V"
         smaller = _identified(scenario, "amplitude_v", volts)
         yield Variation("identification_amplitude", words, smaller, model)
-    if len(set(_frequencies(scenario))) == 1:  # a claim that compares frequencies is not asked what they cost
+    # a claim that compares frequencies, or follows one from where it was found, is not asked what they cost
+    if claim.quantity.found_hz is None and len(set(_frequencies(scenario))) == 1:
         words = f"identified at {LOW_HZ:g} Hz"
         lower = _identified(scenario, "frequency_hz", LOW_HZ)
         yield Variation("identification_frequency", words, lower, model)

@@ -152,13 +152,19 @@ def verdicts(
                 claim.unit,
                 claim.agreement.words(),
                 tuple(answers),
-                ". ".join(text for text in said if text),
+                _sentences(said),
                 claim.calibrated,
                 changes,
                 cause,
             )
         )
     return tuple(found)
+
+
+def _sentences(said: Sequence[str]) -> str:
+    """Join what there is; the first begins small, as in a cell of a table."""
+    first, *others = [text for text in said if text] or [""]
+    return ". ".join([first, *(text[0].upper() + text[1:] for text in others)])
 
 
 def _cut(claim: Claim, rows: Sequence[Row]) -> str:

@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing.context import BaseContext
 
@@ -19,38 +19,49 @@ ENDED = 143
 GARBAGE = (50_000, 20, 50)
 """How seldom garbage is searched: figures are many small objects, and most of them stay until the end."""
 
-LOADED_ONCE = (
-    "hammerstein.commands.cli",
+FOR_RUNS = (
+    "hammerstein.experiment.draws",
     "hammerstein.experiment.simulated_identification",
+    "hammerstein.experiment.study",
+    "numba",
+    "scipy.signal",
+)
+"""What every run needs, without its report."""
+
+LOADED_ONCE = (
+    *FOR_RUNS,
+    "hammerstein.commands.cli",
     "hammerstein.reporting.figures.write",
     "hammerstein.reporting.page",
     "control",
     "matplotlib.backends.backend_agg",
     "matplotlib.backends.backend_svg",
     "pandas",
-    "scipy.signal",
 )
-"""What every run needs and takes seconds to load."""
+"""What a run to its report needs and takes seconds to load."""
 
 
-def begin_loading() -> None:
-    """Let the libraries be loaded beside what this process does before it needs the others."""
+def begin_loading(names: Sequence[str] = LOADED_ONCE) -> None:
+    """Let libraries be loaded beside what this process does before it needs the others.
+
+    names : modules; those of the first call in a process are loaded once, others by each who needs them
+    """
     if not _has_server():
         return
     from multiprocessing import forkserver
 
-    multiprocessing.set_forkserver_preload(loaded_beforehand())
+    multiprocessing.set_forkserver_preload(loaded_beforehand(names))
     with _ignored_interrupts():
         forkserver.ensure_running()
 
 
-def loaded_beforehand() -> list[str]:
+def loaded_beforehand(names: Sequence[str] = LOADED_ONCE) -> list[str]:
     """What the server loads before it forks the others.
 
     On macOS nothing: the system's linear algebra, which NumPy uses there and tries out when it is loaded,
     does not survive a fork (https://github.com/numpy/numpy/issues/5752).
     """
-    return [] if sys.platform == "darwin" else list(LOADED_ONCE)
+    return [] if sys.platform == "darwin" else list(names)
 
 
 @contextmanager
@@ -71,9 +82,9 @@ def _has_server() -> bool:
     return "forkserver" in multiprocessing.get_all_start_methods()
 
 
-def context() -> BaseContext:
-    """How processes begin on this system."""
-    begin_loading()
+def context(names: Sequence[str] = LOADED_ONCE) -> BaseContext:
+    """How processes begin on this system, with these libraries loaded."""
+    begin_loading(names)
     return multiprocessing.get_context("forkserver" if _has_server() else None)
 
 

@@ -22,8 +22,8 @@ LIBRARIES = (
 )
 NUMERICAL = ("numpy", "scipy", "numba", "control", "pydantic")
 SOURCES = ("*.py", "*.json", "*.jinja", "*.css", "*.js")
-SHIPPED = ("paper/baseline", "paper/scenarios")
-"""Folders of an installed package that a checkout has elsewhere; nothing computes with them."""
+SHIPPED = "shipped"
+"""Name of folders of an installed package that a checkout has elsewhere; nothing computes with them."""
 
 
 @cache
@@ -49,7 +49,7 @@ def sources() -> str:
     """Hash of the package's sources and of what plugs in."""
     digest = hashlib.sha256("\n".join(_plugged_in()).encode())
     files = [path for kind in SOURCES for path in PACKAGE.rglob(kind)]
-    for path in sorted(path for path in files if path.parent.relative_to(PACKAGE).as_posix() not in SHIPPED):
+    for path in sorted(path for path in files if SHIPPED not in path.relative_to(PACKAGE).parts):
         digest.update(f"\n{path.relative_to(PACKAGE)}\n".encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -11,7 +11,7 @@ import signal
 import threading
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from functools import partial
 from multiprocessing.connection import Connection
@@ -20,7 +20,7 @@ from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
 from hammerstein.errors import LostProcessError
-from hammerstein.runtime.processes import begin_loading, context, make_ready
+from hammerstein.runtime.processes import FOR_RUNS, LOADED_ONCE, begin_loading, context, make_ready
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -73,6 +73,14 @@ class _Crew(Executor, ABC):
             if found[0].set_running_or_notify_cancel():
                 yield found
 
+    def _serve_here(self) -> None:
+        """Do what comes in this thread."""
+        for future, task in self._coming():
+            try:
+                future.set_result(task())
+            except BaseException as error:
+                future.set_exception(error)
+
 
 class Threads(_Crew):
     """Threads of this process; where the block is left by an exception, nobody waits for what still runs."""
@@ -83,11 +91,7 @@ class Threads(_Crew):
         self.shutdown(wait=kind is None, cancel_futures=kind is not None)
 
     def _serve(self) -> None:
-        for future, task in self._coming():
-            try:
-                future.set_result(task())
-            except BaseException as error:
-                future.set_exception(error)
+        self._serve_here()
 
 
 class Processes(_Crew):
@@ -96,14 +100,20 @@ class Processes(_Crew):
     A task whose process dies, as the system ends one when the memory is full, is tried once more; then its
     future holds a LostProcessError. Where the block is left by an exception, as by Ctrl-C, what still runs is
     ended.
+
+    Parameters
+    ----------
+    workers : how many work at a time; each begins when there is a task for it
+    loads : modules that are loaded once for all of them
     """
 
-    def __init__(self, workers: int) -> None:
+    def __init__(self, workers: int, loads: Sequence[str] = LOADED_ONCE) -> None:
         super().__init__(workers)
+        self._loads = loads
         self._busy: set[_Worker] = set()
         self._lock = threading.Lock()
         self._closed = False
-        begin_loading()
+        begin_loading(loads)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the processes when their work is done, or at once where the rest is cancelled."""
@@ -161,7 +171,7 @@ class Processes(_Crew):
         with self._lock:
             if self._closed:
                 return None
-            found = _Worker() if worker is None else worker
+            found = _Worker(self._loads) if worker is None else worker
             self._busy.add(found)
             return found
 
@@ -170,12 +180,40 @@ class Processes(_Crew):
             self._busy.discard(worker)
 
 
+class ProcessesAndThis(Processes):
+    """Processes, and this one, which begins while the others are made: one of the workers is a thread here.
+
+    Nobody waits for that thread where the block is left by an exception.
+    """
+
+    def __init__(self, workers: int) -> None:
+        super().__init__(workers, FOR_RUNS)
+        self._here: threading.Thread | None = None
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End all when their work is done, or the processes at once where the rest is cancelled."""
+        super().shutdown(False, cancel_futures=cancel_futures)
+        for thread in self._threads if wait else ():
+            if thread is not self._here or not cancel_futures:
+                thread.join()
+
+    def _serve(self) -> None:
+        with self._lock:
+            mine = self._here is None
+            if mine:
+                self._here = threading.current_thread()
+        if mine:
+            self._serve_here()
+        else:
+            super()._serve()
+
+
 class _Worker:
     """A process that does one task after another."""
 
-    def __init__(self) -> None:
-        self.connection, theirs = context().Pipe()
-        self.process = context().Process(target=_work, args=(theirs,), daemon=True)  # type: ignore[attr-defined]  # every context has it
+    def __init__(self, loads: Sequence[str]) -> None:
+        self.connection, theirs = context(loads).Pipe()
+        self.process = context(loads).Process(target=_work, args=(theirs,), daemon=True)  # type: ignore[attr-defined]  # every context has it
         self.process.start()
         theirs.close()
 

@@ -15,39 +15,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from numpy.typing import ArrayLike
+from pydantic import ConfigDict, Field, model_validator
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Flags
 from hammerstein.errors import InputError
 from hammerstein.plugins import Family
-from hammerstein.quantities import (
-    Axes,
-    FileName,
-    Frequency,
-    Length,
-    Offset,
-    Phase,
-    Scale,
-    Seed,
-    Size,
-    Wait,
-)
+from hammerstein.quantities import Axes, FileName, Frequency, Length, Offset, Phase, Scale, Seed, Size, Wait
 from hammerstein.signals.tables import read_signal
+from hammerstein.validation import Strict
 
 MOST_LINES = 2000  # of a multisine
 FARTHEST_RATIO = 100  # of the two frequencies of a Lissajous figure
 PEAK_POINTS = 16  # of a multisine, in a period of its highest line
 
 
-class Shape(BaseModel, ABC):
+class Shape(Strict, ABC):
     """A signal of any kind.
 
     ``smooth_start_s`` lets it grow from zero by a smooth step, so that a path which begins away from zero
     is reached without a jump.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     if TYPE_CHECKING:  # a field of every kind, behind its others
         kind: str
@@ -89,7 +77,7 @@ class Shape(BaseModel, ABC):
         moved = np.ones(n_axes, dtype=np.bool_) if isinstance(self.offset, tuple) else self._moved(n_axes)
         return np.where(moved, middle, 0.0)
 
-    def _moved(self, n_axes: int) -> NDArray[np.bool_]:
+    def _moved(self, n_axes: int) -> Flags:
         """Axes (axis,) that one number for all of them belongs to."""
         return np.ones(n_axes, dtype=np.bool_)
 
@@ -168,7 +156,7 @@ class OnAxes(OneFrequency, ABC):
         wave = self.amplitude * self._wave(self.frequency_hz * time_s + self.phase_deg / 360.0)
         return np.where(self._moved(n_axes)[:, None], wave, 0.0)
 
-    def _moved(self, n_axes: int) -> NDArray[np.bool_]:
+    def _moved(self, n_axes: int) -> Flags:
         """Those that are driven."""
         return np.array([self.axis in ("all", k + 1) for k in range(n_axes)])
 
@@ -214,8 +202,7 @@ class Circle(OneFrequency):
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "circle")
-        angle = 2.0 * np.pi * self.frequency_hz * time_s + math.radians(self.phase_deg)
-        return self.radius * np.stack([np.cos(angle), np.sin(angle)])
+        return _round(time_s, self.radius, self.frequency_hz, self.phase_deg)
 
 
 class Spiral(OneFrequency):
@@ -231,9 +218,8 @@ class Spiral(OneFrequency):
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "spiral")
-        angle = 2.0 * np.pi * self.frequency_hz * time_s + math.radians(self.phase_deg)
         decay = np.exp(-np.maximum(time_s - self.trigger_s, 0.0) / self.decay_s)
-        return np.asarray(self.radius * decay * np.stack([np.cos(angle), np.sin(angle)]))
+        return np.asarray(self.radius * decay * _round(time_s, 1.0, self.frequency_hz, self.phase_deg))
 
     @property
     def repeats(self) -> bool:
@@ -326,6 +312,15 @@ class Multisine(Shape):
     def highest_frequency_hz(self) -> float:
         """Frequency of the highest line."""
         return self.highest_hz
+
+
+def _round(time_s: Array, radius: float, frequency_hz: float, phase_deg: float) -> Array:
+    """Path (2, sample) of a circle at given times (sample,) [s]."""
+    from hammerstein.signals.circle_kernel import go_round
+
+    times, path = np.ascontiguousarray(time_s, dtype=np.float64), np.empty((2, len(time_s)))
+    go_round(times, float(radius), 2.0 * np.pi * frequency_hz, math.radians(phase_deg), path)
+    return path
 
 
 def _sum_of_sines(time_s: Array, lines_hz: Array, phases: Array) -> Array:

@@ -48,7 +48,7 @@ TARGET: dict[str, Any] = {"color": DARK, "linestyle": (0, (3, 2.5)), "linewidth"
 APART = 1.02  # sizes of paths that the eye tells apart
 LOGARITHMIC_FROM = 8.0  # ratio of the worst distances from which their axis is logarithmic
 DEEPEST = 1e-4  # part of the worst error below which nothing is told apart: rounding is no result
-SIGNED_TICKS = 2  # on each side of zero, of a logarithmic axis
+OUTSIDE = 3.0  # ratio of the worst error to the end of the linear middle from which it has a tick, too
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,11 +311,17 @@ def _scale_signed(axes: Axes, runs: Sequence[PathRun]) -> None:
     if min(worst) > 0.0 and max(worst) >= LOGARITHMIC_FROM * min(worst):
         middle = 10.0 ** math.ceil(math.log10(max(min(worst), DEEPEST * max(worst))))
         axes.set_yscale("symlog", linthresh=middle, linscale=1.0)
-        decades = [middle * 10.0**i for i in range(math.floor(math.log10(max(worst) / middle)) + 1)]
-        told = decades[:: -max(1, math.ceil(len(decades) / SIGNED_TICKS))]
+        outermost = _one_digit(max(worst))
+        told = [outermost, middle] if outermost >= OUTSIDE * middle else [middle]
         ticks = [-tick for tick in told] + [0.0, *reversed(told)]
         axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
         axes.minorticks_off()
+
+
+def _one_digit(value: float) -> float:
+    """Largest number of one digit that is not above a value."""
+    decade = 10.0 ** math.floor(math.log10(value))
+    return math.floor(value / decade) * decade
 
 
 def _scale_distance(axes: Axes, name: str, runs: Sequence[PathRun]) -> None:

@@ -19,12 +19,12 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from hammerstein.actuators.readings import READINGS, actuator_of
 from hammerstein.errors import HammersteinError
 from hammerstein.model import HammersteinModel
 from hammerstein.paper import Paper
 from hammerstein.paper.causes import adjusted, rows_needed
 from hammerstein.paper.claims import Claim
+from hammerstein.paper.readings import READINGS, actuator_of
 from hammerstein.scenario import Scenario, load_scenario
 
 os.environ["HAMMERSTEIN_CACHE"] = ""  # thousands of models, each wanted once
@@ -156,10 +156,12 @@ def page(table: dict[Reading, dict[str, tuple[float, bool]]], order: list[Readin
             shown.append(reading)
     none = [n for n in names if not any(n in found and found[n][1] for found in table.values())]
     dynamic = [n for n in names if not any(n in f and f[n][1] for r, f in table.items() if r.bandwidth)]
+    exist = sum(map(bool, table.values()))
     lines = [
         "# Readings of the paper",
         "",
-        f"{len(table)} readings, each answering every claim of the scenarios of Figs. 5 to 13. Made by",
+        f"{exist} readings, each answering every claim of the scenarios of Figs. 5 to 13; no plant has "
+        f"the bandwidth and damping of {len(table) - exist} more. Made by",
         "",
         "```",
         "python reports/paper/readings/make.py",
@@ -184,6 +186,8 @@ def page(table: dict[Reading, dict[str, tuple[float, bool]]], order: list[Readin
             value, agrees = table[reading].get(name, (float("nan"), False))
             cells.append(f"{value:.3g}" if agrees else f"({value:.3g})")
         lines.append(f"| {reading.words()} | {counted(table[reading])} | {' | '.join(cells)} |")
+    met = [sum(name in found and found[name][1] for found in table.values()) for name in names]
+    lines.append(f"| readings that meet it, of {exist} | | {' | '.join(map(str, met))} |")
     return "\n".join(lines) + "\n"
 
 

@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from hammerstein.actuators.build import block_behind
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, natural_frequency_hz
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
+from hammerstein.paper.actuators import block_behind
 
 BANDWIDTH_HZ = (430.0, 470.0)
 RISE = 10.0 ** (3.0 / 20.0)

@@ -1,4 +1,4 @@
-"""Build the packaged actuators from the printed table: ``python -m hammerstein.actuators.build``.
+"""Build the packaged actuators of the paper from its table: ``python -m hammerstein.paper.actuators``.
 
 The paper prints a static block that was identified through the dynamics of the cantilever and the sensor.
 Here the block in front of the dynamics is found, so that the loop measured at 50 Hz and 10 V is the printed
@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import JsonValue
 
-from hammerstein.actuators.stacks import asymmetric_stack, rate_dependent_stack
+import hammerstein.actuators
 from hammerstein.arrays import Array
 from hammerstein.dynamics import (
     AxesDynamics,
@@ -36,6 +36,7 @@ from hammerstein.dynamics import (
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, play
 from hammerstein.model import HammersteinModel
 
+COMMAND = "python -m hammerstein.paper.actuators"
 DENSE = 28  # thresholds of the dense actuator, uniform in voltage
 
 # Name, reading of "bandwidth", damping, whether the sensor lags, and what it is: see reports/paper/readings.
@@ -133,7 +134,7 @@ def with_thresholds(block: PrandtlIshlinskii, thresholds_v: Array, amplitude_v: 
 
 
 def build(folder: Path) -> list[Path]:
-    """Write the actuators with dynamics into a folder; the printed table must stand there."""
+    """Write the actuators of the paper into a folder; the printed table must stand there."""
     printed = HammersteinModel.load(folder / "duo_bimorph_static.json")
     creeping = AxesDynamics(
         axes=tuple(axis.model_copy(update={"creep": CREEP}) for axis in bandwidth_axes().axes)
@@ -153,15 +154,12 @@ def build(folder: Path) -> list[Path]:
             provenance={
                 "source": "paper, equations 12 and 13, static block found behind dynamics and sensor",
                 "bandwidth": reading,
-                "command": "python -m hammerstein.actuators.build",
+                "command": COMMAND,
             },
         )
         paths.append(folder / f"{name}.json")
         model.save(paths[-1])
     paths += [_read(folder, printed, *told) for told in READ]
-    for stack in (rate_dependent_stack(printed.instruments), asymmetric_stack(printed.instruments)):
-        paths.append(folder / f"{stack.name}.json")
-        stack.save(paths[-1])
     return [*paths, _dense(folder, HammersteinModel.load(paths[0]))]
 
 
@@ -175,12 +173,12 @@ def _read(
     words: str,
 ) -> Path:
     """An actuator that follows from a reading of the paper."""
-    from hammerstein.actuators.readings import actuator_of
+    from hammerstein.paper.readings import actuator_of
 
     provenance: JsonValue = {
         "source": "paper, equations 12 and 13, static block found behind dynamics and sensor",
         "bandwidth": words,
-        "command": "python -m hammerstein.actuators.build",
+        "command": COMMAND,
     }
     model = replace(actuator_of(printed, reading, damping, lag), name=name, provenance=provenance)
     path = folder / f"{name}.json"
@@ -197,7 +195,7 @@ def _dense(folder: Path, model: HammersteinModel) -> Path:
         hysteresis=with_thresholds(model.hysteresis, thresholds, model.amplitude_v),
         provenance={
             "source": f"slopes of {model.name}, drawn through {DENSE} thresholds uniform in voltage",
-            "command": "python -m hammerstein.actuators.build",
+            "command": COMMAND,
         },
     )
     path = folder / f"{dense.name}.json"
@@ -206,5 +204,6 @@ def _dense(folder: Path, model: HammersteinModel) -> Path:
 
 
 if __name__ == "__main__":
-    for written in build(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent):
+    (PACKAGED,) = map(Path, hammerstein.actuators.__path__)
+    for written in build(Path(sys.argv[1]) if len(sys.argv) > 1 else PACKAGED):
         sys.stdout.write(f"{written}\n")
