@@ -83,7 +83,7 @@ def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tu
     thresholds_v = [[pair.thresholds_v for pair in row] for row in before.blocks.chosen.hysteresis.pairs]
     tried = _late(task, thresholds_v, free=bool(held) and _free_delay(task))
     late = len(tried)
-    if settings.dynamics != "auto" or _several_rates(task.records):
+    if settings.dynamics != "auto" or several_rates(task.records):
         tried += [_with_axes(task, thresholds_v, tried[0].block)] if settings.dynamics != "none" else []
     trials = trials_of(task, tried, held)
     nearest = min(range(late), key=lambda i: trials[i].percent)
@@ -117,7 +117,8 @@ def _free_delay(task: Task) -> bool:
     return task.settings.delay_samples is None and one_time and task.settings.hysteresis != "rate_dependent"
 
 
-def _several_rates(records: Sequence[Record]) -> bool:
+def several_rates(records: Sequence[Record]) -> bool:
+    """Whether records are driven so fast and so slowly that they tell a lag from hysteresis."""
     rates = [drive_hz(record) for record in records]
     return max(rates) > TWO_RATES * min(rates)
 

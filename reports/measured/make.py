@@ -55,7 +55,7 @@ models make of the same records stands on [a page of its own](compared/README.md
 COMPARED = """# Every kind on measured records
 
 What `hammerstein compare` says of the [same records](../README.md): for each kind of hysteresis the better
-one of its models, without a linear block or with the one that suits plays; rms errors in percent of the
+one of its models, without a linear block or with one; rms errors in percent of the
 range, on the record held back where there is one. Kinds that could not be fitted have no number: one rate
 cannot tell how thresholds grow. The rule behind the recommendation stands on each page; single loops, with
 nothing held back, are judged by their fit. Nothing is given but the records, of the magnets that they have no
