@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Rows = NDArray[np.int64]
+Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 
@@ -19,6 +19,13 @@ def frozen(values: ArrayLike) -> Array:
     array = np.array(values, dtype=np.float64)
     freeze(array)
     return array
+
+
+def freeze_fields(value: object, *names: str) -> None:
+    """Let fields of a frozen value be ``frozen`` copies of what was given; None stays."""
+    for name in names:
+        given = getattr(value, name)
+        object.__setattr__(value, name, None if given is None else frozen(given))
 
 
 def freeze(*arrays: NDArray[Any]) -> None:

@@ -1,4 +1,4 @@
-"""Learning at the bench: on drawn actuators the error falls to the sensor's noise, and stays there.
+"""Learning at the set-up: on drawn actuators the error falls to the sensor's noise, and stays there.
 
 HAMMERSTEIN_DRAWS sets how many actuators are drawn; the issue asks for 200.
 """
@@ -11,15 +11,17 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from learning_trials import simulated_trials
 
 from hammerstein.commands.cli import main
-from hammerstein.compensators.cycle import centred, rms
-from hammerstein.compensators.learning import Unsure, lesson, simulated_trials
+from hammerstein.compensators.cycle import centred
+from hammerstein.compensators.learning import Unsure, lesson
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.errors import InputError
 from hammerstein.experiment.prepare import prepare
 from hammerstein.experiment.run import run
 from hammerstein.experiment.selection import TRIAL
+from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
 from hammerstein.reporting.figures.choice import figures_of, sweep_curves

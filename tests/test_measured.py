@@ -10,7 +10,7 @@ from record_cases import message, plain
 
 from hammerstein.dynamics import StateSpaceDynamics
 from hammerstein.identification.identify import identify
-from hammerstein.records.preparation import driven_inputs, estimate_delay, leads
+from hammerstein.records.preparation import driven_inputs, leads
 from hammerstein.records.readers import read_columns
 from hammerstein.records.reading import read_paired_records, read_records
 from hammerstein.records.record import Record
@@ -152,7 +152,6 @@ class TestRecords:
             assert record.samples == samples
             assert leads([record]) == ()
             assert leads([Record(record.y_um, record.u_v, 5e-3)]) == ((0, 0),)
-            assert estimate_delay(record, 8) == 3
 
     def test_micromanipulators_unused_columns(self, data):
         path = data / "dbo_piezo_micromanipulator" / "Model_Vi_Do.dat"

@@ -10,11 +10,10 @@ from pydantic import Field
 
 import hammerstein
 from hammerstein import plugins
-from hammerstein.blocks import Law
+from hammerstein.blocks import Law, Memory
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators import COMPENSATORS
 from hammerstein.compensators.drive_file import Terms, compensate
-from hammerstein.compensators.no_compensation import NoMemory
 from hammerstein.hysteresis import HYSTERESIS, slopes_of
 from hammerstein.hysteresis.kind import SWEEP_SAMPLES
 from hammerstein.reporting.html.run_page import run_page
@@ -188,10 +187,7 @@ class DoubtfulLaw(Law):
         self.range, self.gain, self.origin_um = DriveRange.of(range_v, model), gain, np.zeros(self.n_outputs)
 
     def rest(self):
-        return NoMemory()
-
-    def restore(self, data):
-        return NoMemory()
+        return Memory()
 
     def _respond(self, reference_um, start):
         return self.gain * reference_um, start
@@ -220,14 +216,11 @@ def test_it_serves_the_drive_file_too(doubtful, tmp_path):
     np.testing.assert_allclose(found.drive_v[0].max(), 0.4, atol=2e-4)  # half a step of the converter
 
 
-@dataclass(frozen=True)
-class Lag:
+@dataclass(frozen=True, eq=False)
+class Lag(Memory):
     """What a relaxing magnet remembers: the part of its voltage (m,) that has not been followed yet."""
 
     behind_v: np.ndarray
-
-    def as_dict(self):
-        return {"behind_v": self.behind_v.tolist()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,9 +247,6 @@ class Follower(hammerstein.Hysteresis):
 
     def rest(self):
         return Lag(np.zeros(self.n_inputs))
-
-    def restore(self, data):
-        return Lag(np.array(data["behind_v"]))
 
     def with_weights(self, weights):
         return replace(self, gains=tuple(float(w[0]) for w in weights))

@@ -1,66 +1,30 @@
-"""What is found out about a record before a fit: delay, dead start, swapped columns."""
+"""What is found out about a record before a fit: dead start, swapped columns."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from record_cases import THRESHOLDS, N, U, X, message, plays
+from record_cases import N, U, X, message
 
-from hammerstein.records.preparation import estimate_delay, lag_rad, leads, prepare, refuse_swapped
+from hammerstein.records.preparation import dead_start, lag_rad, leads, refuse_swapped
 from hammerstein.records.record import Record
 
 
 class TestPreparation:
-    def test_offset_and_dead_start_under_noise(self):
+    def test_dead_start_under_noise(self):
         rng = np.random.default_rng(2)
         u = np.concatenate([np.zeros(80), U]) + 3.0
         x = np.concatenate([np.zeros(80), X]) - 95.0
-        record = Record([u], [x + 0.04 * rng.standard_normal(x.size)], 5e-3)
-        prepared = prepare(record)
-        assert prepared.at_rest
-        assert prepared.dead_start_samples == 80
-        assert prepared.offset_v.tolist() == [3.0]
-        assert prepared.offset_um[0] == pytest.approx(-95.0, abs=0.015)
-        np.testing.assert_allclose(prepared.record.u_v[0], U, atol=1e-14)
-        assert prepared.record.rows[0] == 81
+        assert dead_start(Record([u], [x + 0.04 * rng.standard_normal(x.size)], 5e-3)) == 80
 
     def test_dead_start_of_a_noisy_voltage(self):
         rng = np.random.default_rng(3)
         u = np.concatenate([np.zeros(80), U]) + 0.005 * rng.standard_normal(N + 80)
-        assert prepare(Record([u], [u], 5e-3)).dead_start_samples == pytest.approx(80, abs=3)
+        assert dead_start(Record([u], [u], 5e-3)) == pytest.approx(80, abs=3)
 
-    def test_a_delay_is_left_alone_unless_it_is_asked_for(self):
-        late = Record([U], [np.concatenate([np.zeros(3), X[:-3]])], 5e-3)
-        assert prepare(late).delay_samples == 0
-        assert prepare(late, 5).delay_samples > 0
-
-    def test_without_dead_start_offsets_are_the_middle(self):
+    def test_a_record_that_begins_in_motion_has_no_dead_start(self):
         late = slice(30, None)
-        prepared = prepare(Record([U[late] + 2.0, 0 * U[late] + 0.5], [X[late] - 50.0], 5e-3))
-        assert not prepared.at_rest
-        assert prepared.offset_v == pytest.approx([2.0, 0.5])
-        assert prepared.offset_um == pytest.approx([-50.0], abs=1e-9)
-        assert prepared.dead_start_samples == 0
-
-    @pytest.mark.parametrize("delay", [0, 1, 4])
-    @pytest.mark.parametrize("noise", [0.0, 0.04])
-    def test_delay_is_told_from_hysteresis(self, delay, noise):
-        """The hysteresis alone lags by eight degrees, more than four samples of 200 a period."""
-        rng = np.random.default_rng(4)
-        u = np.concatenate([U, 0.7 * U, 0.4 * U])
-        x = np.array([4.0, 0.5, 0.8, 1.2]) @ plays(u, THRESHOLDS)
-        late = np.concatenate([np.zeros(delay), x[: len(x) - delay]])
-        record = Record([u], [late + noise * rng.standard_normal(x.size)], 5e-3)
-        assert np.degrees(lag_rad([record])[0, 0]) > 4.0 + 1.8 * delay
-        assert estimate_delay(record, 6) == delay
-        prepared = prepare(record, max_delay_samples=6)
-        assert prepared.delay_samples == delay
-        np.testing.assert_allclose(
-            prepared.record.y_um[0], x[: len(x) - delay] - prepared.offset_um, atol=5 * noise + 1e-9
-        )
-
-    def test_delay_needs_samples(self):
-        assert "too few" in message(estimate_delay, Record([U], [X], 5e-3), 100)
+        assert dead_start(Record([U[late] + 2.0, 0 * U[late] + 0.5], [X[late] - 50.0], 5e-3)) == 0
 
     @pytest.mark.parametrize("gain", [1.0, -1.0])
     def test_swapped_columns_are_told_by_the_direction_of_the_loop(self, gain):

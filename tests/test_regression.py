@@ -190,7 +190,7 @@ def test_a_default_holds_for_what_is_not_named_and_for_no_count(loop: Report) ->
 
 def test_the_bands_of_an_uncertain_actuator_are_guarded(loop: Report) -> None:
     band = Band(
-        *("exact", "all", "y", 50.0, None, 30.0, None), "rms_um", p5_um=0.4, median_um=0.5, p95_um=0.6
+        *("exact", "all", "y", 50.0, None, 30.0, None), metric="rms_um", p5_um=0.4, median_um=0.5, p95_um=0.6
     )
     before = replace(with_rows(loop, ROW), bands=(band,))
     baseline = Baseline.of(before)

@@ -7,3 +7,4 @@ from hammerstein.blocks.law import (
     checked_reference as checked_reference,
     require_square as require_square,
 )
+from hammerstein.blocks.memory import Memory as Memory

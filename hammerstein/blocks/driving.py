@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Flags
 from hammerstein.blocks.instruments import Drive, slack_v
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.errors import InputError
@@ -93,12 +93,6 @@ class DriveRange:
         """Lowest and highest voltage (m,), counted from the working point [V]."""
         return self.low_v - self.working_point_v, self.high_v - self.working_point_v
 
-    @property
-    def largest_v(self) -> Array:
-        """Farthest from the working point (m,) that a voltage can be [V]."""
-        low, high = self.counted
-        return np.asarray(np.maximum(np.abs(low), np.abs(high)))
-
     def history(self) -> Array:
         """Voltages (m, steps) from rest, which comes first, to the start; counted from the working point."""
         low, high = self.counted
@@ -114,7 +108,7 @@ class DriveRange:
         sent = counted_v + self.working_point_v[:, None]
         return np.clip(sent, self.low_v[:, None], self.high_v[:, None])
 
-    def reached(self, drive_v: Array) -> NDArray[np.bool_]:
+    def reached(self, drive_v: Array) -> Flags:
         """Where voltages (m, N) stand at an end of the range."""
         low, high = self.ends[:, :, None]
         return np.asarray((drive_v >= high) | (drive_v <= low))

@@ -6,12 +6,12 @@ import math
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Flags
 from hammerstein.errors import InputError
 from hammerstein.quantities import END_V, Bandwidth, End, Limit, Noise, SampleTime, Step
+from hammerstein.validation import Strict
 
 Interval = tuple[End, End]
 
@@ -60,14 +60,14 @@ def slack_v(limits: Array) -> Array:
     return np.asarray(ALLOWED * np.max(np.where(np.isfinite(ends), ends, 0.0), axis=0))
 
 
-class Drive(BaseModel):
+class Drive(Strict):
     """Digital-to-analogue converter and amplifier: clips, rounds and holds the voltage.
 
     An infinite range or a resolution of zero switches that effect off. The published set-up (paper,
     section 5.1) is the default; the paper names the converter, not its resolution: 16 bits are assumed.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+    model_config = ConfigDict(ser_json_inf_nan="strings")
 
     range_v: RangeV = Field(
         default=(-10.0, 10.0),
@@ -96,7 +96,7 @@ class Drive(BaseModel):
         inside = np.stack([np.ceil(count[0] - 1e-9), np.floor(count[1] + 1e-9)])
         return np.asarray(inside * self.resolution_v)
 
-    def apply(self, u_v: Array, out: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
+    def apply(self, u_v: Array, out: Array | None = None) -> tuple[Array, Flags]:
         """Voltages that leave the converter (input, sample), and where the range cut them.
 
         A voltage up to the range, as of a sine, is not cut.
@@ -114,14 +114,14 @@ class Drive(BaseModel):
         return drive, cut
 
 
-class Sensor(BaseModel):
+class Sensor(Strict):
     """Displacement sensor: first-order bandwidth, noise, range and resolution.
 
     The published set-up (paper, section 5.1) is the default. The paper gives the resolution of 40 nm
     and no noise: it is read both as the converter's step and as the rms noise.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+    model_config = ConfigDict(ser_json_inf_nan="strings")
 
     range_um: Limit = Field(default=250.0, description="largest reading of either sign; inf: no limit")
     resolution_um: Step = Field(default=0.04, description="step of the reading; 0: none")
@@ -157,10 +157,10 @@ def standard_noise(generator: np.random.Generator, outputs: int, samples: int) -
     return np.ascontiguousarray(generator.standard_normal((samples, outputs)).T)
 
 
-class Instruments(BaseModel):
+class Instruments(Strict):
     """Drive and sensor of one set-up."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+    model_config = ConfigDict(ser_json_inf_nan="strings")
 
     drive: Drive = Drive()
     sensor: Sensor = Sensor()

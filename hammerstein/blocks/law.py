@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
+from hammerstein.blocks.memory import Memory
 from hammerstein.errors import InputError, SimulationError
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.block_system import BlockSystem
 
 
-class State(Protocol):
-    """Memory of a law, which JSON keeps to the last bit."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists and numbers."""
-        ...
-
-
-S = TypeVar("S", bound=State)
+S = TypeVar("S", bound=Memory)
 
 
 class Law(ABC, Generic[S]):
@@ -51,9 +44,9 @@ class Law(ABC, Generic[S]):
     def rest(self) -> S:
         """State of a law that was never used: actuator at its start, reference at zero."""
 
-    @abstractmethod
     def restore(self, data: dict[str, Any]) -> S:
         """State from what its ``as_dict`` gave."""
+        return self.rest().restored(data)
 
     @abstractmethod
     def _respond(self, reference_um: Array, start: S) -> tuple[Array, S]:
@@ -166,6 +159,10 @@ class Controller(ABC, Generic[S]):
     @abstractmethod
     def rest(self) -> S:
         """State of a controller that was never used."""
+
+    def restore(self, data: dict[str, Any]) -> S:
+        """State from what its ``as_dict`` gave."""
+        return self.rest().restored(data)
 
     @abstractmethod
     def prepared(self, reference_um: ArrayLike) -> tuple[Array, Array]:

@@ -7,9 +7,10 @@ from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from hammerstein.quantities import Figure, Offset
+from hammerstein.validation import Strict
 
 ONE_SIDED = 0.25
 """Part of the larger side up to which the smaller one does not make a record two-sided."""
@@ -17,13 +18,11 @@ ONE_SIDED = 0.25
 Poling = Literal["positive", "negative", "both"]
 
 
-class Voltages(BaseModel):
+class Voltages(Strict):
     """Voltages of the records behind a model, absolute, one an input.
 
     The plays rest at the working point; the position there, at rest, is zero.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     working_point_v: tuple[Offset, ...] = Field(description="voltage at which the plays rest")
     lowest_v: tuple[Offset, ...] = Field(description="lowest voltage of the records")
@@ -79,10 +78,8 @@ def _poling(low: float, high: float) -> Poling:
     return "negative" if high <= -ONE_SIDED * low and low < 0.0 else "both"
 
 
-class Verdict(BaseModel):
+class Verdict(Strict):
     """What its identification says of a model."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     flagged: bool = Field(description="whether the records do what a model of this kind cannot")
     statements: tuple[str, ...] = Field(default=(), description="what it cannot represent")

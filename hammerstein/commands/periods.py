@@ -54,8 +54,8 @@ class Table(NamedTuple):
 
     def form(self, found: Cycle) -> tuple[list[str], list[float], str]:
         """What must be known of a period, its errors [um], and the text of its file."""
-        from hammerstein.compensators.cycle import rms
         from hammerstein.compensators.wave_table import wave_table
+        from hammerstein.metrics import rms
 
         if self.device is None:
             return found.statements(), [rms(found.error_um)], found.to_csv()

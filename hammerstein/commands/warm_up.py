@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hammerstein.actuators import DEFAULT
+from hammerstein.arrays import Array
 from hammerstein.compiled import CHECKED, told_before_compiling
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.workers import Processes
@@ -113,6 +113,6 @@ def _use_the_others() -> None:
         pass
 
 
-def _path() -> NDArray[np.float64]:
+def _path() -> Array:
     time_s = SAMPLE_TIME_S * np.arange(SAMPLES)
     return 10.0 * np.vstack([np.sin(2.0 * np.pi * 50.0 * time_s), np.sin(2.0 * np.pi * 75.0 * time_s)])

@@ -5,24 +5,21 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, ConfigDict
-
 from hammerstein.blocks.driving import RangeLike
 from hammerstein.plugins import Family
+from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
     from hammerstein.blocks import Controller, Law, Learner
     from hammerstein.model import HammersteinModel
 
 
-class Compensator(BaseModel, ABC):
+class Compensator(Strict, ABC):
     """A compensator by its options, as a scenario names it; to be frozen, with no key that it does not know.
 
     To add one, derive from this class, give it a field ``law: Literal["its name"]`` with that default, and
     register it.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     if TYPE_CHECKING:  # a field of every kind, behind its others
         law: str

@@ -8,9 +8,8 @@ from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Complex
 from hammerstein.blocks import Law
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.drive_csv import drive_csv
@@ -25,6 +24,7 @@ from hammerstein.compensators.drive_file import (
 )
 from hammerstein.dynamics import LinearBlock, discretise
 from hammerstein.errors import InputError, SimulationError
+from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 
 TRIED_PERIODS = (4, 8, 16, 32)
@@ -92,11 +92,6 @@ class Cycle:
             ("predicted", "um", outputs, self.played_um),
         )
         return drive_csv(time_s, groups, ["Voltages of one period: absolute, in V.", *self.statements()])
-
-
-def rms(row: Array) -> float:
-    """Root of the mean square."""
-    return float(np.sqrt(np.mean(row**2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,7 +266,7 @@ def _limited(cycle: Cycle, table: Array) -> Array:
     return np.asarray(np.clip(table, cycle.limits.low_v[:, None], cycle.limits.high_v[:, None]))
 
 
-def _periodic_response(cycle: Cycle, hold: int) -> NDArray[np.complex128]:
+def _periodic_response(cycle: Cycle, hold: int) -> Complex:
     """Response (frequency, p, m) from a table to the settled position on the fine grid."""
     samples, time_s = cycle.drive_v.shape[1], cycle.sample_time_s
     block: LinearBlock = discretise(cycle.model.dynamics, time_s)
@@ -281,7 +276,7 @@ def _periodic_response(cycle: Cycle, hold: int) -> NDArray[np.complex128]:
     return np.asarray(block.response(turn / time_s) @ gain * pulse[:, None, None])
 
 
-def _least_change(error: Array, response: NDArray[np.complex128], points: int) -> Array:
+def _least_change(error: Array, response: Complex, points: int) -> Array:
     """Change (m, points) of a table whose effect comes nearest to an error (p, N)."""
     spectrum = np.fft.fft(error, axis=1).T[:, :, None]
     images = response.reshape(-1, points, *response.shape[1:])

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.blocks import Law, require_square
+from hammerstein.blocks import Law, Memory, require_square
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.base import Compensator
 from hammerstein.errors import InputError, SimulationError
@@ -18,20 +18,12 @@ from hammerstein.model import HammersteinModel
 
 
 @dataclass(frozen=True, eq=False)
-class InverseState:
+class InverseState(Memory):
     """Memory of the inverse: its plays, the last value before the jump (m,) [V] and its direction (m,)."""
 
     plays: PlayState
     last_v: Array
     direction: Array
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists."""
-        return {
-            "plays": self.plays.as_dict(),
-            "last_v": self.last_v.tolist(),
-            "direction": self.direction.tolist(),
-        }
 
 
 def inverse_pair(pair: Pair, axis: str = "pair") -> Pair:
@@ -139,11 +131,6 @@ class DecoupledInverseLaw(Law[InverseState]):
     def rest(self) -> InverseState:
         """Inverse of an actuator at its start."""
         return self._start
-
-    def restore(self, data: dict[str, Any]) -> InverseState:
-        """State from what ``as_dict`` gave."""
-        last, direction = (np.array(data[name], dtype=np.float64) for name in ("last_v", "direction"))
-        return InverseState(PlayState.from_dict(data["plays"]), last, direction)
 
     def _respond(self, reference_um: Array, start: InverseState) -> tuple[Array, InverseState]:
         from hammerstein.compensators.kernels import respond_inverse_play

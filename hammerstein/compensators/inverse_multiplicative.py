@@ -12,26 +12,22 @@ from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
 
 from hammerstein.arrays import Array
-from hammerstein.blocks import Law, require_square
+from hammerstein.blocks import Law, Memory, require_square
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.base import Compensator
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis import Hysteresis, Memory, PlayState, PrandtlIshlinskii, slopes_of
+from hammerstein.hysteresis import Hysteresis, PlayState, PrandtlIshlinskii, slopes_of
 from hammerstein.hysteresis.slopes import slope_matrices
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Gain, Passes, TimeConstant, of_equal_rows
 
 
 @dataclass(frozen=True, eq=False)
-class FeedbackState:
+class FeedbackState(Memory):
     """Memory of the law: the plays of its inner model and the delayed or filtered signal (m,) [V]."""
 
     plays: Memory
     memory_v: Array
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists."""
-        return {"plays": self.plays.as_dict(), "memory_v": self.memory_v.tolist()}
 
 
 @dataclass(frozen=True)
@@ -178,11 +174,6 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
     def rest(self) -> FeedbackState:
         """Plays and feedback of an actuator at its start."""
         return self._start
-
-    def restore(self, data: dict[str, Any]) -> FeedbackState:
-        """State from what ``as_dict`` gave."""
-        plays = self.hysteresis.restore(data["plays"])
-        return FeedbackState(plays, np.array(data["memory_v"], dtype=np.float64))
 
     def _respond(self, reference_um: Array, start: FeedbackState) -> tuple[Array, FeedbackState]:
         wanted_um = self._from_rest(reference_um)

@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.blocks import Law
+from hammerstein.blocks import Law, Memory
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.base import Compensator
 from hammerstein.model import HammersteinModel
 
 
-@dataclass(frozen=True)
-class NoMemory:
-    """State of a law that has none."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give an empty dictionary."""
-        return {}
-
-
-class NoCompensationLaw(Law[NoMemory]):
+class NoCompensationLaw(Law[Memory]):
     """U = U_start + G^+ Y_r, with the gain matrix G of the settled loops.
 
     This is the least drive if inputs outnumber outputs.
@@ -49,19 +39,15 @@ class NoCompensationLaw(Law[NoMemory]):
 
         return step_gain
 
-    def _step(self, sample_um: Array, state: NoMemory) -> tuple[Array, NoMemory] | None:
+    def _step(self, sample_um: Array, state: Memory) -> tuple[Array, Memory] | None:
         drive, sound = self._compiled_step(sample_um, self._frame, self.gain_v_per_um, self._limits)
         return (drive, state) if sound else None
 
-    def rest(self) -> NoMemory:
+    def rest(self) -> Memory:
         """Give the empty state."""
-        return NoMemory()
+        return Memory()
 
-    def restore(self, data: dict[str, Any]) -> NoMemory:
-        """Give the empty state."""
-        return NoMemory()
-
-    def _respond(self, reference_um: Array, start: NoMemory) -> tuple[Array, NoMemory]:
+    def _respond(self, reference_um: Array, start: Memory) -> tuple[Array, Memory]:
         from hammerstein.compensators.kernels import respond_gain
         from hammerstein.compiled import spans
 

@@ -9,9 +9,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Flags
 from hammerstein.blocks import Law, checked_reference
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.exact.inverse import exact_inverse_of, has_exact_inverse
@@ -156,11 +156,11 @@ class Shortfall:
 
     predicted_um: Array
     error_um: Array
-    at_range: NDArray[np.bool_]
+    at_range: Flags
     sample_time_s: float
     turn: tuple[int, int]
 
-    def missed(self, tolerance_um: float = MISSED_UM) -> NDArray[np.bool_]:
+    def missed(self, tolerance_um: float = MISSED_UM) -> Flags:
         """Samples (p, N) whose predicted error is larger than a tolerance."""
         return np.abs(self.error_um) > tolerance_um
 

@@ -19,10 +19,11 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import column
-from hammerstein.compensators.cycle import Cycle, held_least, rms
+from hammerstein.compensators.cycle import Cycle, held_least
 from hammerstein.errors import InputError
 from hammerstein.escaping import clean
 from hammerstein.files import Content
+from hammerstein.metrics import rms
 
 SIGN = "Number in the table"
 CONTENT = Content("wave table", sign=SIGN)

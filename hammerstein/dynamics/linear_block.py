@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, freeze
+from hammerstein.arrays import Array, Complex, Indices, freeze_fields
 from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,10 +51,7 @@ class LinearBlock:
     sample_time_s: float
 
     def __post_init__(self) -> None:
-        for name in "ABCD":
-            matrix = np.array(getattr(self, name), dtype=np.float64)
-            freeze(matrix)
-            object.__setattr__(self, name, matrix)
+        freeze_fields(self, *"ABCD")
 
     def __repr__(self) -> str:
         return (
@@ -165,14 +162,14 @@ class LinearBlock:
         return BlockSystem(block, *wires, sample_time_s, name)
 
     @cached_property
-    def rows(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    def rows(self) -> tuple[Indices, Indices, Array]:
         """Non-zero entries of [[A, B], [C, D]] row by row: axes that do not couple cost nothing."""
         full = np.block([[self.A, self.B], [self.C, self.D]])
         filled = full != 0.0
         start = np.concatenate([[0], np.cumsum(filled.sum(axis=1))]).astype(np.int64)
         return start, np.nonzero(filled)[1].astype(np.int64), full[filled]
 
-    def response(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
+    def response(self, frequency_hz: ArrayLike) -> Complex:
         """Frequency response (frequency, p, m) of the block on its grid."""
         z = np.exp(2j * np.pi * np.atleast_1d(np.asarray(frequency_hz)) * self.sample_time_s)
         n = self.A.shape[0]

@@ -11,19 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-    model_validator,
-)
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, low_pass, unit_gain
 from hammerstein.errors import InputError
 from hammerstein.quantities import Axes, CreepGain, Damping, Delay, Entry, Resonance, SampleTime, TimeConstant
+from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
     import control
@@ -42,16 +36,14 @@ def natural_frequency_hz(bandwidth_hz: float, damping_ratio: float) -> float:
     return bandwidth_hz / math.sqrt(q)
 
 
-class CreepMode(BaseModel):
+class CreepMode(Strict):
     """One slow mode: adds ``gain / (1 + time_constant_s s)`` to the direct path of its axis."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     gain: CreepGain = Field(description="final creep of this mode, as a fraction of the fast displacement")
     time_constant_s: TimeConstant
 
 
-class Axis(BaseModel):
+class Axis(Strict):
     """One axis of unit static gain before creep: a resonance, a low-pass, both or none.
 
     G(s) = w_n^2 / (s^2 + 2 z w_n s + w_n^2) * 1 / (1 + T_l s) * (1 + sum of g_i / (1 + T_i s))
@@ -59,8 +51,6 @@ class Axis(BaseModel):
     w_n = 2 pi resonance_hz is the undamped natural frequency, z the damping ratio, T_l the time constant of a
     low-pass, such as that of the amplifier. What is not given is left out.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     resonance_hz: Resonance | None = Field(default=None, description="undamped natural frequency")
     damping_ratio: Damping | None = None
@@ -112,10 +102,8 @@ class Axis(BaseModel):
         return LinearBlock(system.A, system.B, system.C, system.D, CONTINUOUS)
 
 
-class AxesDynamics(BaseModel):
+class AxesDynamics(Strict):
     """One axis for each output, not coupled with each other."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["axes"] = "axes"
     axes: tuple[Axis, ...] = Field(min_length=1)
@@ -145,10 +133,8 @@ class AxesDynamics(BaseModel):
         return LinearBlock(a, b, c, d, CONTINUOUS)
 
 
-class StaticDynamics(BaseModel):
+class StaticDynamics(Strict):
     """No dynamics: the displacement follows the hysteresis block at once."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["static"] = "static"
     n_outputs: Axes
@@ -167,10 +153,8 @@ class StaticDynamics(BaseModel):
         return unit_gain(self.n_outputs)
 
 
-class StateSpaceDynamics(BaseModel):
+class StateSpaceDynamics(Strict):
     """Any linear block x' = A x + B v, y = C x + D v, continuous or on a fixed sample time."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["state_space"] = "state_space"
     A: tuple[tuple[Entry, ...], ...]

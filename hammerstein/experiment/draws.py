@@ -86,7 +86,8 @@ def figures_on(
         number = open_[done]
         for i, one in zip(left[number], figures, strict=True):
             found[number][i] = one
-            _keep(kept, runs[i], pieces[number], one)
+            entry = Kept([row.key() for row in one.rows], {"values": one.values})
+            kept.write(entry, runs[i].case, "draws", runs[i].which(pieces[number]))
         if progress:
             progress(f"{actuators.what}{on_workers(jobs)}", done + 1, len(open_))
 
@@ -120,6 +121,10 @@ class _Run:
     def _experiment(self) -> Experiment:
         return self.setup.experiment(self.case)
 
+    def which(self, numbers: range) -> list[Any]:
+        """What tells these actuators from all others, as plain JSON."""
+        return [self.actuators.key, numbers.start, numbers.stop]
+
     def over(self, plants: Sequence[Plant], numbers: range) -> Figures:
         """Figures on these actuators."""
         names = drawn_metrics()
@@ -137,22 +142,10 @@ def _over(runs: Sequence[_Run], numbers: range) -> list[Figures]:
     return [run.over(plants, numbers) for run in runs]
 
 
-def _key(kept: KeptCases, run: _Run, numbers: range) -> str:
-    return kept.key(run.case, "draws", [run.actuators.key, numbers.start, numbers.stop])
-
-
 def _known(kept: KeptCases, runs: Sequence[_Run], numbers: range) -> list[Figures | None]:
     """Figures of every case on these actuators, as far as they were kept."""
-    if kept.store is None:
-        return [None] * len(runs)
-    entries = [kept.store.read(_key(kept, run, numbers)) for run in runs]
+    entries = [kept.read(run.case, "draws", run.which(numbers)) for run in runs]
     return [
         None if entry is None else Figures(rows_from(entry.document), entry.arrays["values"])
         for entry in entries
     ]
-
-
-def _keep(kept: KeptCases, run: _Run, numbers: range, figures: Figures) -> None:
-    if kept.store is not None:
-        document = [row.key() for row in figures.rows]
-        kept.store.write(_key(kept, run, numbers), Kept(document, {"values": figures.values}))

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from hammerstein.experiment.measure import Result, rows_of
-from hammerstein.experiment.prepare import Case, Progress, SetUp, scenario_axes
-from hammerstein.experiment.report import Prediction, Trace
+from hammerstein.experiment.prepare import Case, Progress, SetUp
+from hammerstein.experiment.report import Target, Trace
 from hammerstein.metrics import Row
 from hammerstein.model.simulation import WIRES, Response
 from hammerstein.runtime.fanning import Jobs, in_order, on_workers
@@ -43,7 +43,7 @@ class KeptCases:
         def finished(number: int, result: Result) -> None:
             i = left[number]
             found[i] = result
-            self._keep(cases[i], result)
+            self.write(_packed(result), cases[i], "case")
             if progress:
                 progress(f"simulating{on_workers(jobs)}", len(found), len(cases))
 
@@ -52,17 +52,19 @@ class KeptCases:
         return [found[i] for i in range(len(cases))]
 
     def _known(self, case: Case) -> Result | None:
-        if self.store is None:
-            return None
-        entry = self.store.read(self.key(case, "case"))
+        entry = self.read(case, "case")
         return None if entry is None else _restored(self.setup, case, entry)
 
-    def _keep(self, case: Case, result: Result) -> None:
-        if self.store is not None:
-            self.store.write(self.key(case, "case"), _packed(result))
+    def read(self, case: Case, kind: str, more: Any = None) -> Kept | None:
+        """What was kept of something that follows from a case and from ``more``, if it was."""
+        return None if self.store is None else self.store.read(self._key(case, kind, more))
 
-    def key(self, case: Case, kind: str, more: Any = None) -> str:
-        """Key of something that follows from a case, and of what else it depends on."""
+    def write(self, entry: Kept, case: Case, kind: str, more: Any = None) -> None:
+        """Keep that, where there is a store."""
+        if self.store is not None:
+            self.store.write(self._key(case, kind, more), entry)
+
+    def _key(self, case: Case, kind: str, more: Any) -> str:
         setup = self.setup
         labels = [case.label] if case.label else [source.label for source in setup.scenario.models]
         content = {
@@ -130,17 +132,16 @@ def _packed(result: Result) -> Kept:
 
 def _restored(setup: SetUp, case: Case, entry: Kept) -> Result:
     found, arrays, model = entry.document, entry.arrays, setup.plant.model
-    names = scenario_axes(setup.scenario, model)
     wires: dict[str, Any] = {name: arrays.get(name) for name in (*WIRES, "saturated")}
     response = Response(
         sample_time_s=found["sample_time_s"], inputs=model.inputs, outputs=model.outputs, **wires
     )
     predictions = tuple(
-        Prediction(label, arrays[f"reading_{number}"], arrays[f"position_{number}"])
+        Target(label, arrays[f"reading_{number}"], arrays[f"position_{number}"])
         for number, label in enumerate(found["predictions"])
     )
-    axis = "all" if case.axis is None else names[case.axis]
-    trace = Trace(case.label, case.signal, axis, response, found["first_sample"], predictions, case.trial)
+    axis, first = setup.excited_axis(case), found["first_sample"]
+    trace = Trace(case.label, case.signal, axis, response, first, predictions, case.trial)
     return Result(rows_from(found["rows"]), trace, found["unsettled"], found["clipped"])
 
 

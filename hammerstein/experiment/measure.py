@@ -13,9 +13,9 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import SimulationError
-from hammerstein.experiment.prepare import Case, SetUp, Window, scenario_axes
-from hammerstein.experiment.recording import Target, recorded, targets_of
-from hammerstein.experiment.report import Prediction, Trace
+from hammerstein.experiment.prepare import Case, SetUp, Window
+from hammerstein.experiment.recording import recorded, targets_of
+from hammerstein.experiment.report import Target, Trace
 from hammerstein.experiment.settling import advice, settled
 from hammerstein.metrics import LoopFigures, Measured, Metric, Row, loop_figures, metrics_of
 from hammerstein.model.simulation import Response
@@ -47,16 +47,15 @@ def rows_of(setup: SetUp, case: Case) -> Result:
     window = Window.of(setup.scenario, case.signal, response.sample_time_s)
     loops = _loops(setup, case, response, window)
     rows = tuple(_rows(setup, case, response, targets, setup.scenario.metrics(), loops))
-    names = scenario_axes(setup.scenario, setup.plant.model)
     predictions = tuple(
-        Prediction(t.label, t.reading_um[:, window.first :], t.position_um[:, window.first :])
-        for t in targets
-        if t is not None and setup.scenario.drive is not None
+        target.part(slice(window.first, None))
+        for target in targets
+        if target is not None and setup.scenario.drive is not None
     )
     trace = Trace(
         label=case.label,
         signal=case.signal,
-        excited_axis="all" if case.axis is None else names[case.axis],
+        excited_axis=setup.excited_axis(case),
         response=response.after(window.first),
         first_sample=window.first,
         predictions=predictions,
@@ -129,10 +128,9 @@ def _middle(case: Case, response: Response) -> Array | None:
 
 def _key(setup: SetUp, case: Case) -> dict[str, Any]:
     """What tells the rows of a case from those of others, whatever the response is compared with."""
-    names = scenario_axes(setup.scenario, setup.plant.model)
     signal = case.signal.model_dump()
     return {
-        "excited_axis": "all" if case.axis is None else names[case.axis],
+        "excited_axis": setup.excited_axis(case),
         "frequency_hz": case.signal.highest_frequency_hz,
         "amplitude_v": signal.get("amplitude_v", signal.get("radius_v")),
         "amplitude_um": signal.get("amplitude_um", signal.get("radius_um")),

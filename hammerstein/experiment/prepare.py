@@ -85,10 +85,19 @@ class SetUp:
     models: dict[str, HammersteinModel]
     laws: dict[str, AnyLaw]
 
+    @cached_property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes that the scenario's signal has."""
+        return scenario_axes(self.scenario, self.plant.model)
+
+    def excited_axis(self, case: Case) -> str:
+        """Name of the axis that a case excites; ``all`` where they are driven together."""
+        return "all" if case.axis is None else self.axes[case.axis]
+
     def cases(self) -> Iterator[Case]:
         """Every case, in the order of the report."""
         scenario = self.scenario
-        axes = driven_axes(scenario, len(scenario_axes(scenario, self.plant.model)))
+        axes = driven_axes(scenario, len(self.axes))
         for signal, trial in scenario.runs():
             tested = [c.label for c in scenario.compensators if c.is_tested_at(signal.highest_frequency_hz)]
             for label in [""] if scenario.drive is not None else tested:
@@ -186,7 +195,7 @@ class SetUp:
         """Values (axis, sample) of the signal of a case from one sample to before another."""
         time_s = self.plant.sample_time_s * np.arange(first, stop, dtype=np.float64)
         rest = 0.0 if self.scenario.drive is None else self.plant.range.working_point_v
-        return values_of(case, time_s, len(scenario_axes(self.scenario, self.plant.model)), rest)
+        return values_of(case, time_s, len(self.axes), rest)
 
 
 def _asked_for(law: Law[Any], path_um: Array, drive_v: Array) -> Array:

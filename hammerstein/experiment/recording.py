@@ -11,24 +11,12 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.dynamics import StaticDynamics, discretise
 from hammerstein.experiment.prepare import Case, SetUp
+from hammerstein.experiment.report import Target
 from hammerstein.hysteresis import Memory
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response, refuse_unbounded
 
 STRETCH = 100_000  # samples that are simulated at once where not all are recorded; they fit the cache
-
-
-@dataclass(frozen=True, eq=False)
-class Target:
-    """What a position (axis, sample) is compared with: a reference, or the prediction of a model."""
-
-    label: str
-    reading_um: Array
-    position_um: Array
-
-    def every(self, samples: int) -> Target:
-        """Record one of so many samples, from the first on."""
-        return Target(self.label, self.reading_um[:, ::samples], self.position_um[:, ::samples])
 
 
 class PredictionState(NamedTuple):
@@ -56,13 +44,13 @@ def recorded(setup: SetUp, case: Case) -> Recording:
     """
     every = setup.scenario.measure.record_every or 1
     long = every > 1 and setup.runs_on(case)
-    stretch = max(STRETCH // every, 1) * every
+    stretch, recorded_part = max(STRETCH // every, 1) * every, slice(None, None, every)
     parts, targets = [], []
     memory: Mapping[str, PredictionState] = {}
     for part in setup.stretches(case, stretch) if long else [setup.simulate(case)]:
         found, memory = targets_of(setup, case, part, memory)
         parts.append(part.every(every))
-        targets.append([None if target is None else target.every(every) for target in found])
+        targets.append([None if target is None else target.part(recorded_part) for target in found])
     return Recording(Response.joined(parts), [_joined(same) for same in zip(*targets, strict=True)])
 
 

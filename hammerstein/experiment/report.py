@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hammerstein.arrays import Array
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.escaping import cell
-from hammerstein.metrics import Row
+from hammerstein.metrics import Keyed, Row
 from hammerstein.model.simulation import Response
 from hammerstein.pictured import Pictured
 from hammerstein.scenario import Scenario
@@ -24,46 +24,36 @@ FORMAT = "hammerstein-report/1"
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
-    """What a model says of a run in volts, over the measured window (axis, sample) [um]."""
+class Target:
+    """What a run (axis, sample) [um] is compared with: a reference, or the prediction of a model."""
 
     label: str
     reading_um: Array
     position_um: Array
 
+    def part(self, samples: slice) -> Target:
+        """Give some of the samples."""
+        return Target(self.label, self.reading_um[:, samples], self.position_um[:, samples])
 
-@dataclass(frozen=True)
-class Band:
+
+@dataclass(frozen=True, kw_only=True)
+class Band(Keyed):
     """Median and 5-95 % band of one metric of one row over the draws of an uncertain actuator."""
 
-    compensator: str
-    excited_axis: str
-    measured_axis: str
-    frequency_hz: float
-    amplitude_v: float | None
-    amplitude_um: float | None
-    trial: int | None
     metric: str
     p5_um: float
     median_um: float
     p95_um: float
 
 
-@dataclass(frozen=True)
-class Sensitivity:
+@dataclass(frozen=True, kw_only=True)
+class Sensitivity(Keyed):
     """Part of the variance of one metric of one row that is due to one uncertain parameter.
 
     first, total : index of the parameter alone, and with all that it does together with others
     *_low, *_high : their 95 % limits
     """
 
-    compensator: str
-    excited_axis: str
-    measured_axis: str
-    frequency_hz: float
-    amplitude_v: float | None
-    amplitude_um: float | None
-    trial: int | None
     metric: str
     parameter: str
     first: float
@@ -83,7 +73,7 @@ class Trace:
     excited_axis: str
     response: Response
     first_sample: int
-    predictions: tuple[Prediction, ...] = ()
+    predictions: tuple[Target, ...] = ()
     trial: int | None = None
 
     @property

@@ -11,7 +11,7 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.kept import KeptCases
 from hammerstein.experiment.measure import statements_of
 from hammerstein.experiment.plan import Plan, identification_parts, plan_of
-from hammerstein.experiment.prepare import Case, Progress, SetUp, plant_of, prepare, scenario_axes
+from hammerstein.experiment.prepare import Case, Progress, SetUp, plant_of, prepare
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.sensitivity import sensitivities_of
 from hammerstein.experiment.uncertainty_bands import bands_of
@@ -108,9 +108,8 @@ def _chosen(
     chosen = scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update=swept)})
     Plan(tuple(identification_parts(chosen, plant_of(chosen)))).refuse_too_large()
     setup = prepare(chosen)
-    names = scenario_axes(scenario, setup.plant.model)
     for case in setup.cases():
-        right_axis = excited_axis is None or case.axis is None or names[case.axis] == excited_axis
+        right_axis = excited_axis is None or setup.excited_axis(case) in ("all", excited_axis)
         if right_axis and (compensator is None or case.label == compensator):
             return setup, case
     raise InputError("simulate", f"the scenario has no case {compensator!r} on axis {excited_axis!r}")

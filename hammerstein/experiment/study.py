@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -74,7 +73,7 @@ def sampled(
     def begun(number: int, values: Mapping[str, float]) -> Callable[[], Sampled] | Future[Sampled]:
         try:
             here = varied(scenario, values, name)
-            key = _key(here)
+            key = key_of("sampled", here.content())
         except HammersteinError as error:
             return given(Sampled(number, values, (), str(error)))
         entry = None if store is None else store.read(key)
@@ -169,12 +168,6 @@ def _one(scenario: Scenario, name: str, number: int, values: Mapping[str, float]
         return Sampled(number, values, run(scenario, name).rows)
     except HammersteinError as error:
         return Sampled(number, values, (), str(error))
-
-
-def _key(scenario: Scenario) -> str:
-    """Key of the rows of a scenario and of what its files hold."""
-    files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in scenario.files()]
-    return key_of("sampled", [scenario.portable(), files])
 
 
 def varied(scenario: Scenario, values: Mapping[str, float], name: str = "scenario") -> Scenario:

@@ -12,7 +12,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law
-from hammerstein.escaping import clean
+from hammerstein.escaping import clean, templates_of
 from hammerstein.export.beside import Beside
 from hammerstein.export.c_blocks import CPart, Table
 from hammerstein.export.c_laws import c_law_of
@@ -255,17 +255,11 @@ def _verdict(model: HammersteinModel) -> str:
 
 def environment() -> Any:
     """Templates of the export."""
-    import jinja2
+    from jinja2 import pass_context
 
-    found = jinja2.Environment(
-        loader=jinja2.PackageLoader("hammerstein.export"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+    found = templates_of("hammerstein.export")
 
-    @jinja2.pass_context
+    @pass_context
     def beside(context: Any, part: Beside, macro: str) -> str:
         return part.text(macro, found, context.get_all())
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import column
@@ -25,7 +25,7 @@ from hammerstein.files import read_limited
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import staged
-from hammerstein.validation import mistakes_of
+from hammerstein.validation import Strict, mistakes_of
 
 MODEL_FILE, REQUEST_FILE = "model.json", "export.json"
 EXPORT = Owner("export", sign=(REQUEST_FILE, '"hammerstein-export/1"'))
@@ -33,10 +33,8 @@ ALWAYS = (REQUEST_FILE, MODEL_FILE, "README.md", "Makefile", "golden.csv", "self
 SEARCHED = 100_000
 
 
-class ExportFile(BaseModel):
+class ExportFile(Strict):
     """What made an export, and what was measured then."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     request: Request
     measured: Measured

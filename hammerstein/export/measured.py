@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from hammerstein.validation import Strict
 
 
-class Measured(BaseModel):
+class Measured(Strict):
     """Figures that stand in the code, and are kept with it.
 
     Without a C compiler there are none.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     operations: int | None = Field(default=None, description="most operations of a step that were found")
     samples: int = Field(default=0, description="samples of the search")

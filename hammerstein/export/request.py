@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from hammerstein.blocks import Law
 from hammerstein.compensators.drive_file import Terms, allowed_range, compensator_of, refuse_flagged
@@ -13,17 +13,14 @@ from hammerstein.errors import InputError
 from hammerstein.export.forward import ForwardModel
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Offset, Plain, SampleTime
-from hammerstein.validation import mistakes_of
+from hammerstein.validation import Strict, mistakes_of
 
-FORMAT = "hammerstein-export/1"
 MODEL = "model"
 """As a law: the actuator itself."""
 
 
-class Request(BaseModel):
+class Request(Strict):
     """An export as its file keeps it, beside a copy of the model."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: Literal["hammerstein-export/1"] = "hammerstein-export/1"
     source: str = Field(description="name of the model file")

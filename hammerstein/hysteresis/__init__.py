@@ -3,6 +3,7 @@
 To add a kind to the package, write it in a file of its own and name it here.
 """
 
+from hammerstein.blocks import Memory
 from hammerstein.hysteresis.asymmetric import Asymmetric, AsymmetricFile, AsymmetricState, DeadZones
 from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.bouc_wen import BoucWen, BoucWenFile, BoucWenPair, BoucWenState
@@ -11,7 +12,6 @@ from hammerstein.hysteresis.kind import (
     HYSTERESIS,
     Hysteresis,
     HysteresisFile,
-    Memory,
     Normals,
     Sloped,
     slopes_of,

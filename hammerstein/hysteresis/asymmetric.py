@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from numpy.typing import ArrayLike
+from pydantic import Field
 
-from hammerstein.arrays import Array, freeze, frozen
-from hammerstein.errors import InputError, Mistake
+from hammerstein.arrays import Array, Indices, freeze, freeze_fields, frozen
+from hammerstein.blocks import Memory
+from hammerstein.errors import InputError
 from hammerstein.hysteresis.bank import PlayState
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
-from hammerstein.hysteresis.pair import Pair, WeightCovariance, played
-from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile
+from hammerstein.hysteresis.pair import Pair, WeightCovariance, played, weighted_mistakes
+from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, PartFile, covariances
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hammerstein.quantities import Offset, Weight, WeightError
 
@@ -49,26 +50,11 @@ class DeadZones:
     weight_errors_um_per_v: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "breakpoints_v", frozen(self.breakpoints_v))
-        object.__setattr__(self, "weights_um_per_v", frozen(self.weights_um_per_v))
-        if self.weight_errors_um_per_v is not None:
-            object.__setattr__(self, "weight_errors_um_per_v", frozen(self.weight_errors_um_per_v))
-        mistakes = list(self._mistakes())
+        freeze_fields(self, "breakpoints_v", "weights_um_per_v", "weight_errors_um_per_v")
+        q, v, errors = self.breakpoints_v, self.weights_um_per_v, self.weight_errors_um_per_v
+        mistakes = list(weighted_mistakes("breakpoints", q, v, errors))
         if mistakes:
             raise InputError("dead-zones", mistakes)
-
-    def _mistakes(self) -> Iterable[Mistake]:
-        q, v, errors = self.breakpoints_v, self.weights_um_per_v, self.weight_errors_um_per_v
-        if q.ndim != 1 or v.shape != q.shape:
-            yield Mistake("weights_um_per_v", f"has shape {v.shape}, the breakpoints {q.shape}; one each")
-        if errors is not None and errors.shape != v.shape:
-            yield Mistake("weight_errors_um_per_v", f"has shape {errors.shape}, the weights {v.shape}")
-        if not np.isfinite(q).all():
-            yield Mistake("breakpoints_v", "holds a value that is not finite")
-        elif q.ndim == 1 and (np.diff(q) <= 0).any():
-            yield Mistake("breakpoints_v", "is not strictly increasing; sort it and merge equal breakpoints")
-        if not np.isfinite(v).all():
-            yield Mistake("weights_um_per_v", "holds a value that is not finite")
 
     @classmethod
     def absent(cls) -> DeadZones:
@@ -95,7 +81,7 @@ class ZoneLines:
     slope, intercept : (m, n_max+1, p) line of each zone; zero at the working point
     """
 
-    n: NDArray[np.int64]
+    n: Indices
     ends: Array
     slope: Array
     intercept: Array
@@ -129,7 +115,7 @@ class ZoneLines:
 
 
 @dataclass(frozen=True, eq=False)
-class AsymmetricState:
+class AsymmetricState(Memory):
     """Memory of an asymmetric model: that of its plays, and the outputs of the smallest play an input.
 
     plays : memory of the play operators; smallest_v : (m,) where the dead-zones stand [V]
@@ -137,15 +123,6 @@ class AsymmetricState:
 
     plays: PlayState
     smallest_v: Array
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists that JSON keeps to the last bit."""
-        return {"plays": self.plays.as_dict(), "smallest_v": self.smallest_v.tolist()}
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> AsymmetricState:
-        """Restore what ``as_dict`` saved."""
-        return cls(PlayState.from_dict(data["plays"]), np.array(data["smallest_v"], dtype=np.float64))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -257,10 +234,6 @@ class Asymmetric(Hysteresis[AsymmetricState]):
         smallest = [played(path, [r])[0] for path, r in zip(path_v, self.smallest_v, strict=True)]
         return AsymmetricState(self.plays.after(path_v), np.array(smallest))
 
-    def restore(self, data: dict[str, Any]) -> AsymmetricState:
-        """State from what ``as_dict`` gave."""
-        return AsymmetricState.from_dict(data)
-
     def _respond(self, u_v: Array, start: AsymmetricState) -> tuple[Array, AsymmetricState]:
         from hammerstein.hysteresis.asymmetric_kernels import add_dead_zones
 
@@ -335,44 +308,20 @@ class Asymmetric(Hysteresis[AsymmetricState]):
 
     def file(self) -> AsymmetricFile:
         """Give its form in a model file; the working point stands there once, with the voltages."""
-        known = self.weight_covariance
-        return AsymmetricFile(
-            pairs=self.plays.file().pairs,
-            dead_zones=tuple(tuple(DeadZonesFile.of(zones) for zones in row) for row in self.zones),
-            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
-        )
+        parts = {"pairs": self.plays.pairs, "dead_zones": self.zones}
+        return AsymmetricFile.model_validate(parts | {"weight_covariance": self.weight_covariance})
 
 
-class DeadZonesFile(BaseModel):
+class DeadZonesFile(PartFile):
     """Dead-zones of one pair in a model file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     breakpoints_v: tuple[Offset, ...] = Field(description="voltages as they are sent")
     weights_um_per_v: tuple[Weight, ...]
     weight_errors_um_per_v: tuple[WeightError, ...] | None = None
 
-    @model_validator(mode="after")
-    def _are_dead_zones(self) -> Self:
-        try:
-            self.zones()
-        except InputError as error:
-            raise ValueError("; ".join(f"{m.where} {m.what}" for m in error.mistakes)) from None
-        return self
-
-    def zones(self) -> DeadZones:
+    def value(self) -> DeadZones:
         """Give the dead-zones this describes."""
-        errors = self.weight_errors_um_per_v
-        return DeadZones(
-            np.asarray(self.breakpoints_v, dtype=float),
-            np.asarray(self.weights_um_per_v, dtype=float),
-            None if errors is None else np.asarray(errors, dtype=float),
-        )
-
-    @classmethod
-    def of(cls, zones: DeadZones) -> DeadZonesFile:
-        """Describe dead-zones."""
-        return cls.model_validate({name: getattr(zones, name) for name in cls.model_fields})
+        return DeadZones(**self.model_dump())
 
 
 class AsymmetricFile(HysteresisFile):
@@ -385,8 +334,6 @@ class AsymmetricFile(HysteresisFile):
 
     def hysteresis(self) -> Asymmetric:
         """Give the hysteresis this describes."""
-        plays = PrandtlIshlinskii(tuple(tuple(pair.pair() for pair in row) for row in self.pairs))
-        zones = tuple(tuple(zone.zones() for zone in row) for row in self.dead_zones)
-        known = self.weight_covariance
-        covariance = None if known is None else tuple(one.covariance() for one in known)
-        return Asymmetric(plays, zones, weight_covariance=covariance)
+        plays = PrandtlIshlinskii(tuple(tuple(pair.value() for pair in row) for row in self.pairs))
+        zones = tuple(tuple(zone.value() for zone in row) for row in self.dead_zones)
+        return Asymmetric(plays, zones, weight_covariance=covariances(self.weight_covariance))

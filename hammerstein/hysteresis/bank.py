@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.arrays import Array, freeze
+from hammerstein.arrays import Array, Indices, freeze
+from hammerstein.blocks import Memory
 from hammerstein.hysteresis.pair import Pair
-
-Counts = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class PlayState:
+class PlayState(Memory):
     """Memory of a Prandtl-Ishlinskii model: the stack of segments of each input (see ``kernels``).
 
     Made by ``PrandtlIshlinskii.rest``, ``.state_of`` or by a run; its arrays are not written to.
@@ -24,30 +21,11 @@ class PlayState:
     count : (m,) height of each stack; end, x, d : (m, operator+1); below : (m, operator+1, p)
     """
 
-    count: Counts
-    end: Counts
+    count: Indices
+    end: Indices
     x: Array
     d: Array
     below: Array
-
-    def copy(self) -> PlayState:
-        """Give an independent copy."""
-        return PlayState(*(array.copy() for array in self._arrays()))
-
-    def _arrays(self) -> tuple[Any, ...]:
-        return self.count, self.end, self.x, self.d, self.below
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists that JSON keeps to the last bit."""
-        names = ("count", "end", "x", "d", "below")
-        return {name: array.tolist() for name, array in zip(names, self._arrays(), strict=True)}
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> PlayState:
-        """Restore what ``as_dict`` saved."""
-        count, end = (np.array(data[name], dtype=np.int64) for name in ("count", "end"))
-        x, d, below = (np.array(data[name], dtype=np.float64) for name in ("x", "d", "below"))
-        return cls(count, end, x, d, below)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,13 +40,13 @@ class Bank:
     guide, scale : (m, levels), (m,) where the search for a threshold begins, see ``kernels``
     """
 
-    n: Counts
+    n: Indices
     r: Array
     w: Array
     slope: Array
     moment: Array
     lines: Array
-    guide: Counts
+    guide: Indices
     scale: Array
 
     @classmethod

@@ -6,17 +6,18 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field
 
 from hammerstein.arrays import Array, frozen
+from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite, refuse_unbuilt
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import WeightCovariance
-from hammerstein.hysteresis.pair_file import CovarianceFile
+from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, covariances
 from hammerstein.quantities import PerVolt, Weight
 
 
@@ -106,20 +107,11 @@ class BoucWenPair:
 
 
 @dataclass(frozen=True, eq=False)
-class BoucWenState:
+class BoucWenState(Memory):
     """Memory: the hysteretic part z of each pair (p, m) [V], and the last voltages (m,) [V]."""
 
     z_v: Array
     last_v: Array
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists that JSON keeps to the last bit."""
-        return {"z_v": self.z_v.tolist(), "last_v": self.last_v.tolist()}
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> BoucWenState:
-        """Restore what ``as_dict`` saved."""
-        return cls(*(np.array(data[name], dtype=np.float64) for name in ("z_v", "last_v")))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -222,18 +214,13 @@ class BoucWen(Hysteresis[BoucWenState]):
         """Memory after a path; see ``Hysteresis.after``."""
         return self.respond(path_v, BoucWenState(self.rest().z_v, path_v[:, 0].copy()))[1]
 
-    def restore(self, data: dict[str, Any]) -> BoucWenState:
-        """Memory from what ``as_dict`` gave."""
-        return BoucWenState.from_dict(data)
-
     def _respond(self, u_v: Array, start: BoucWenState) -> tuple[Array, BoucWenState]:
         from hammerstein.compiled import spans
         from hammerstein.hysteresis.bouc_wen_kernels import respond_bouc_wen
 
         if not np.isfinite(u_v).all():
             refuse_not_finite(u_v)
-        y = np.empty((self.n_outputs, u_v.shape[1]))
-        state = BoucWenState(start.z_v.copy(), start.last_v.copy())
+        y, state = np.empty((self.n_outputs, u_v.shape[1])), start.copy()
         for first, stop in spans(u_v.shape[1], 64 * self.n_inputs * self.n_outputs):
             respond_bouc_wen(u_v, *self.bank, state.z_v, state.last_v, first, stop, y)
         return y, state
@@ -281,36 +268,20 @@ class BoucWen(Hysteresis[BoucWenState]):
 
     def file(self) -> BoucWenFile:
         """Give its form in a model file."""
-        known = self.weight_covariance
-        return BoucWenFile(
-            pairs=tuple(tuple(BoucWenPairFile.of(pair) for pair in row) for row in self.pairs),
-            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
-        )
+        return BoucWenFile.model_validate(self)
 
 
-class BoucWenPairFile(BaseModel):
+class BoucWenPairFile(PartFile):
     """One pair in a model file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     direct_um_per_v: Weight = Field(description="slope once the hysteretic part has come to its limit")
     hysteretic_um_per_v: Weight = Field(default=0.0, description="what the hysteretic part takes off")
     beta_per_v: PerVolt = Field(default=0.0, description="how fast it forgets; 0 or more")
     gamma_per_v: PerVolt = Field(default=0.0, description="how much faster growing than falling")
 
-    @model_validator(mode="after")
-    def _is_a_pair(self) -> Self:
-        refuse_unbuilt(self.pair)
-        return self
-
-    def pair(self) -> BoucWenPair:
+    def value(self) -> BoucWenPair:
         """Give the pair this describes."""
         return BoucWenPair(**self.model_dump())
-
-    @classmethod
-    def of(cls, pair: BoucWenPair) -> BoucWenPairFile:
-        """Describe a pair."""
-        return cls.model_validate({name: getattr(pair, name) for name in cls.model_fields})
 
 
 class BoucWenFile(HysteresisFile):
@@ -322,8 +293,5 @@ class BoucWenFile(HysteresisFile):
 
     def hysteresis(self) -> BoucWen:
         """Give the hysteresis this describes."""
-        known = self.weight_covariance
-        return BoucWen(
-            tuple(tuple(pair.pair() for pair in row) for row in self.pairs),
-            None if known is None else tuple(one.covariance() for one in known),
-        )
+        pairs = tuple(tuple(pair.value() for pair in row) for row in self.pairs)
+        return BoucWen(pairs, covariances(self.weight_covariance))

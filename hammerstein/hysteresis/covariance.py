@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hammerstein.arrays import Array, frozen
+from hammerstein.arrays import Array, freeze_fields, frozen
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.pair import WeightCovariance
 
@@ -28,7 +28,7 @@ class ThresholdCovariance:
     open: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "factor_v", frozen(self.factor_v))
+        freeze_fields(self, "factor_v")
         object.__setattr__(self, "following_um_per_v2", tuple(map(frozen, self.following_um_per_v2)))
         if not all(np.isfinite(matrix).all() for matrix in (self.factor_v, *self.following_um_per_v2)):
             raise InputError("threshold_covariance", "holds a value that is not finite")

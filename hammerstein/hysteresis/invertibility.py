@@ -9,9 +9,9 @@ from functools import singledispatch
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Indices
 from hammerstein.blocks import require_square
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import (
@@ -194,8 +194,8 @@ class _Reachable(NamedTuple):
     """Slopes (choice, row) that one input can have, with its engaged operators and zone (choice,)."""
 
     slopes: Array
-    engaged: NDArray[np.int64]
-    zone: NDArray[np.int64]
+    engaged: Indices
+    zone: Indices
 
 
 def _reachable(square: Asymmetric, k: int, low: float, high: float) -> _Reachable:

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVa
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict
+from pydantic import ConfigDict, model_validator
 
 from hammerstein.arrays import Array
+from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis.pair import WeightCovariance
 from hammerstein.plugins import Family
+from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.block_system import BlockSystem
@@ -26,14 +28,6 @@ SLOPES_KEPT = 8
 
 SLOW_S = 1e6
 """Sample time on which a voltage that is swept has no rate [s]."""
-
-
-class Memory(Protocol):
-    """What a block remembers between two samples; JSON keeps it to the last bit."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists and numbers."""
-        ...
 
 
 class Normals(Protocol):
@@ -114,9 +108,9 @@ class Hysteresis(ABC, Generic[S]):
         v, state = self.respond(path_v)
         return v[:, -1].copy(), state
 
-    @abstractmethod
     def restore(self, data: dict[str, Any]) -> S:
         """Memory from what its ``as_dict`` gave."""
+        return self.rest().restored(data)
 
     @abstractmethod
     def _respond(self, u_v: Array, start: S) -> tuple[Array, S]:
@@ -274,10 +268,10 @@ def slopes_of(hysteresis: Hysteresis[Any], k: int, amplitude_v: float) -> Array:
     return hysteresis.swept_slopes(k, amplitude_v)
 
 
-class HysteresisFile(BaseModel, ABC):
-    """One kind of hysteresis in a model file, told by its ``kind``."""
+class HysteresisFile(Strict, ABC):
+    """One kind of hysteresis in a model file, told by its ``kind``; also made of the hysteresis itself."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(from_attributes=True)
 
     if TYPE_CHECKING:  # a field of every kind
         kind: str
@@ -285,6 +279,11 @@ class HysteresisFile(BaseModel, ABC):
     @abstractmethod
     def hysteresis(self) -> Hysteresis[Any]:
         """Give the hysteresis this describes; InputError where it is none."""
+
+    @model_validator(mode="after")
+    def _is_a_hysteresis(self) -> Self:
+        refuse_unbuilt(self.hysteresis)
+        return self
 
 
 HYSTERESIS: Family[HysteresisFile] = Family(HysteresisFile, "kind")  # type: ignore[type-abstract]

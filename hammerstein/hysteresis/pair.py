@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, frozen
+from hammerstein.arrays import Array, freeze_fields, frozen
 from hammerstein.errors import InputError, Mistake
 
 
@@ -110,28 +110,14 @@ class Pair:
     weight_errors_um_per_v: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "thresholds_v", frozen(self.thresholds_v))
-        object.__setattr__(self, "weights_um_per_v", frozen(self.weights_um_per_v))
-        if self.weight_errors_um_per_v is not None:
-            object.__setattr__(self, "weight_errors_um_per_v", frozen(self.weight_errors_um_per_v))
-        mistakes = list(self._mistakes())
+        freeze_fields(self, "thresholds_v", "weights_um_per_v", "weight_errors_um_per_v")
+        r, w, errors = self.thresholds_v, self.weights_um_per_v, self.weight_errors_um_per_v
+        mistakes = list(weighted_mistakes("thresholds", r, w, errors))
+        if (r < 0).any():
+            what = f"holds a negative value, {r.min():g} V; thresholds are 0 or more"
+            mistakes.append(Mistake("thresholds_v", what))
         if mistakes:
             raise InputError("Prandtl-Ishlinskii pair", mistakes)
-
-    def _mistakes(self) -> Iterable[Mistake]:
-        r, w, errors = self.thresholds_v, self.weights_um_per_v, self.weight_errors_um_per_v
-        if r.ndim != 1 or w.shape != r.shape:
-            yield Mistake("weights_um_per_v", f"has shape {w.shape}, the thresholds {r.shape}; give one each")
-        if errors is not None and errors.shape != w.shape:
-            yield Mistake("weight_errors_um_per_v", f"has shape {errors.shape}, the weights {w.shape}")
-        if not np.isfinite(r).all():
-            yield Mistake("thresholds_v", "holds a value that is not finite")
-        elif (r < 0).any():
-            yield Mistake("thresholds_v", f"holds a negative value, {r.min():g} V; thresholds are 0 or more")
-        elif r.ndim == 1 and (np.diff(r) <= 0).any():
-            yield Mistake("thresholds_v", "is not strictly increasing; sort it and merge equal thresholds")
-        if not np.isfinite(w).all():
-            yield Mistake("weights_um_per_v", "holds a value that is not finite")
 
     @classmethod
     def linear(cls, gain_um_per_v: float) -> Pair:
@@ -178,6 +164,20 @@ class Pair:
         return np.asarray(np.maximum(rise, 0.0) @ w)
 
 
+def weighted_mistakes(name: str, places_v: Array, w: Array, errors: Array | None) -> Iterable[Mistake]:
+    """What is wrong with weights, and their errors, of operators at some places; ``name`` says of which."""
+    if places_v.ndim != 1 or w.shape != places_v.shape:
+        yield Mistake("weights_um_per_v", f"has shape {w.shape}, the {name} {places_v.shape}; give one each")
+    if errors is not None and errors.shape != w.shape:
+        yield Mistake("weight_errors_um_per_v", f"has shape {errors.shape}, the weights {w.shape}")
+    if not np.isfinite(places_v).all():
+        yield Mistake(f"{name}_v", "holds a value that is not finite")
+    elif places_v.ndim == 1 and (np.diff(places_v) <= 0).any():
+        yield Mistake(f"{name}_v", f"is not strictly increasing; sort it and merge equal {name}")
+    if not np.isfinite(w).all():
+        yield Mistake("weights_um_per_v", "holds a value that is not finite")
+
+
 @dataclass(frozen=True, eq=False)
 class WeightCovariance:
     """How the errors of all weights of one output hang together: their covariance L L^T.
@@ -192,7 +192,7 @@ class WeightCovariance:
     slopes_at_bound: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "factor_um_per_v", frozen(self.factor_um_per_v))
+        freeze_fields(self, "factor_um_per_v")
         if not np.isfinite(self.factor_um_per_v).all():
             raise InputError("weight_covariance", "holds a value that is not finite")
 

@@ -2,76 +2,80 @@
 
 from __future__ import annotations
 
-from typing import Self
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.covariance import ThresholdCovariance
+from hammerstein.hysteresis.kind import refuse_unbuilt
 from hammerstein.hysteresis.pair import Pair, WeightCovariance
 from hammerstein.quantities import Entry, NoCycles, Threshold, Weight, WeightError
+from hammerstein.validation import Strict
 
 
-class PairFile(BaseModel):
+class PartFile(Strict, ABC):
+    """A part of a hysteresis in a model file; also made of the part itself, whose names it has."""
+
+    model_config = ConfigDict(from_attributes=True)
+
+    @abstractmethod
+    def value(self) -> object:
+        """Give the part this describes; InputError where it is none."""
+
+    @model_validator(mode="after")
+    def _is_a_part(self) -> Self:
+        refuse_unbuilt(self.value)
+        return self
+
+
+class PairFile(PartFile):
     """One pair in a model file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     thresholds_v: tuple[Threshold, ...]
     weights_um_per_v: tuple[Weight, ...]
     weight_errors_um_per_v: tuple[WeightError, ...] | None = None
 
-    @model_validator(mode="after")
-    def _is_a_pair(self) -> Self:
-        try:
-            self.pair()
-        except InputError as error:
-            raise ValueError("; ".join(f"{m.where} {m.what}" for m in error.mistakes)) from None
-        return self
-
-    def pair(self) -> Pair:
+    def value(self) -> Pair:
         """Give the pair this describes."""
-        errors = self.weight_errors_um_per_v
-        return Pair(
-            np.asarray(self.thresholds_v, dtype=float),
-            np.asarray(self.weights_um_per_v, dtype=float),
-            None if errors is None else np.asarray(errors, dtype=float),
-        )
-
-    @classmethod
-    def of(cls, pair: Pair) -> PairFile:
-        """Describe a pair."""
-        return cls.model_validate({name: getattr(pair, name) for name in cls.model_fields})
+        return Pair(**self.model_dump())
 
 
-class CovarianceFile(BaseModel):
+def _rows(factor: Any) -> Any:
+    """Rows of a lower triangle, each up to its diagonal."""
+    return [row[: i + 1] for i, row in enumerate(factor)] if isinstance(factor, np.ndarray) else factor
+
+
+class CovarianceFile(PartFile):
     """Covariance L L^T of all weights of one output, pair after pair in the order of the inputs."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    factor_um_per_v: tuple[tuple[Weight, ...], ...] = Field(description="rows of L, each up to its diagonal")
+    factor_um_per_v: Annotated[tuple[tuple[Weight, ...], ...], BeforeValidator(_rows)] = Field(
+        description="rows of L, each up to its diagonal"
+    )
     slopes_at_bound: NoCycles = Field(
         default=0, description="slopes held at a bound of the fit: the covariance is that of the others"
     )
 
-    def covariance(self) -> WeightCovariance:
+    def value(self) -> WeightCovariance:
         """Give the covariance this describes."""
         return WeightCovariance(_square("weight_covariance", self.factor_um_per_v), self.slopes_at_bound)
 
-    @classmethod
-    def of(cls, found: WeightCovariance) -> CovarianceFile:
-        """Describe a covariance."""
-        return cls(factor_um_per_v=_rows(found.factor_um_per_v), slopes_at_bound=found.slopes_at_bound)
+
+def covariances(files: Iterable[CovarianceFile] | None) -> tuple[WeightCovariance, ...] | None:
+    """Covariances of the weights of each output, where a file has them."""
+    return None if files is None else tuple(one.value() for one in files)
 
 
-class ThresholdCovarianceFile(BaseModel):
+class ThresholdCovarianceFile(PartFile):
     """Covariance L L^T of the fitted thresholds of all inputs, and how the best weights follow them."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    factor_v: tuple[tuple[Entry, ...], ...] = Field(description="rows of L, each up to its diagonal")
+    factor_v: Annotated[tuple[tuple[Entry, ...], ...], BeforeValidator(_rows)] = Field(
+        description="rows of L, each up to its diagonal"
+    )
     following_um_per_v2: tuple[tuple[tuple[Entry, ...], ...], ...] = Field(
         description="of each output, a row a weight: what it changes by with each threshold"
     )
@@ -79,7 +83,7 @@ class ThresholdCovarianceFile(BaseModel):
         default=(), description="thresholds that the records leave open, counted from 0; they are held"
     )
 
-    def covariance(self) -> ThresholdCovariance:
+    def value(self) -> ThresholdCovariance:
         """Give the covariance this describes."""
         n = len(self.factor_v)
         following = []
@@ -89,17 +93,6 @@ class ThresholdCovarianceFile(BaseModel):
             following.append(np.array(matrix, dtype=float).reshape(n, n))
         factor = _square("threshold_covariance", self.factor_v)
         return ThresholdCovariance(factor, tuple(following), self.open)
-
-    @classmethod
-    def of(cls, found: ThresholdCovariance) -> ThresholdCovarianceFile:
-        """Describe a covariance."""
-        following = tuple(tuple(map(tuple, matrix.tolist())) for matrix in found.following_um_per_v2)
-        return cls(factor_v=_rows(found.factor_v), following_um_per_v2=following, open=found.open)
-
-
-def _rows(triangle: Array) -> tuple[tuple[float, ...], ...]:
-    """Rows of a lower triangle, each up to its diagonal."""
-    return tuple(tuple(row[: i + 1].tolist()) for i, row in enumerate(triangle))
 
 
 def _square(where: str, rows: tuple[tuple[float, ...], ...]) -> Array:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from hammerstein.arrays import Array
+from hammerstein.blocks import Memory
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.asymmetric import AsymmetricFile
 from hammerstein.hysteresis.bouc_wen import BoucWenFile
@@ -21,14 +22,10 @@ from hammerstein.hysteresis.rate_dependent import RateDependentFile
 
 
 @dataclass(frozen=True, eq=False)
-class ParallelState:
+class ParallelState(Memory):
     """Memory of every part, in their order."""
 
     parts: tuple[Any, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists that JSON keeps to the last bit."""
-        return {"parts": [part.as_dict() for part in self.parts]}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,11 +110,6 @@ class Parallel(Hysteresis[ParallelState]):
         """Sum of the outputs, and memory, at the end of a slow path."""
         found = [part.standing(path_v) for part in self.parts]
         return np.sum([v for v, _ in found], axis=0), ParallelState(tuple(own for _, own in found))
-
-    def restore(self, data: dict[str, Any]) -> ParallelState:
-        """Memory from what ``as_dict`` gave."""
-        both = zip(self.parts, data["parts"], strict=True)
-        return ParallelState(tuple(part.restore(own) for part, own in both))
 
     def _respond(self, u_v: Array, start: ParallelState) -> tuple[Array, ParallelState]:
         found = [part.respond(u_v, own) for part, own in zip(self.parts, start.parts, strict=True)]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from hammerstein.arrays import Array, frozen
 from hammerstein.errors import InputError, Mistake
@@ -17,7 +17,7 @@ from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.covariance import ThresholdCovariance, refuse_other_sizes
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, Normals, refuse_not_finite
 from hammerstein.hysteresis.pair import Pair, WeightCovariance, played
-from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, ThresholdCovarianceFile
+from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, ThresholdCovarianceFile, covariances
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
@@ -159,19 +159,6 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
             plays.append(values)
         return plays
 
-    def weighted(self, plays_v: Sequence[Array]) -> Array:
-        """Output (output,) of given play outputs, one array an input on that input's threshold grid [um].
-
-        v_l = sum over j and i of w_lji p_ji                                           (paper, eq. 4)
-        """
-        bank = self.bank
-        rows = [plays @ bank.w[k, : len(plays)] for k, plays in enumerate(plays_v)]
-        return np.asarray(np.sum(rows, axis=0))
-
-    def restore(self, data: dict[str, Any]) -> PlayState:
-        """Memory from what ``PlayState.as_dict`` gave."""
-        return PlayState.from_dict(data)
-
     def _respond(self, u_v: Array, start: PlayState) -> tuple[Array, PlayState]:
         from hammerstein.compiled import spans
         from hammerstein.hysteresis.play_kernels import respond_turning_points
@@ -247,7 +234,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
 
     def file(self) -> PrandtlIshlinskiiFile:
         """Give its form in a model file."""
-        return PrandtlIshlinskiiFile.of(self)
+        return PrandtlIshlinskiiFile.model_validate(self)
 
     def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
         """Give a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
@@ -296,30 +283,8 @@ class PrandtlIshlinskiiFile(HysteresisFile):
     weight_covariance: tuple[CovarianceFile, ...] | None = None
     threshold_covariance: ThresholdCovarianceFile | None = None
 
-    @model_validator(mode="after")
-    def _is_a_hysteresis(self) -> Self:
-        try:
-            self.hysteresis()
-        except InputError as error:
-            raise ValueError("; ".join(f"{m.where} {m.what}".strip() for m in error.mistakes)) from None
-        return self
-
     def hysteresis(self) -> PrandtlIshlinskii:
         """Give the hysteresis this describes."""
-        pairs = tuple(tuple(pair.pair() for pair in row) for row in self.pairs)
-        weights, thresholds = self.weight_covariance, self.threshold_covariance
-        return PrandtlIshlinskii(
-            pairs,
-            None if weights is None else tuple(one.covariance() for one in weights),
-            None if thresholds is None else thresholds.covariance(),
-        )
-
-    @classmethod
-    def of(cls, hysteresis: PrandtlIshlinskii) -> PrandtlIshlinskiiFile:
-        """Describe a hysteresis."""
-        weights, thresholds = hysteresis.weight_covariance, hysteresis.threshold_covariance
-        return cls(
-            pairs=tuple(tuple(PairFile.of(pair) for pair in row) for row in hysteresis.pairs),
-            weight_covariance=None if weights is None else tuple(map(CovarianceFile.of, weights)),
-            threshold_covariance=None if thresholds is None else ThresholdCovarianceFile.of(thresholds),
-        )
+        pairs = tuple(tuple(pair.value() for pair in row) for row in self.pairs)
+        thresholds = None if self.threshold_covariance is None else self.threshold_covariance.value()
+        return PrandtlIshlinskii(pairs, covariances(self.weight_covariance), thresholds)

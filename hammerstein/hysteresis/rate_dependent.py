@@ -6,17 +6,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from numpy.typing import ArrayLike
+from pydantic import Field
 
-from hammerstein.arrays import Array, frozen
+from hammerstein.arrays import Array, Indices, freeze_fields, frozen
+from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite, refuse_unbuilt
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import WeightCovariance, played
-from hammerstein.hysteresis.pair_file import CovarianceFile
+from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, covariances
 from hammerstein.quantities import Bandwidth, Delay, Threshold, Weight
 
 
@@ -45,8 +46,7 @@ class RatePlays:
     lambda_s_per_v: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "thresholds_v", frozen(self.thresholds_v))
-        object.__setattr__(self, "growth_s", frozen(self.growth_s))
+        freeze_fields(self, "thresholds_v", "growth_s")
         r, b = self.thresholds_v, self.growth_s
         mistakes = []
         if r.ndim != 1 or not r.size or b.shape != r.shape:
@@ -65,29 +65,19 @@ class RatePlays:
 
 
 @dataclass(frozen=True, eq=False)
-class RateState:
+class RateState(Memory):
     """Memory: outputs of the plays (m, n_max), last two voltages (m, 2) [V], filtered rates (m,) [V/s]."""
 
     plays_v: Array
     last_v: Array
     rate_v_per_s: Array
 
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists that JSON keeps to the last bit."""
-        return {name: getattr(self, name).tolist() for name in ("plays_v", "last_v", "rate_v_per_s")}
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> RateState:
-        """Restore what ``as_dict`` saved."""
-        names = ("plays_v", "last_v", "rate_v_per_s")
-        return cls(*(np.array(data[name], dtype=np.float64) for name in names))
-
 
 @dataclass(frozen=True, eq=False)
 class RateBank:
     """All plays of every input as the kernels want them: n (m,), r and b (m, n_max), w (m, n_max, p)."""
 
-    n: NDArray[np.int64]
+    n: Indices
     r: Array
     b: Array
     lam: Array
@@ -235,10 +225,6 @@ class RateDependent(Hysteresis[RateState]):
         state = self.after(path_v)
         return np.einsum("kio,ki->o", self.bank.w, state.plays_v), state
 
-    def restore(self, data: dict[str, Any]) -> RateState:
-        """Memory from what ``as_dict`` gave."""
-        return RateState.from_dict(data)
-
     def _respond(self, u_v: Array, start: RateState) -> tuple[Array, RateState]:
         from hammerstein.compiled import spans
         from hammerstein.hysteresis.rate_dependent_kernels import respond_rate_dependent
@@ -246,7 +232,7 @@ class RateDependent(Hysteresis[RateState]):
         if not np.isfinite(u_v).all():
             refuse_not_finite(u_v)
         bank, y = self.bank, np.empty((self.n_outputs, u_v.shape[1]))
-        state = RateState(start.plays_v.copy(), start.last_v.copy(), start.rate_v_per_s.copy())
+        state = start.copy()
         plays = (bank.n, bank.r, bank.b, bank.lam, bank.w)
         memory = (state.plays_v, state.last_v, state.rate_v_per_s)
         for first, stop in spans(u_v.shape[1], 8 * bank.w.size):
@@ -278,38 +264,20 @@ class RateDependent(Hysteresis[RateState]):
 
     def file(self) -> RateDependentFile:
         """Give its form in a model file; the sample time is that of who uses it."""
-        known = self.weight_covariance
-        return RateDependentFile(
-            inputs=tuple(RatePlaysFile.of(plays) for plays in self.inputs),
-            weights_um_per_v=tuple(tuple(tuple(w.tolist()) for w in row) for row in self.weights_um_per_v),
-            weight_covariance=None if known is None else tuple(map(CovarianceFile.of, known)),
-        )
+        return RateDependentFile.model_validate(self)
 
 
-class RatePlaysFile(BaseModel):
+class RatePlaysFile(PartFile):
     """Plays of one input in a model file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     thresholds_v: tuple[Threshold, ...]
     growth_s: tuple[Delay, ...] = Field(description="volts a threshold grows for each V/s")
     bandwidth_hz: Bandwidth = 500.0
     lambda_s_per_v: Delay = Field(default=0.0, description="where the growth flattens; 0: it does not")
 
-    @model_validator(mode="after")
-    def _are_plays(self) -> Self:
-        refuse_unbuilt(self.plays)
-        return self
-
-    def plays(self) -> RatePlays:
+    def value(self) -> RatePlays:
         """Give the plays this describes."""
-        r, b = (np.asarray(values, dtype=float) for values in (self.thresholds_v, self.growth_s))
-        return RatePlays(r, b, self.bandwidth_hz, self.lambda_s_per_v)
-
-    @classmethod
-    def of(cls, plays: RatePlays) -> RatePlaysFile:
-        """Describe the plays."""
-        return cls.model_validate({name: getattr(plays, name) for name in cls.model_fields})
+        return RatePlays(**self.model_dump())
 
 
 class RateDependentFile(HysteresisFile):
@@ -322,9 +290,8 @@ class RateDependentFile(HysteresisFile):
 
     def hysteresis(self) -> RateDependent:
         """Give the hysteresis this describes."""
-        known = self.weight_covariance
         return RateDependent(
-            tuple(plays.plays() for plays in self.inputs),
+            tuple(plays.value() for plays in self.inputs),
             tuple(tuple(np.asarray(w, dtype=float) for w in row) for row in self.weights_um_per_v),
-            weight_covariance=None if known is None else tuple(one.covariance() for one in known),
+            weight_covariance=covariances(self.weight_covariance),
         )

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
+from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.linear.axis_delay import best_delay
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
@@ -39,8 +39,6 @@ from hammerstein.identification.static.regressors import Columns, Start
 from hammerstein.identification.task import Task
 from hammerstein.identification.verdict import FELT, axis_identified, creep_identified
 from hammerstein.records.record import Record
-
-Linear = AxesDynamics | StaticDynamics
 
 MOST_CREEP = 3
 """Slow modes of an axis that ``auto`` may come to."""

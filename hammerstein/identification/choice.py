@@ -9,16 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise, split_delay
+from hammerstein.dynamics import (
+    AxesDynamics,
+    Dynamics,
+    StateSpaceDynamics,
+    StaticDynamics,
+    discretise,
+    split_delay,
+)
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.static.folds import FOLDS, moments_of_folds
-from hammerstein.identification.static.normal_equations import (
-    Moments,
-    coefficients,
-    pooled,
-    squares_left,
-)
+from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
 from hammerstein.identification.static.regressors import Filter, Start, delayed, regressor_blocks
 from hammerstein.identification.static.static_block import Layout, path_filters
 from hammerstein.records.record import Record
@@ -136,7 +138,7 @@ def parameters_of(candidate: Candidate) -> int:
     return weights + thresholds + n * (2 * p + 1)
 
 
-def is_stable(dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics, sample_time_s: float) -> bool:
+def is_stable(dynamics: Dynamics, sample_time_s: float) -> bool:
     """Whether a linear block forgets: all poles inside the unit circle."""
     block = discretise(dynamics.model_copy(update={"input_delay_s": 0.0}), sample_time_s)
     return bool((np.abs(np.linalg.eigvals(block.A)) < 1.0).all())

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
+from hammerstein.dynamics import Dynamics, discretise
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
@@ -24,7 +24,7 @@ class Candidate:
     """A model under judgement: static block, linear block, and the sensor that stands behind them."""
 
     hysteresis: Hysteresis[Any]
-    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics
+    dynamics: Dynamics
     sensor_bandwidth_hz: float | None = None
 
     def predict(self, record: Record, start: Start) -> Array:

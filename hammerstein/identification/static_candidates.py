@@ -5,11 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import (
-    AxesDynamics,
-    StateSpaceDynamics,
-    StaticDynamics,
-)
+from hammerstein.dynamics import AxesDynamics, Dynamics, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_search import thinning
@@ -87,12 +83,7 @@ def late_static(task: Task) -> Task:
     return replace(task, delay_samples=static_delay(few, task.thresholds_v, begun, through=sensor or None)[0])
 
 
-def static_blocks(
-    task: Task,
-    thresholds_v: Thresholds,
-    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
-    method: str,
-) -> Blocks:
+def static_blocks(task: Task, thresholds_v: Thresholds, dynamics: Dynamics, method: str) -> Blocks:
     """Weights by the method asked for, and by the two that it is compared with."""
     layout = Layout.of(thresholds_v)
     refuse_unreached(task.records, layout.grids)
@@ -164,7 +155,7 @@ def lost_inverse(task: Task, start: Blocks, found: Blocks) -> bool:
 def fitted_thresholds(
     task: Task,
     thresholds_v: Thresholds,
-    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
+    dynamics: Dynamics,
     rounds: int = MOST_ROUNDS,
 ) -> list[list[Array]]:
     """Thresholds fitted in front of given dynamics, the same for all outputs."""
@@ -183,8 +174,6 @@ def with_errors(task: Task, found: Found) -> Found:
     return replace(found, candidate=candidate, blocks=replace(found.blocks, chosen=chosen))
 
 
-def _fitting(
-    task: Task, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics, every: int = 1
-) -> ThresholdTask:
+def _fitting(task: Task, dynamics: Dynamics, every: int = 1) -> ThresholdTask:
     """What stays fixed while thresholds are fitted in front of given dynamics."""
     return ThresholdTask(task.records, task.starts, task.whole_delay, task.paths(dynamics), every)

@@ -10,13 +10,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import (
-    AxesDynamics,
-    LinearBlock,
-    StateSpaceDynamics,
-    StaticDynamics,
-    discretise,
-)
+from hammerstein.dynamics import Dynamics, LinearBlock, StaticDynamics, discretise
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_fit import AxisFit
@@ -24,10 +18,7 @@ from hammerstein.identification.linear.delay import delay_in_samples
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
-from hammerstein.identification.static.static_block import (
-    StaticFit,
-    Thresholds,
-)
+from hammerstein.identification.static.static_block import StaticFit, Thresholds
 from hammerstein.records.record import Record
 
 Progress = Callable[[str], None]
@@ -67,12 +58,12 @@ class Task:
         """Whole samples of the delay, by which the plays are shifted; what is left belongs to the path."""
         return math.floor(self.delay_samples)
 
-    def delayed_as(self, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics) -> Task:
+    def delayed_as(self, dynamics: Dynamics) -> Task:
         """Give the task with the delay of a linear block."""
         delay = delay_in_samples(dynamics.input_delay_s, self.records[0].sample_time_s)
         return replace(self, delay_samples=delay)
 
-    def paths(self, dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics) -> list[LinearBlock]:
+    def paths(self, dynamics: Dynamics) -> list[LinearBlock]:
         """Discrete path of each record from the static block to the reading, with the part of a sample."""
         part_s = (self.delay_samples - self.whole_delay) * self.records[0].sample_time_s
         prompt = dynamics.model_copy(update={"input_delay_s": part_s})
@@ -81,11 +72,7 @@ class Task:
             return []
         return [discretise(prompt, record.sample_time_s, sensor) for record in self.records]
 
-    def candidate(
-        self,
-        hysteresis: Hysteresis[Any],
-        dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
-    ) -> Candidate:
+    def candidate(self, hysteresis: Hysteresis[Any], dynamics: Dynamics) -> Candidate:
         """Static block and linear block as a model with the delay of the task."""
         late = dynamics.model_copy(update={"input_delay_s": self.delay_s})
         return Candidate(hysteresis, late, self.settings.sensor_bandwidth_hz)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics, discretise
+from hammerstein.dynamics import Dynamics, StateSpaceDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.invertibility import invertibility
@@ -332,7 +332,7 @@ def widening(records: Sequence[Record], k: int, o: int) -> str:
 
 def invertibility_of(
     hysteresis: Hysteresis[Any],
-    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
+    dynamics: Dynamics,
     range_v: ArrayLike,
     sample_time_s: float,
     inputs: Sequence[str],

@@ -15,11 +15,12 @@ from hammerstein.metrics.arrays import (
 )
 from hammerstein.metrics.measured import Measured
 from hammerstein.metrics.metric import METRICS, Metric, metric, metrics_of
-from hammerstein.metrics.row import KEY, Row
+from hammerstein.metrics.row import KEY, Keyed, Row
 
 __all__ = [
     "KEY",
     "METRICS",
+    "Keyed",
     "LoopFigures",
     "Measured",
     "Metric",

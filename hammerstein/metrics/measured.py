@@ -52,13 +52,8 @@ class Measured:
         return None if self.target_position_um is None else self.position_um - self.target_position_um
 
     @cached_property
-    def distance_um(self) -> Array | None:
-        """Distance (sample,) of the reading from what it is compared with [um]."""
-        return None if self.error_um is None else euclidean(self.error_um)
-
-    @cached_property
     def true_distance_um(self) -> Array | None:
-        """The same of the true position [um]."""
+        """Distance (sample,) of the true position from what it is compared with [um]."""
         return None if self.true_error_um is None else euclidean(self.true_error_um)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""One row of a report."""
+"""One row of a report, and what tells it from the others."""
 
 from __future__ import annotations
 
@@ -11,12 +11,8 @@ from hammerstein.metrics.metric import METRICS, metrics_of
 
 
 @dataclass(frozen=True)
-class Row:
-    """Figures of one case on one measured axis; None where a figure has no meaning.
-
-    Errors are those of the sensor's reading, as in the paper; names with ``true`` are of the true position.
-    A figure is read by its name: ``row.rms_um``.
-    """
+class Keyed:
+    """What tells one row from the others, and all that is said of a row."""
 
     compensator: str
     excited_axis: str
@@ -25,16 +21,35 @@ class Row:
     amplitude_v: float | None = None
     amplitude_um: float | None = None
     trial: int | None = None
+
+    def key(self) -> dict[str, Any]:
+        """Give that by name."""
+        return {name: getattr(self, name) for name in KEY}
+
+    @property
+    def place(self) -> tuple[Any, ...]:
+        """The same without the names."""
+        return tuple(self.key().values())
+
+
+KEY = tuple(field.name for field in fields(Keyed))
+"""Names of what tells one row from the others."""
+
+
+@dataclass(frozen=True)
+class Row(Keyed):
+    """Figures of one case on one measured axis; None where a figure has no meaning.
+
+    Errors are those of the sensor's reading, as in the paper; names with ``true`` are of the true position.
+    A figure is read by its name: ``row.rms_um``.
+    """
+
     figures: Mapping[str, float] = field(default_factory=dict)
 
     def __getattr__(self, name: str) -> float | None:
         if name not in METRICS:
             raise AttributeError(f"a row has no figure {name!r}")
         return self.figures.get(name)
-
-    def key(self) -> dict[str, Any]:
-        """Give what tells this row from the others."""
-        return {name: getattr(self, name) for name in KEY}
 
     def not_finite(self) -> str:
         """Name of a figure that is infinite or NaN, empty if all are finite."""
@@ -44,7 +59,3 @@ class Row:
         """Everything in the row by name, None where a figure has no meaning."""
         names = (*(metric.name for metric in metrics_of()), *self.figures)
         return self.key() | {name: self.figures.get(name) for name in names}
-
-
-KEY = tuple(field.name for field in fields(Row) if field.name != "figures")
-"""What tells one row from the others."""

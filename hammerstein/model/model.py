@@ -13,19 +13,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
+from numpy.typing import ArrayLike
+from pydantic import ConfigDict, Field, JsonValue, ValidationError, model_validator
 
+from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import unique
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.voltages import Verdict, Voltages
-from hammerstein.dynamics import AxesDynamics, Dynamics, StateSpaceDynamics, StaticDynamics
+from hammerstein.dynamics import Dynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import Content, is_there, read_limited, write_atomic
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
 from hammerstein.pictured import Pictured
 from hammerstein.quantities import Name, Plain, Size
-from hammerstein.validation import mistakes_of, suggestion
+from hammerstein.validation import Strict, mistakes_of, suggestion
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.block_system import BlockSystem
@@ -61,7 +62,7 @@ class HammersteinModel(Pictured):
 
     name: str
     hysteresis: Hysteresis[Any]
-    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics
+    dynamics: Dynamics
     amplitude_v: float
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -235,9 +236,7 @@ class HammersteinModel(Pictured):
         here = self.hysteresis.on_grid(sample_time_s)
         return self if here is self.hysteresis else replace(self, hysteresis=here)
 
-    def static_response(
-        self, drive_v: NDArray[np.float64], start: Any = None
-    ) -> tuple[NDArray[np.float64], Any]:
+    def static_response(self, drive_v: Array, start: Any = None) -> tuple[Array, Any]:
         """Outputs (output, sample) of the hysteresis [um] for voltages as they are sent, and its state.
 
         drive_v : (input, sample) [V]; start : state before; at rest at the working point if not given
@@ -284,10 +283,10 @@ class HammersteinModel(Pictured):
         return NUMBERS.sub(lambda found: f"[{' '.join(found[1].split())}]", text) + "\n"
 
 
-class ModelFile(BaseModel):
+class ModelFile(Strict):
     """What a model file holds: hysteresis, dynamics, voltages, names, verdict and provenance."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+    model_config = ConfigDict(ser_json_inf_nan="strings")
 
     format: Literal["hammerstein-model/2"] = "hammerstein-model/2"
     name: str

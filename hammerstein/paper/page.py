@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hammerstein.escaping import cell, code, markdown
+from hammerstein.escaping import cell, markdown_page
 from hammerstein.experiment.report import Report
 from hammerstein.model import HammersteinModel, packaged_actuators
 from hammerstein.paper.assessment import Paper
@@ -103,21 +103,12 @@ def _copied(report: Report, out: Path, stage: Stage) -> list[str]:
 
 
 def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("hammerstein.paper"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,  # Markdown, which has its own filter
-    )
-    environment.filters |= {"md": markdown, "code": code}
     verdicts = [verdict for report in reports for verdict in claimed(report)]
     actuators = list(dict.fromkeys(answer.actuator for verdict in verdicts for answer in verdict.answers))
     counted = [verdict for verdict in verdicts if not verdict.calibrated]
-    return environment.get_template("page.md.jinja").render(
+    return markdown_page(
+        "page.md.jinja",
+        package="hammerstein.paper",
         reports=reports,
         figures=figures,
         places={report.name: printed_at(report) for report in reports},

@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.arrays import Array, Rows
+from hammerstein.arrays import Array, Flags, Indices
 from hammerstein.errors import Mistake
 from hammerstein.quantities import Range
 from hammerstein.records.noise import quantum
@@ -27,7 +26,7 @@ DISPLACEMENT_RANGE = 1e-3, 1e5
 """Ranges that a record in V and um can have; anything else is a matter of units."""
 
 
-def where(name: str, rows: Rows | None = None, start: int = 0, stop: int = 0) -> str:
+def where(name: str, rows: Indices | None = None, start: int = 0, stop: int = 0) -> str:
     """``column x, row 5`` or ``column x, rows 5 to 9`` for the samples start..stop (both included)."""
     if rows is None:
         return f"column {name}"
@@ -36,13 +35,13 @@ def where(name: str, rows: Rows | None = None, start: int = 0, stop: int = 0) ->
     return f"column {name}, rows {rows[start]} to {rows[stop]}"
 
 
-def runs(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
+def runs(flags: Flags) -> Indices:
     """First and last index of every run of True: (run, 2)."""
     edges = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
     return np.column_stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1])
 
 
-def gap_mistakes(names: Sequence[str], values: Array, rows: Rows) -> Iterator[Mistake]:
+def gap_mistakes(names: Sequence[str], values: Array, rows: Indices) -> Iterator[Mistake]:
     """Samples without a number, in runs; values (column, sample)."""
     for name, column in zip(names, values, strict=True):
         gaps = runs(~np.isfinite(column))
@@ -55,7 +54,7 @@ def gap_mistakes(names: Sequence[str], values: Array, rows: Rows) -> Iterator[Mi
 
 
 def far_mistakes(
-    names: Sequence[str], values: Array, rows: Rows, limit: Range, unit: str
+    names: Sequence[str], values: Array, rows: Indices, limit: Range, unit: str
 ) -> Iterator[Mistake]:
     """Numbers that no voltage or displacement is, with which no sum can be taken; values (column, sample)."""
     for name, column in zip(names, values, strict=True):
@@ -76,7 +75,7 @@ def length_mistakes(samples: int) -> Iterator[Mistake]:
         )
 
 
-def still_mistakes(names: Sequence[str], values: Array, rows: Rows, kind: str) -> Iterator[Mistake]:
+def still_mistakes(names: Sequence[str], values: Array, rows: Indices, kind: str) -> Iterator[Mistake]:
     """All columns of one kind stand still: values (column, sample)."""
     if values.size == 0 or any(moves(column) for column in values):
         return
@@ -112,7 +111,7 @@ def unit_mistake(place: str, span: float, kind: str) -> Mistake | None:
     return Mistake(place, f"covers {span:.3g} {unit}, which cannot be; try {scales}")
 
 
-def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Rows) -> Iterator[Mistake]:
+def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Indices) -> Iterator[Mistake]:
     """Outputs that stand at one extreme value while the voltages would push them further.
 
     A hysteretic output also stands still right after a reversal, but only while the voltage moves away
@@ -149,7 +148,7 @@ def _straight_line(u: Array, column: Array) -> Array:
     return np.asarray(gain @ centred)
 
 
-def time_mistakes(name: str, time_s: Array, rows: Rows) -> list[Mistake]:
+def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
     """Where a time column is not a uniform grid: steps back, gaps, jitter."""
     steps = np.diff(time_s)
     typical = float(np.median(steps))
@@ -180,7 +179,7 @@ def time_mistakes(name: str, time_s: Array, rows: Rows) -> list[Mistake]:
     return []
 
 
-def _time_gap(name: str, time_s: Array, rows: Rows, k: int, typical: float) -> Mistake:
+def _time_gap(name: str, time_s: Array, rows: Indices, k: int, typical: float) -> Mistake:
     step = float(time_s[k + 1] - time_s[k])
     missing = max(round(step / typical) - 1, 1)
     return Mistake(
@@ -189,7 +188,7 @@ def _time_gap(name: str, time_s: Array, rows: Rows, k: int, typical: float) -> M
     )
 
 
-def hidden_gaps(name: str, time_s: Array, rows: Rows) -> list[Mistake]:
+def hidden_gaps(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
     """Missing samples that a time column shows, in any unit and with as few digits as it likes.
 
     Jitter and equal instants are no matter where the rate is known; a jump away from the grid that lasts is.

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hammerstein.arrays import Array, Rows
+from hammerstein.arrays import Array, Indices
 from hammerstein.records.checks import runs
 from hammerstein.records.noise import noise_rms
 from hammerstein.records.preparation import driven_inputs, run_in
@@ -142,7 +142,7 @@ def _drift(trial: _Trial, record: Record) -> float:
     return drift if drift > DRIFT * float(np.ptp(record.y_um, axis=1).max()) else 0.0
 
 
-def _drift_text(drift_um: float, rows: Rows, record: Record) -> str:
+def _drift_text(drift_um: float, rows: Indices, record: Record) -> str:
     seconds = float(rows[-1] - rows[0]) * record.sample_time_s
     if drift_um == 0.0:
         return ""
@@ -152,7 +152,7 @@ def _drift_text(drift_um: float, rows: Rows, record: Record) -> str:
     )
 
 
-def _saturation(trial: _Trial, rows: Rows) -> str:
+def _saturation(trial: _Trial, rows: Indices) -> str:
     """Ends towards which the output moves less; empty if there are none."""
     slow, bent, both = trial.trend[1], trial.bend[1], trial.both[1]
     bends = bent < BENT_EXPLAINS * trial.plain or both < BENT_EXPLAINS * slow

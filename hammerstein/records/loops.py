@@ -12,15 +12,12 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hammerstein.arrays import Array
 from hammerstein.records.noise import noise_rms, quantum
 from hammerstein.records.preparation import driven_alone, driven_inputs
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import Excursion, find_cycles
-
-Indices = NDArray[np.int64]
 
 SMOOTHED = 10
 """Most samples on each side that a noisy output is smoothed over."""
@@ -96,15 +93,6 @@ class Loop:
     def samples(self) -> int:
         """Samples from the start to the close."""
         return self.stop - self.start
-
-
-class Branches(NamedTuple):
-    """Both branches of a loop, each (sample,) in the order of time, tips included."""
-
-    rising_v: Array
-    rising_um: Array
-    falling_v: Array
-    falling_um: Array
 
 
 class _Path(NamedTuple):
@@ -243,32 +231,6 @@ def _drawn(u: Array, excursion: Excursion) -> bool:
     low, high = sorted((float(u[start]), float(u[turn])))
     inner = (u > low + JUMP * (high - low)) & (u < high - JUMP * (high - low))
     return bool(inner[start:turn].any() and inner[turn : stop + 1].any())
-
-
-def branches(record: Record, loop: Loop) -> Branches:
-    """Rising and falling branch of a loop as measured, without the minor loops on them.
-
-    Parameters
-    ----------
-    record : the record in which the loop was found
-    loop : one of its loops
-
-    Examples
-    --------
-    >>> u = np.interp(np.arange(60.0), [0, 10, 30, 50, 59], [0, 1, -1, 1, 0.1])
-    >>> record = Record([u], [2.0 * u], 1e-3)
-    >>> branches(record, loop_table(record)[0]).rising_um[[0, -1]]
-    array([-2.,  2.])
-    """
-    u = record.u_v[record.inputs.index(loop.input)]
-    y = record.y_um[record.outputs.index(loop.output)]
-    excursion = Excursion(loop.start, loop.turn, loop.stop, loop.minor)
-    minor = [other for other in find_cycles(u).excursions if other.minor]
-    path = _path(u, y, excursion, minor, 0.0)
-    first = path.u[: path.turn + 1], path.y[: path.turn + 1]
-    second = path.u[path.turn :], path.y[path.turn :]
-    rising, falling = (first, second) if path.u[path.turn] > path.u[0] else (second, first)
-    return Branches(*rising, *falling)
 
 
 def _path(u: Array, y: Array, excursion: Excursion, minor: Sequence[Excursion], noise: float) -> _Path:

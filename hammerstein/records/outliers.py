@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hammerstein.arrays import Array, Flags, Rows
+from hammerstein.arrays import Array, Flags, Indices
 from hammerstein.errors import Mistake
 from hammerstein.records.checks import SHOWN, runs, where
 from hammerstein.records.robust_fit import FITTED, LAGS, Products, copies
@@ -57,7 +57,7 @@ class Outliers(NamedTuple):
     """
 
     column: str
-    rows: Rows
+    rows: Indices
     values: Array
     samples: int
 
@@ -160,7 +160,7 @@ def _confirmed(u: Array, y: Array, suspects: Flags) -> tuple[Flags, Array]:
     return lost, fit
 
 
-def outlier_mistakes(names: Sequence[str], values: Array, lost: Flags, rows: Rows) -> list[Mistake]:
+def outlier_mistakes(names: Sequence[str], values: Array, lost: Flags, rows: Indices) -> list[Mistake]:
     """Columns of which more is lost than may be left out."""
     return [
         Mistake(
@@ -173,7 +173,7 @@ def outlier_mistakes(names: Sequence[str], values: Array, lost: Flags, rows: Row
     ]
 
 
-def listed(names: Sequence[str], values: Array, lost: Flags, rows: Rows) -> list[Outliers]:
+def listed(names: Sequence[str], values: Array, lost: Flags, rows: Indices) -> list[Outliers]:
     """Outliers of each column that has some; values (column, sample) as they were read."""
     return [
         Outliers(name, rows[flags], row[flags], len(row))

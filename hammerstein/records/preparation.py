@@ -1,16 +1,13 @@
-"""What is asked of a record before a model is fitted: driven axes, offset, dead start, delay, direction."""
+"""What is asked of a record before a model is fitted: driven axes, dead start, run-in, direction."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.arrays import Array, freeze
+from hammerstein.arrays import Array, Complex
 from hammerstein.errors import InputError, Mistake
-from hammerstein.hysteresis import play
 from hammerstein.records.checks import where
 from hammerstein.records.noise import dead_band, noise_rms, quantum
 from hammerstein.records.record import Record
@@ -21,10 +18,6 @@ FEWEST_AT_REST = 3
 RESTING = 1e-4
 """Part of its range by which an output at rest may move."""
 TREND_PARTS = 4
-DELAY_OPERATORS = 15
-DELAY_BLOCKS = 10
-DELAY_GAIN = 0.01
-"""Part by which a longer delay must lower the error, or the shorter one is kept."""
 ALIKE = 0.5
 """Correlation of output and input from which a lead has a meaning."""
 VISITED = 0.05
@@ -65,66 +58,6 @@ def driven_alone(record: Record, k: int, start: int, stop: int) -> bool:
     spans = np.ptp(record.u_v[:, start : stop + 1], axis=1)
     others = np.delete(spans, k)
     return bool((others <= DRIVEN_SHARE * np.ptp(record.u_v, axis=1).max()).all())
-
-
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """A record without offset, dead start and delay, and what was taken off.
-
-    Parameters
-    ----------
-    record : what is left; the output is on the time of the voltage that caused it
-    offset_v : (input,) voltage at rest [V]
-    offset_um : (output,) displacement at rest [um]
-    at_rest : whether the offsets are means over the dead start; if there is none, they are the middle of
-        the range of each signal
-    dead_start_samples : samples before anything moves that were cut off
-    delay_samples : samples by which the output was brought forward
-    """
-
-    record: Record
-    offset_v: Array
-    offset_um: Array
-    at_rest: bool
-    dead_start_samples: int
-    delay_samples: int
-
-
-def prepare(record: Record, max_delay_samples: int = 0) -> Prepared:
-    """Take offset, dead start and, if asked, whole samples of delay off a record.
-
-    Parameters
-    ----------
-    record : voltages and displacements
-    max_delay_samples : longest delay that is tried; 0 leaves the delay alone
-
-    Examples
-    --------
-    >>> u = np.concatenate([np.zeros(50), np.sin(np.linspace(0.0, 12.0, 300))])
-    >>> prepared = prepare(Record([u + 1.0], [5.0 * u - 40.0], 1e-3))
-    >>> prepared.dead_start_samples, prepared.offset_v, prepared.offset_um
-    (50, array([1.]), array([-40.]))
-    """
-    dead = dead_start(record)
-    at_rest = dead + 1 >= FEWEST_AT_REST
-    delay = estimate_delay(record, max_delay_samples) if max_delay_samples > 0 else 0
-    offset_v = _rest(record.u_v, dead, at_rest)
-    offset_um = _rest(record.y_um, dead, at_rest)
-    samples = record.samples
-    left = Record(
-        record.u_v[:, dead : samples - delay] - offset_v[:, None],
-        record.y_um[:, dead + delay :] - offset_um[:, None],
-        record.sample_time_s,
-        record.inputs,
-        record.outputs,
-        record.source,
-        record.rows[dead : samples - delay],
-        record.period_samples,
-        record.rest_v + offset_v,
-        record.outliers,
-        verified=True,
-    )
-    return Prepared(left, offset_v, offset_um, at_rest, dead, delay)
 
 
 def dead_start(record: Record) -> int:
@@ -181,78 +114,6 @@ def _last_still(u: Array) -> int:
     return int(np.flatnonzero(away[:first] <= flicker)[-1])
 
 
-def _rest(values: Array, dead: int, at_rest: bool) -> Array:
-    middle = 0.5 * (values.min(axis=1) + values.max(axis=1))
-    rest = np.asarray(values[:, : dead + 1].mean(axis=1) if at_rest else middle)
-    freeze(rest)
-    return rest
-
-
-def estimate_delay(record: Record, max_samples: int, operators: int = DELAY_OPERATORS) -> int:
-    """Whole samples by which the outputs come late, told apart from hysteresis.
-
-    Hysteresis looks like lag, so a correlation would always find a delay. Here a small bank of plays is
-    fitted for every candidate,
-
-        y[k + d] ~ c + sum over inputs and thresholds of w play_r(u)[k],
-
-    on every second of ten blocks of the record, and judged on the others. The shortest delay whose error is
-    within one percent of the least is returned. What a slow sensor or a flexible actuator adds to the lag at
-    the frequencies of the record is counted as delay too: sines of one frequency cannot tell them apart.
-
-    Parameters
-    ----------
-    record : voltages and displacements
-    max_samples : longest delay tried
-    operators : plays for each driven input
-
-    Raises
-    ------
-    InputError : the record is too short for that delay
-
-    Examples
-    --------
-    >>> u = np.sin(2.0 * np.pi * np.arange(2000) / 200) * np.linspace(1.0, 0.2, 2000)
-    >>> y = 5.0 * play(u, [0.0, 0.3]).sum(axis=0)
-    >>> estimate_delay(Record([u], [np.roll(y, 3)], 1e-3), 6)
-    3
-    """
-    if max_samples < 0 or record.samples < 10 * max_samples + 2 * DELAY_BLOCKS:
-        raise InputError(record.source, f"{record.samples} samples are too few for {max_samples} of delay")
-    regressors = _plays(record, operators)
-    start = record.samples // 10  # the path from rest is fitted badly by operators that start elsewhere
-    errors = [
-        _held_out_error(
-            regressors[:, start + max_samples - d : record.samples - d], record.y_um[:, start + max_samples :]
-        )
-        for d in range(max_samples + 1)
-    ]
-    allowed = (1.0 + DELAY_GAIN) * min(errors)
-    return next(d for d, error in enumerate(errors) if error <= allowed)
-
-
-def _plays(record: Record, operators: int) -> Array:
-    """A constant, and for every driven input plays whose thresholds divide half its range."""
-    rows = [np.ones((1, record.samples))]
-    for k in driven_inputs(record):
-        u = record.u_v[k]
-        low, high = float(u.min()), float(u.max())
-        thresholds = 0.5 * (high - low) * np.arange(operators) / operators
-        rows.append(play(u - 0.5 * (low + high), thresholds))
-    return np.vstack(rows)
-
-
-def _held_out_error(regressors: Array, y: Array) -> float:
-    """Rms error on the blocks not fitted, every output in parts of its range."""
-    block = np.arange(y.shape[1]) * DELAY_BLOCKS // y.shape[1]
-    fitted = block % 2 == 0
-    x, target = regressors[:, fitted], y[:, fitted]
-    weights = np.linalg.lstsq(x @ x.T, x @ target.T, rcond=None)[0]
-    error = y[:, ~fitted] - weights.T @ regressors[:, ~fitted]
-    span = np.maximum(np.ptp(y, axis=1), np.finfo(float).tiny)
-    return float(np.sqrt(np.mean((error / span[:, None]) ** 2)))
-
-
 def lag_rad(records: Sequence[Record]) -> Array:
     """Phase by which each output lags each input [rad], over the slower half of the excitation.
 
@@ -274,7 +135,7 @@ def lag_rad(records: Sequence[Record]) -> Array:
     return np.asarray(np.arctan2(-sign * response.imag, np.abs(response.real)))
 
 
-def _slow_response(records: Sequence[Record]) -> tuple[NDArray[np.complex128], bool]:
+def _slow_response(records: Sequence[Record]) -> tuple[Complex, bool]:
     """Response (output, input) over the slower half of the power; whether inputs can be told apart."""
     driven = sorted({k for record in records for k in driven_inputs(record)})
     size = np.sqrt(sum(record.u_v[driven].var(axis=1) * record.samples for record in records))
@@ -292,7 +153,7 @@ def _slow_response(records: Sequence[Record]) -> tuple[NDArray[np.complex128], b
     return response, bool(np.linalg.cond(power) < COHERENT)
 
 
-def _spectra(signals: Array) -> NDArray[np.complex128]:
+def _spectra(signals: Array) -> Complex:
     window = np.hanning(signals.shape[1])
     return np.asarray(np.fft.rfft(window * (signals - signals.mean(axis=1, keepdims=True))))
 
@@ -317,6 +178,7 @@ def leads(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
 
     Examples
     --------
+    >>> from hammerstein.hysteresis import play
     >>> u = 10.0 * np.sin(2.0 * np.pi * np.arange(1200) / 400)
     >>> x = 5.0 * play(u, [2.0])
     >>> leads([Record([u], x, 5e-5)]), leads([Record(x, [u], 5e-5)])

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hammerstein.arrays import Array, Rows
+from hammerstein.arrays import Array, Indices
 from hammerstein.blocks.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.array_files import SUFFIXES, array_columns, refuse_large, whole_array
@@ -49,7 +49,7 @@ class Columns:
     source: str
     names: tuple[str, ...]
     values: Array
-    rows: Rows
+    rows: Indices
     mistakes: tuple[Mistake, ...]
     units: tuple[str, ...]
 
@@ -154,7 +154,7 @@ def _columns(
     path: Path,
     names: tuple[str, ...],
     values: Array,
-    rows: Rows,
+    rows: Indices,
     units: Sequence[str],
     text: Sequence[Mistake] = (),
 ) -> Columns:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
-from pathlib import Path
 
 import numpy as np
 
-from hammerstein.arrays import Array, Rows, freeze, frozen
+from hammerstein.arrays import Array, Indices, freeze, frozen
 from hammerstein.blocks.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.pictured import Pictured
@@ -23,8 +22,6 @@ from hammerstein.records.checks import (
     where,
 )
 from hammerstein.records.outliers import Outliers, listed, outlier_mistakes, without_outliers
-
-PathLike = str | Path
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +61,7 @@ class Record(Pictured):
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     source: str = "record"
-    rows: Rows = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    rows: Indices = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     period_samples: int | None = None
     rest_v: Array = field(default_factory=lambda: np.empty(0), repr=False)
     outliers: tuple[Outliers, ...] = field(default=(), repr=False)

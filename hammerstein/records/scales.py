@@ -13,8 +13,6 @@ from hammerstein.records.checks import hidden_gaps, sample_time, time_mistakes, 
 from hammerstein.records.readers import Columns, named_time
 from hammerstein.records.units import BASE, Kind, unit_in
 
-PathLike = str | Path
-
 OTHER_RATE = 0.01
 """Part by which a rate may differ from the one of the file's time column."""
 
@@ -44,7 +42,7 @@ def factors_of(
     return mistakes, factors
 
 
-def refuse_other_time(path: PathLike, rate_hz: float, wanted: Sequence[str]) -> None:
+def refuse_other_time(path: str | Path, rate_hz: float, wanted: Sequence[str]) -> None:
     """Refuse a rate that the file's own time column contradicts, and gaps that only that column shows."""
     time = named_time(path)
     if time is None or time.names[0] in wanted:

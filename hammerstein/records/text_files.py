@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.arrays import Array, Rows
+from hammerstein.arrays import Array, Flags, Indices
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.checks import SHOWN, where
 from hammerstein.records.units import is_unit
@@ -240,7 +239,7 @@ def _words(line: str, separator: str, width: int) -> list[str]:
 
 def read_text(
     path: Path, layout: Layout, indices: Sequence[int], names: Sequence[str]
-) -> tuple[Array, Rows, list[Mistake]]:
+) -> tuple[Array, Indices, list[Mistake]]:
     """Columns of a text file: values (column, sample), the row of every sample, and what is no number.
 
     Parameters
@@ -309,14 +308,14 @@ def _numbers(series: Any, dialect: Dialect) -> tuple[Array, dict[int, str]]:
     return numbers, {int(k): str(series.iloc[k]).strip() for k in spoiled}
 
 
-def _text_flags(spoiled: Sequence[dict[int, str]], samples: int) -> NDArray[np.bool_]:
+def _text_flags(spoiled: Sequence[dict[int, str]], samples: int) -> Flags:
     flags = np.zeros(samples, dtype=bool)
     for texts in spoiled:
         flags[list(texts)] = True
     return flags
 
 
-def _text_mistakes(name: str, texts: dict[int, str], rows: Rows) -> list[Mistake]:
+def _text_mistakes(name: str, texts: dict[int, str], rows: Indices) -> list[Mistake]:
     shown = list(texts.items())[:SHOWN]
     mistakes = [
         Mistake(
@@ -329,7 +328,7 @@ def _text_mistakes(name: str, texts: dict[int, str], rows: Rows) -> list[Mistake
     return mistakes
 
 
-def _scan(path: Path, layout: Layout) -> tuple[Rows, list[int], list[Mistake]]:
+def _scan(path: Path, layout: Layout) -> tuple[Indices, list[int], list[Mistake]]:
     """Rows of the samples, as an editor counts them from 1; lines to skip, from 0; rows that are too long."""
     skipped, long = [], []
     row = layout.first

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hammerstein.arrays import Array, Indices
 from hammerstein.records.noise import dead_band
-
-Indices = NDArray[np.int64]
 
 MINOR_SHARE = 0.5
 """An excursion smaller than this part of the swing beside it lies on a branch; a larger one is a cycle."""
@@ -58,7 +57,7 @@ def turning_points(u_v: ArrayLike, band_v: float | None = None) -> Indices:
     return np.unique(candidates[[0, *turns] if direction == 0 else turns])
 
 
-def _local_extremes(u: NDArray[np.float64]) -> Indices:
+def _local_extremes(u: Array) -> Indices:
     """Both ends and every sample at which the difference changes its sign (first of a plateau)."""
     if u.size < 2:
         return np.arange(u.size)
@@ -120,9 +119,7 @@ def find_cycles(u_v: ArrayLike) -> Cycles:
     return Cycles(tuple(points), tuple(excursions), band)
 
 
-def _without_minor(
-    u: NDArray[np.float64], points: list[int], band: float
-) -> tuple[list[int], list[Excursion]]:
+def _without_minor(u: Array, points: list[int], band: float) -> tuple[list[int], list[Excursion]]:
     """Turns of the main cycles, and the minor loops taken out (four-point rule of rainflow counting)."""
     kept: list[int] = []
     minor: list[Excursion] = []
@@ -139,14 +136,14 @@ def _without_minor(
     return kept, minor
 
 
-def _return(u: NDArray[np.float64], start: int, turn: int, limit: int) -> int:
+def _return(u: Array, start: int, turn: int, limit: int) -> int:
     """First sample after the turn at which the voltage has regained its level at the start."""
     branch = u[turn : limit + 1]
     back = branch >= u[start] if u[turn] < u[start] else branch <= u[start]
     return turn + int(np.argmax(back)) if back.any() else limit
 
 
-def _main_cycles(u: NDArray[np.float64], points: list[int], band: float) -> list[Excursion]:
+def _main_cycles(u: Array, points: list[int], band: float) -> list[Excursion]:
     """One excursion for every second turn; an end of the record joins in if it stands on a turn's level."""
     last = len(points) - 1
     if last < 2:
@@ -158,5 +155,5 @@ def _main_cycles(u: NDArray[np.float64], points: list[int], band: float) -> list
     ]
 
 
-def _same_level(u: NDArray[np.float64], a: int, turn: int, b: int, band: float) -> bool:
+def _same_level(u: Array, a: int, turn: int, b: int, band: float) -> bool:
     return abs(float(u[a] - u[b])) <= max(band, 0.01 * abs(float(u[turn] - u[b])))

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat, ValidationError
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.report import Report
 from hammerstein.files import Content, read_limited, refuse_overwriting, write_atomic
-from hammerstein.metrics import KEY
-from hammerstein.validation import mistakes_of
+from hammerstein.validation import Strict, mistakes_of
 
 FORMAT = "hammerstein-baseline/1"
 CONTENT = Content("baseline", sign="hammerstein-baseline/")
@@ -25,19 +24,15 @@ Key = tuple[tuple[str, str | float], ...]
 Numbers = Mapping[Key, Mapping[str, float]]
 
 
-class RowFile(BaseModel):
+class RowFile(Strict):
     """One row in a baseline file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     key: dict[str, str | FiniteFloat]
     numbers: dict[str, FiniteFloat]
 
 
-class BaselineFile(BaseModel):
+class BaselineFile(Strict):
     """What a baseline file holds."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: Literal["hammerstein-baseline/1"]
     scenario_digest: str
@@ -112,7 +107,7 @@ def numbers_of(report: Report) -> Numbers:
     """
     bands: dict[Key, dict[str, float]] = {}
     for band in report.bands:
-        numbers = bands.setdefault(key_of({name: getattr(band, name) for name in KEY}), {})
+        numbers = bands.setdefault(key_of(band.key()), {})
         numbers |= {f"{band.metric}.{part}": getattr(band, f"{part}_um") for part in ("p5", "median", "p95")}
     rows = [(row.key(), dict(row.figures) | bands.get(key_of(row.key()), {})) for row in report.rows]
     judged = (found for verdict in report.verdicts for found in verdict.numbers())

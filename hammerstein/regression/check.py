@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from hammerstein.errors import HammersteinError, InputError, Mistake
 from hammerstein.experiment.batch import Outcome, find_scenarios, load_all, run_all
@@ -47,8 +48,8 @@ def check_files(
     files = {path.stem: path for path in find_scenarios(paths)}
     checks = {}
     for outcome in run_all(scenarios, _keep, jobs, progress):
-        path, baseline = files[outcome.name], baseline_folder / f"{outcome.name}.json"
-        checks[outcome.name] = _update(outcome, path, baseline) if update else _check(outcome, path, baseline)
+        baseline = baseline_folder / f"{outcome.name}.json"
+        checks[outcome.name] = _checked(outcome, files[outcome.name], baseline, update)
         if finished is not None:
             finished(outcome.name)
     ordered = [checks[name] for name in files]
@@ -80,10 +81,9 @@ def check(
         return check_files([Path(scenario)], folder, update, jobs, progress)
     if baseline is None:
         raise InputError("check", "a scenario that is no file has no name: give the file of its baseline")
-    file, judge = Path(baseline), _update if update else _check
-    name, validated = file.stem, scenario_of(scenario)[1]
-    (outcome,) = run_all({name: validated}, _keep, jobs, progress)
-    return CheckResult((judge(outcome, Path(name), file),), file.parent)
+    file, validated = Path(baseline), scenario_of(scenario)[1]
+    (outcome,) = run_all({file.stem: validated}, _keep, jobs, progress)
+    return CheckResult((_checked(outcome, Path(file.stem), file, update),), file.parent)
 
 
 def _keep(report: Report) -> tuple[Path, ...]:
@@ -91,26 +91,24 @@ def _keep(report: Report) -> tuple[Path, ...]:
     return ()
 
 
-def _check(outcome: Outcome, path: Path, baseline: Path) -> ScenarioCheck:
-    report = outcome.report
-    if report is None:
+def _checked(outcome: Outcome, path: Path, baseline: Path, update: bool) -> ScenarioCheck:
+    if outcome.report is None:
         return ScenarioCheck(outcome.name, path, error=outcome.error)
     try:
-        if not baseline.is_file():
-            return ScenarioCheck(outcome.name, path, _count(report), (Finding(Kind.NO_BASELINE),))
-        accepted, tolerances = _load(baseline), report.scenario.tolerances
-        findings = compare(report, accepted, tolerances)
+        found = (_update if update else _compare)(outcome.report, baseline)
+        now = numbers_of(outcome.report)
     except HammersteinError as error:
         return ScenarioCheck(outcome.name, path, error=error)
-    return ScenarioCheck(
-        outcome.name,
-        path,
-        _count(report),
-        findings,
-        accepted=accepted.rows,
-        now=numbers_of(report),
-        tolerances=tolerances,
-    )
+    return ScenarioCheck(outcome.name, path, sum(map(len, now.values())), now=now, **found)
+
+
+def _compare(report: Report, baseline: Path) -> dict[str, Any]:
+    """What differs from the baseline, and what is allowed."""
+    if not baseline.is_file():
+        return {"findings": (Finding(Kind.NO_BASELINE),)}
+    accepted, tolerances = _load(baseline), report.scenario.tolerances
+    findings = compare(report, accepted, tolerances)
+    return {"findings": findings, "accepted": accepted.rows, "tolerances": tolerances}
 
 
 def _load(path: Path) -> Baseline:
@@ -121,21 +119,11 @@ def _load(path: Path) -> Baseline:
         raise InputError(str(path), [*error.mistakes, advice]) from None
 
 
-def _update(outcome: Outcome, path: Path, baseline: Path) -> ScenarioCheck:
-    report = outcome.report
-    if report is None:
-        return ScenarioCheck(outcome.name, path, error=outcome.error)
-    try:
-        accepted = Baseline.of(report)
-        compare(report, accepted, report.scenario.tolerances)  # refuses tolerances that no check could use
-        written = accepted.save(baseline)
-    except HammersteinError as error:
-        return ScenarioCheck(outcome.name, path, error=error)
-    return ScenarioCheck(outcome.name, path, _count(report), written=written)
-
-
-def _count(report: Report) -> int:
-    return sum(len(numbers) for numbers in numbers_of(report).values())
+def _update(report: Report, baseline: Path) -> dict[str, Any]:
+    """Accept the numbers as a new baseline."""
+    accepted = Baseline.of(report)
+    compare(report, accepted, report.scenario.tolerances)  # refuses tolerances that no check could use
+    return {"written": accepted.save(baseline)}
 
 
 def _orphans(paths: Sequence[Path], names: set[str], baseline_folder: Path) -> list[ScenarioCheck]:

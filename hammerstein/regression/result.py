@@ -42,7 +42,7 @@ class ScenarioCheck:
     findings : what differs
     error : what stopped the run
     written : with an update, whether the baseline had to be written; otherwise None
-    accepted, now : numbers of the baseline and of this run; empty where nothing was compared
+    accepted, now : numbers of the baseline, empty where nothing was compared, and of this run
     tolerances : by name of the number, where the scenario gives its own
     """
 

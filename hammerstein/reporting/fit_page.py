@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import PurePath
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hammerstein.escaping import markdown
+from hammerstein.arrays import Array
+from hammerstein.escaping import markdown, markdown_page
 from hammerstein.experiment.selection import percent
-from hammerstein.hysteresis import PrandtlIshlinskii, slopes_of
-from hammerstein.identification.choice import Trial
-from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
-from hammerstein.identification.score import Score
+from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii, slopes_of
+from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.model import HammersteinModel
 
 CAPTIONS = {
@@ -85,86 +85,21 @@ def headline(model: HammersteinModel, fit: Fit) -> str:
 
 def fit_body(model: HammersteinModel, fit: Fit) -> str:
     """Markdown of what stands between the verdict and the figures."""
-    parts = [
-        *_statements(fit),
-        "## Errors",
-        *_errors(fit),
-        "## Model",
-        table(("", ""), _facts(model, fit)),
-        "## Weights",
-        table(
-            ("pair", "operators", "gain [um/V]", "slopes [um/V]", "largest standard error [um/V]"),
-            _pairs(model, fit),
-        ),
-        *_thresholds(model, fit),
-        *(["## Dynamics", *_dynamics(model, fit)] if fit.kind == "hammerstein" else []),
-    ]
-    return "\n\n".join(parts)
+    return markdown_page(
+        "fit_body.md.jinja",
+        fit=fit,
+        kinds=KIND_NAMES,
+        infinity=math.inf,
+        rates_hz=dict.fromkeys(f"{record.rate_hz:.6g} Hz" for record in fit.records),
+        longest_s=max(record.samples * record.sample_time_s for record in fit.records),
+        begun=list(_begun(fit)),
+        pairs=list(_pairs(model, fit)),
+        thresholds=list(_thresholds(model.hysteresis, fit)),
+    ).strip()
 
 
-def _statements(fit: Fit) -> Iterator[str]:
-    for title, statements in (
-        ("What this model cannot represent", fit.flags),
-        ("Not identifiable from these records", fit.not_identifiable),
-        ("What was done to the records", fit.notes),
-    ):
-        if statements:
-            yield f"## {title}"
-            yield "\n".join(f"* {markdown(statement)}" for statement in statements)
-    if not fit.invertible:
-        yield "**This model has no inverse: a compensator cannot be built on it as it is.**"
-
-
-def _errors(fit: Fit) -> Iterator[str]:
-    yield (
-        "Rms errors about the mean of each record, in percent of the range of the readings, and in um. "
-        "The model in the file is marked."
-    )
-    for title, scores in (("Records held back", fit.validation), ("Fitted records", fit.fit)):
-        if scores:
-            yield f"### {title}"
-            header = [
-                "model",
-                *(f"{markdown(name)} [{unit}]" for name in fit.outputs for unit in ("%", "um")),
-            ]
-            yield table(header, [_score(fit, kind, score) for kind, score in scores.items()])
-    if fit.trials:
-        yield "### All models that were tried"
-        where = (
-            "the records held back"
-            if fit.validation
-            else ("stretches of the fitted records that were left out in turn (weights fitted to the others)")
-        )
-        yield (
-            f"Judged on {where}, mean of the outputs. Kept is the one with the fewest parameters whose error "
-            "is within one standard error of the least, and within 5 % of it."
-        )
-        yield table(("model", "parameters", "error [%]"), map(_trial, fit.trials))
-
-
-def _trial(trial: Trial) -> list[str]:
-    error = f"{trial.percent:.3g}" if math.isfinite(trial.percent) else "not stable"
-    return [f"**{trial.name}**" if trial.kept else trial.name, str(trial.parameters), error]
-
-
-def _score(fit: Fit, kind: Kind, score: Score) -> list[str]:
-    name = f"**{KIND_NAMES[kind]}**" if kind == fit.kind else KIND_NAMES[kind]
-    pairs = zip(score.nrmse_percent, score.rms_um, strict=True)
-    return [name, *(f"{value:.3g}" for pair in pairs for value in pair)]
-
-
-def _facts(model: HammersteinModel, fit: Fit) -> Iterator[tuple[str, str]]:
-    yield "kind", KIND_NAMES[fit.kind]
-    yield "weights", fit.method.replace("_", " ")
-    rates = ", ".join(dict.fromkeys(f"{record.rate_hz:.6g} Hz" for record in fit.records))
-    longest = max(record.samples * record.sample_time_s for record in fit.records)
-    yield "sampled at", f"{rates}; the longest record lasts {longest:.4g} s"
-    yield "recorded", markdown(fit.voltages.statement(fit.inputs))
-    plural = "s" * (fit.delay_samples != 1)
-    yield "delay", f"{fit.delay_samples:g} sample{plural} of {fit.sample_time_s:.4g} s"
-    if fit.sensor_bandwidth_hz is not None:
-        yield "sensor bandwidth, as given", f"{fit.sensor_bandwidth_hz:.4g} Hz"
-    yield "inverse", markdown(fit.invertibility)
+def _begun(fit: Fit) -> Iterator[tuple[str, str, Sequence[float]]]:
+    """Name of each record, how it begins, and the offsets of its outputs [um]."""
     for record, start, offsets in zip(fit.records, fit.starts, fit.offsets_um, strict=True):
         began = BEGINNINGS[start.kind]
         if start.kind == "turned":
@@ -172,65 +107,41 @@ def _facts(model: HammersteinModel, fit: Fit) -> Iterator[tuple[str, str]]:
             began += ", ".join(f" {turn + rest:.4g} V on {markdown(name)}" for name, (_, turn), rest in turns)
         if start.first:
             began += f", the first {start.first} samples left out"
-        zero = ", ".join(f"{value:.4g}" for value in offsets)
-        yield f"record {markdown(PurePath(record.source).name)}", f"begins {began}; offset {zero} um"
+        yield PurePath(record.source).name, began, offsets
 
 
-def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[list[str]]:
+class _Pair(NamedTuple):
+    """What one output has of one input; errors : of its weights, None where they are not known [um/V]."""
+
+    input: str
+    output: str
+    operators: int
+    gain: float
+    slopes: Array
+    errors: Array | None
+
+
+def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[_Pair]:
+    """Every pair that has operators."""
     hysteresis, gains = model.hysteresis, model.hysteresis.gain(model.amplitude_v)
-    for o, (name, counts) in enumerate(zip(fit.outputs, hysteresis.operators, strict=True)):
-        known, ends = hysteresis.weight_errors, np.cumsum(counts)
-        errors = None if known is None else known[o]
+    known: Sequence[Array | None] = hysteresis.weight_errors or [None] * len(fit.outputs)
+    for o, (name, counts, errors) in enumerate(zip(fit.outputs, hysteresis.operators, known, strict=True)):
+        stops = np.cumsum(counts)
         for k, (input_, count) in enumerate(zip(fit.inputs, counts, strict=True)):
-            if not count:
-                continue
+            own = None if errors is None else errors[stops[k] - count : stops[k]]
             slopes = slopes_of(hysteresis, k, model.amplitude_v)[:, o]
-            yield [
-                f"{markdown(input_)} to {markdown(name)}",
-                str(count),
-                f"{gains[o, k]:.4g}",
-                f"{slopes.min():.4g} to {slopes.max():.4g}",
-                "not known" if errors is None else f"{errors[ends[k] - count : ends[k]].max():.2g}",
-            ]
+            if count:
+                yield _Pair(input_, name, count, float(gains[o, k]), slopes, own)
 
 
-def _thresholds(model: HammersteinModel, fit: Fit) -> Iterator[str]:
-    """Fitted thresholds with their standard errors."""
-    block = model.hysteresis
+def _thresholds(block: Hysteresis[Any], fit: Fit) -> Iterator[tuple[str, float, float | None]]:
+    """Input, value and standard error of each fitted threshold [V]; None where it is held."""
     if not isinstance(block, PrandtlIshlinskii) or block.threshold_covariance is None:
         return
-    known = block.threshold_covariance
-    yield "## Thresholds"
-    first, rows = 0, []
-    for name, pair in zip(fit.inputs, block.pairs[0], strict=True):
-        for i, r in enumerate(pair.thresholds_v, start=first):
-            error = "held" if i in known.open or r == 0.0 else f"{known.errors_v[i]:.1g}"
-            rows.append([markdown(name), f"{r:.4g}", error])
-        first += len(pair.thresholds_v)
-    yield table(("input", "threshold [V]", "standard error [V]"), rows)
-    yield "Errors of thresholds and weights together, for given dynamics; 0 is an end, open places are held."
-
-
-def _dynamics(model: HammersteinModel, fit: Fit) -> Iterator[str]:
-    if not fit.axes:
-        yield f"State-space model of order {fit.order} on the records' sample time."
-        return
-    rows = []
-    for name, axis in zip(fit.outputs, fit.axes, strict=True):
-        modes = zip(axis.axis.creep, axis.creep_gain_errors, strict=True)
-        creep = ", ".join(f"{m.gain:.3g} ± {e:.1g} over {m.time_constant_s:.3g} s" for m, e in modes)
-        found = (
-            (axis.axis.resonance_hz, axis.resonance_error_percent),
-            (axis.axis.damping_ratio, axis.damping_error_percent),
-            (axis.axis.lag_s, axis.lag_error_percent),
-        )
-        cells = [f"{v:.5g} ± {e:.1g} %" if v is not None and e is not None else "none" for v, e in found]
-        rows.append([markdown(name), *cells, creep or "none"])
-    yield table(("axis", "resonance [Hz]", "damping ratio", "lag [s]", "creep (gain, time constant)"), rows)
-    yield (
-        "Standard errors hold for errors that are related within a sixteenth of a record: what the model "
-        "misses is in them."
-    )
+    known, inputs = block.threshold_covariance, zip(fit.inputs, block.pairs[0], strict=True)
+    each = [(name, r) for name, pair in inputs for r in pair.thresholds_v]
+    for i, ((name, r), error_v) in enumerate(zip(each, known.errors_v, strict=True)):
+        yield name, r, None if i in known.open or r == 0.0 else error_v
 
 
 def _pictures(figures: Sequence[str]) -> Iterator[str]:
@@ -238,10 +149,3 @@ def _pictures(figures: Sequence[str]) -> Iterator[str]:
         stem = PurePath(name).stem
         yield f"[![{stem}]({name})]({stem}.svg)"
         yield f"*{CAPTIONS.get(stem, stem)}*"
-
-
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Table in Markdown."""
-    lines = [" | ".join(header), " | ".join(["---"] * len(header))]
-    lines += [" | ".join(row) for row in rows]
-    return "\n".join(f"| {line} |" for line in lines)

@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 from hammerstein.escaping import cell
 from hammerstein.experiment.report import FORMAT, Report, Trace
@@ -160,14 +158,14 @@ def _file_name(trace: Trace) -> str:
     return "".join(c if c.isalnum() or c in ".-" else "_" for c in words[:LONGEST_NAME])
 
 
-def _csv(columns: dict[str, NDArray[np.float64]]) -> str:
+def _csv(columns: dict[str, Array]) -> str:
     import pandas as pd
 
     shown = {cell(name): column for name, column in columns.items()}
     return str(pd.DataFrame(shown).to_csv(index=False, lineterminator="\n"))
 
 
-def _matlab(columns: dict[str, NDArray[np.float64]], path: Path) -> bytes:
+def _matlab(columns: dict[str, Array], path: Path) -> bytes:
     from scipy.io import savemat
 
     if any(len(name) > 31 for name in columns):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import to_jsonable_python
 
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.experiment.report import Band, Report, Sensitivity
@@ -27,10 +27,9 @@ def key_of_report(name: str, scenario: Scenario, form: str) -> str | None:
     form : which files it has
     """
     try:
-        files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in scenario.files()]
+        return key_of("report", [name, scenario.content(), form])
     except OSError:
         return None
-    return key_of("report", [name, scenario.portable(), files, form])
 
 
 def keep(store: Store, key: str, report: Report, folder: Path, names: list[str]) -> None:
@@ -52,35 +51,18 @@ def found(store: Store, key: str, name: str, scenario: Scenario) -> tuple[Report
 
 
 def _document(report: Report) -> dict[str, Any]:
-    return {
-        "actuator": report.actuator,
-        "digest": report.digest,
-        "model_digest": report.model_digest,
-        "instruments": report.instruments.model_dump(),
-        "inputs": report.inputs,
-        "axes": report.axes,
-        "rows": [asdict(row) for row in report.rows],
-        "statements": report.statements,
-        "verdicts": [asdict(verdict) for verdict in report.verdicts],
-        "bands": [asdict(band) for band in report.bands],
-        "sensitivities": [asdict(found) for found in report.sensitivities],
-    }
+    asked = {"name", "scenario", "traces"}  # of these the new report has its own, or none
+    names = [item.name for item in fields(report) if item.name not in asked]
+    return {name: to_jsonable_python(getattr(report, name)) for name in names}
 
 
 def _report(document: Mapping[str, Any], name: str, scenario: Scenario) -> Report:
     asked = scenario.assessment
-    return Report(
-        name=name,
-        scenario=scenario,
-        actuator=document["actuator"],
-        digest=document["digest"],
-        model_digest=document["model_digest"],
-        instruments=Instruments.model_validate(document["instruments"]),
-        inputs=tuple(document["inputs"]),
-        axes=tuple(document["axes"]),
-        rows=tuple(Row(**row) for row in document["rows"]),
-        statements=tuple(document["statements"]),
-        verdicts=tuple(asked.verdict_of(found) for found in document["verdicts"]) if asked else (),
-        bands=tuple(Band(**band) for band in document["bands"]),
-        sensitivities=tuple(Sensitivity(**found) for found in document["sensitivities"]),
-    )
+    content: dict[str, Any] = {
+        key: tuple(found) if isinstance(found, list) else found for key, found in document.items()
+    }
+    content["instruments"] = Instruments.model_validate(document["instruments"])
+    for key, made in (("rows", Row), ("bands", Band), ("sensitivities", Sensitivity)):
+        content[key] = tuple(made(**found) for found in document[key])
+    content["verdicts"] = tuple(asked.verdict_of(found) for found in document["verdicts"]) if asked else ()
+    return Report(name=name, scenario=scenario, **content)

@@ -7,13 +7,12 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
-from hammerstein.escaping import code, markdown
+from hammerstein.escaping import code, markdown, markdown_page
 from hammerstein.experiment.report import Report, Trace
-from hammerstein.experiment.selection import identified_at, number, percent
+from hammerstein.experiment.selection import identified_at, percent
 from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
@@ -23,7 +22,7 @@ from hammerstein.reporting.tables import number_tables
 from hammerstein.scenario.source import ModelSource
 
 if TYPE_CHECKING:
-    from jinja2 import Template
+    pass
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,8 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
     >>> print(render(run(scenario, "loop")).splitlines()[2])
     **How large is a loop?**
     """
-    page = _template().render(
+    return markdown_page(
+        "report.md.jinja",
         report=report,
         answer=_answer(report),
         figures=[picture_of(name, report) for name in sorted(figures, key=place_of)],
@@ -115,23 +115,6 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
         asked=report.scenario.assessment,
         judged=[verdict.cells() for verdict in report.verdicts],
     )
-    return re.sub(r"\n{3,}", "\n\n", page)
-
-
-@cache
-def _template() -> Template:
-    """Template of the page; every text in it is escaped by its own filter."""
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("hammerstein"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters |= {"md": markdown, "code": code, "number": _number}
-    return environment.get_template("report.md.jinja")
 
 
 def _answer(report: Report) -> str:
@@ -139,10 +122,6 @@ def _answer(report: Report) -> str:
     opening, closing = "\ue000", "\ue001"
     text = answer(report, quote=lambda label: opening + re.sub(f"[{opening}{closing}]", "", label) + closing)
     return re.sub(f"[{opening}{closing}]", "*", markdown(text))
-
-
-def _number(value: float | None) -> str:
-    return number(value if value is None or math.isfinite(value) else None)
 
 
 def _kind(name: str) -> str:

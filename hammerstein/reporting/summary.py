@@ -18,7 +18,7 @@ from hammerstein.experiment.selection import (
     percent,
     told_apart,
 )
-from hammerstein.metrics import KEY, METRICS, Row
+from hammerstein.metrics import METRICS, Row
 from hammerstein.signals import OneFrequency
 
 MOST_CLAUSES = 4  # conditions that are told one by one; more are told as ranges of frequency
@@ -114,12 +114,8 @@ def _uncertain(report: Report, quote: Quote) -> Iterator[str]:
         if path
         else ("rms_true_um", "rms error, direct transfers,")
     )
-    direct = {tuple(row.key().values()) for row in report.rows if is_direct(report, row)}
-    told_bands = [
-        band
-        for band in report.bands
-        if band.metric == metric and tuple(getattr(band, name) for name in KEY) in direct
-    ]
+    direct = {row.place for row in report.rows if is_direct(report, row)}
+    told_bands = [band for band in report.bands if band.metric == metric and band.place in direct]
     trials = sorted({band.trial for band in told_bands}, key=lambda trial: trial or 0)
     clauses = []
     for trial in dict.fromkeys([*trials[:1], *trials[-1:]]):

@@ -15,7 +15,7 @@ from hammerstein.experiment.selection import (
     selected_frequencies,
     share_held,
 )
-from hammerstein.metrics import KEY, Row
+from hammerstein.metrics import Row
 
 MOST_FREQUENCIES = 6
 MOST_LOOPS = 32  # more are left to rms.csv
@@ -151,15 +151,13 @@ def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
     """Median and 5-95 % over the drawn actuators, of the true position."""
     path = is_path(report) and len(report.axes) > 1
     metric, words = banded_metric(report)
-    bands = {tuple(getattr(b, name) for name in KEY): b for b in report.bands if b.metric == metric}
+    bands = {b.place: b for b in report.bands if b.metric == metric}
     transfers = list(dict.fromkeys((row.excited_axis, row.measured_axis) for row in rows))
     transfers = transfers[:1] if path else transfers
     names = ["all axes"] if path else [_transfer(report, *transfer) for transfer in transfers]
     lines = []
     for (label, condition), inside in _lines(rows).items():
-        found = {
-            (row.excited_axis, row.measured_axis): bands.get(tuple(row.key().values())) for row in inside
-        }
+        found = {(row.excited_axis, row.measured_axis): bands.get(row.place) for row in inside}
         cells = [_band(found.get(transfer)) for transfer in transfers]
         lines.append((*_key_cells(rows, label, condition), *cells))
     draws = 0 if report.scenario.uncertainty is None else report.scenario.uncertainty.draws
@@ -175,10 +173,10 @@ def _sensitivities(report: Report, rows: Sequence[Row], remark: str) -> NumberTa
     metric, words = banded_metric(report)
     own = [found for found in report.sensitivities if found.metric == metric]
     parameters = list(dict.fromkeys(found.parameter for found in own))
-    known = {(*(getattr(found, name) for name in KEY), found.parameter): found for found in own}
+    known = {(*found.place, found.parameter): found for found in own}
     lines = []
     for row in rows:
-        found = [known.get((*row.key().values(), parameter)) for parameter in parameters]
+        found = [known.get((*row.place, parameter)) for parameter in parameters]
         if any(found):
             transfer = _transfer(report, row.excited_axis, row.measured_axis)
             key = _key_cells(rows, row.compensator, Condition.of(row))

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from pydantic import BaseModel, ConfigDict
-
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.plugins import Family
 from hammerstein.runtime.store import Store
+from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
     from hammerstein.experiment.report import Report
@@ -49,10 +48,8 @@ class Verdict(ABC):
         """Give plain JSON."""
 
 
-class Assessment(BaseModel, ABC):
+class Assessment(Strict, ABC):
     """A table of a scenario that says what its numbers should be, as a frozen value with a tag ``kind``."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: str
     title: ClassVar[str] = "Verdicts"

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from hammerstein.actuators import DEFAULT
 from hammerstein.blocks.instruments import Instruments
@@ -22,17 +22,7 @@ from hammerstein.files import read_limited
 from hammerstein.metrics import Metric, metrics_of
 from hammerstein.model import place_of
 from hammerstein.plugins import load_plugins
-from hammerstein.quantities import (
-    Cycles,
-    FileName,
-    Frequency,
-    NoCycles,
-    Seed,
-    Size,
-    Tolerated,
-    Trial,
-    Wait,
-)
+from hammerstein.quantities import Cycles, FileName, Frequency, NoCycles, Seed, Size, Tolerated, Trial, Wait
 from hammerstein.scenario.assessment import ASSESSMENTS, Assessment
 from hammerstein.scenario.names import MetricName, NumberName
 from hammerstein.scenario.source import ModelSource
@@ -40,23 +30,20 @@ from hammerstein.scenario.study import Study
 from hammerstein.scenario.tested import Tested
 from hammerstein.scenario.uncertainty import Uncertainty
 from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference
-from hammerstein.validation import mistakes_of
+from hammerstein.validation import Strict, mistakes_of
 
 MOST_VALUES = 10_000  # of one key of a sweep
 Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=MOST_VALUES)]
 Sizes = Annotated[tuple[Size, ...], Field(min_length=1, max_length=MOST_VALUES)]
 Trials = Annotated[tuple[Trial, ...], Field(min_length=1, max_length=MOST_VALUES)]
-_STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
-class Sweep(BaseModel):
+class Sweep(Strict):
     """Values that take the place of one in the signal, or in every compensator.
 
     Several keys give every combination, or with ``combine = "zip"`` the first values together, the second
     ones, and so on.
     """
-
-    model_config = _STRICT
 
     combine: Literal["product", "zip"] | None = Field(
         default=None, description="every combination of the values of several keys, or one after the other"
@@ -102,10 +89,8 @@ WORDS = frozenset({"question", "tolerances", "assessment", "study"})
 """Keys of a scenario that change none of its numbers."""
 
 
-class Measure(BaseModel):
+class Measure(Strict):
     """How long to wait and how long to measure."""
-
-    model_config = _STRICT
 
     settle_cycles: NoCycles = Field(default=2, description="cycles before the measurement")
     settle_s: Wait = Field(default=0.05, description="time before the measurement, at least")
@@ -115,19 +100,17 @@ class Measure(BaseModel):
     )
 
 
-class Tolerance(BaseModel):
+class Tolerance(Strict):
     """How far a number may move from its baseline: the larger of the two counts."""
-
-    model_config = _STRICT
 
     relative: Tolerated = 1e-3
     absolute: Tolerated = 1e-6
 
 
-class Scenario(BaseModel):
+class Scenario(Strict):
     """One experiment: an actuator, a signal, and what is compared."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+    model_config = ConfigDict(ser_json_inf_nan="strings")
 
     question: Annotated[str, Field(min_length=1)]
     actuator: FileName = Field(default=DEFAULT, description="packaged actuator or model file")
@@ -148,7 +131,7 @@ class Scenario(BaseModel):
     answered_by: MetricName | None = Field(
         default=None, description="figure of merit that answers the question; it is told and drawn first"
     )
-    tolerances: dict[NumberName, Tolerance] = {}
+    tolerances: dict[NumberName, Tolerance] = Field(default_factory=dict)
     assessment: Annotated[Assessment, ASSESSMENTS.field()] | None = Field(
         default=None, description="what its numbers should be; each kind plugs in"
     )
@@ -243,6 +226,13 @@ class Scenario(BaseModel):
         """Every file that the scenario names, as far as it exists."""
         others = self.assessment.actuators() if self.assessment is not None else ()
         return self._files() + [Path(name) for name in others if Path(name).is_file()]
+
+    def content(self) -> list[Any]:
+        """Everything that its numbers follow from, as plain JSON: itself, and hashes of what its files hold.
+
+        Raises OSError where a file cannot be read.
+        """
+        return [self.portable(), [hashlib.sha256(path.read_bytes()).hexdigest() for path in self.files()]]
 
     def digest(self) -> str:
         """Short hash of everything in the scenario that changes its numbers, what its files hold included."""

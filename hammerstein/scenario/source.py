@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from hammerstein.quantities import Cycles, FileName, Frequency, Length, Modes, Operators, SampleTime, Size
+from hammerstein.validation import Strict
 
-_STRICT = ConfigDict(frozen=True, extra="forbid")
 Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=1000)]
 
 
-class ClosedFormSpec(BaseModel):
+class ClosedFormSpec(Strict):
     """Identify the static block by the paper's closed form, one input driven at a time (section 3.3)."""
-
-    model_config = _STRICT
 
     method: Literal["closed_form"] = "closed_form"
     frequency_hz: Frequency = 50.0
@@ -38,15 +36,13 @@ class ClosedFormSpec(BaseModel):
         return self.frequency_hz
 
 
-class JointFitSpec(BaseModel):
+class JointFitSpec(Strict):
     """Identify hysteresis and dynamics together by least squares through the linear block and the sensor.
 
     Each input in turn is driven by sines at the given frequencies, then by a multisine; with creep, slow
     steps on all inputs come last. The sensor's bandwidth is taken from its data sheet. With partition
     ``fitted`` the thresholds are fitted, too, and ``operators`` is the most there are.
     """
-
-    model_config = _STRICT
 
     method: Literal["hammerstein"]
     amplitude_v: Size | None = Field(
@@ -85,10 +81,8 @@ IdentificationSpec = Annotated[
 ]
 
 
-class ModelSource(BaseModel):
+class ModelSource(Strict):
     """A labelled model: identified from a simulated experiment, or read from a model file."""
-
-    model_config = _STRICT
 
     label: Annotated[str, Field(min_length=1, max_length=60)]
     identification: IdentificationSpec | None = None

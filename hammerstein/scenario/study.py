@@ -8,9 +8,10 @@ import random
 from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from hammerstein.quantities import Draws, Figure, Seed
+from hammerstein.validation import Strict
 
 MOST_VALUES = 1_000_000
 TOGETHER = 1024  # samples of a Sobol sequence that are made at once
@@ -18,14 +19,12 @@ TOGETHER = 1024  # samples of a Sobol sequence that are made at once
 Values = Annotated[tuple[Figure, ...], Field(min_length=1, max_length=MOST_VALUES)]
 
 
-class Study(BaseModel):
+class Study(Strict):
     """Runs of a scenario with other values of some keys, such as ``instruments.sensor.noise_um``.
 
     ``product`` is every combination of the values, ``zip`` the first values together, then the second ones.
     ``random`` and ``sobol`` take so many ``samples`` between the two values of each key.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     how: Literal["product", "zip", "random", "sobol"] = "product"
     samples: Draws | None = Field(

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.instruments import Instruments
@@ -16,6 +16,7 @@ from hammerstein.errors import InputError
 from hammerstein.hysteresis import Hysteresis, Normals
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import BaseSamples, Deviation, Draws, Seed
+from hammerstein.validation import Strict
 
 
 class _Given:
@@ -43,7 +44,7 @@ class Parameter(NamedTuple):
     varies: bool
 
 
-class Uncertainty(BaseModel):
+class Uncertainty(Strict):
     """Relative standard deviations of the actuator's parameters; each draw is another actuator.
 
     Frequencies, dampings, creep gains and noise are multiplied by exp(s g), g standard normal, so that they
@@ -51,8 +52,6 @@ class Uncertainty(BaseModel):
     factor L of their covariance, for the errors of neighbouring weights cancel; fitted thresholds are drawn
     with them.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     draws: Draws = 50
     seed: Seed = 1

@@ -15,39 +15,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from numpy.typing import ArrayLike
+from pydantic import ConfigDict, Field, model_validator
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Flags
 from hammerstein.errors import InputError
 from hammerstein.plugins import Family
-from hammerstein.quantities import (
-    Axes,
-    FileName,
-    Frequency,
-    Length,
-    Offset,
-    Phase,
-    Scale,
-    Seed,
-    Size,
-    Wait,
-)
+from hammerstein.quantities import Axes, FileName, Frequency, Length, Offset, Phase, Scale, Seed, Size, Wait
 from hammerstein.signals.tables import read_signal
+from hammerstein.validation import Strict
 
 MOST_LINES = 2000  # of a multisine
 FARTHEST_RATIO = 100  # of the two frequencies of a Lissajous figure
 PEAK_POINTS = 16  # of a multisine, in a period of its highest line
 
 
-class Shape(BaseModel, ABC):
+class Shape(Strict, ABC):
     """A signal of any kind.
 
     ``smooth_start_s`` lets it grow from zero by a smooth step, so that a path which begins away from zero
     is reached without a jump.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     if TYPE_CHECKING:  # a field of every kind, behind its others
         kind: str
@@ -89,7 +77,7 @@ class Shape(BaseModel, ABC):
         moved = np.ones(n_axes, dtype=np.bool_) if isinstance(self.offset, tuple) else self._moved(n_axes)
         return np.where(moved, middle, 0.0)
 
-    def _moved(self, n_axes: int) -> NDArray[np.bool_]:
+    def _moved(self, n_axes: int) -> Flags:
         """Axes (axis,) that one number for all of them belongs to."""
         return np.ones(n_axes, dtype=np.bool_)
 
@@ -168,7 +156,7 @@ class OnAxes(OneFrequency, ABC):
         wave = self.amplitude * self._wave(self.frequency_hz * time_s + self.phase_deg / 360.0)
         return np.where(self._moved(n_axes)[:, None], wave, 0.0)
 
-    def _moved(self, n_axes: int) -> NDArray[np.bool_]:
+    def _moved(self, n_axes: int) -> Flags:
         """Those that are driven."""
         return np.array([self.axis in ("all", k + 1) for k in range(n_axes)])
 

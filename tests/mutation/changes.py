@@ -166,7 +166,9 @@ def _of_node(node: ast.AST, lines: Sequence[str]) -> Iterator[Place]:
     elif isinstance(node, ast.BoolOp):
         yield from _operator(node.op, node.values[0], node.values[1], lines)
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.Not):
-        yield from _one_line(node, node.operand, "")
+        if node.lineno == node.operand.lineno:
+            before = lines[node.lineno - 1].encode()[node.col_offset : node.operand.col_offset]
+            yield node.lineno, node.col_offset, node.operand.col_offset, "(" * before.count(b"(")
     elif isinstance(node, ast.Constant):
         yield from _constant(node)
     elif isinstance(node, ast.Call):
@@ -184,12 +186,6 @@ def _operator(op: ast.AST, left: ast.AST, right: ast.AST, lines: Sequence[str]) 
     column = lines[line - 1].find(old, after, before)
     if column >= 0:
         yield line, column, column + len(old), new
-
-
-def _one_line(node: ast.AST, operand: ast.AST, new: str) -> Iterator[Place]:
-    line, start, stop = node.lineno, node.col_offset, operand.col_offset  # type: ignore[attr-defined]
-    if line == operand.lineno:  # type: ignore[attr-defined]
-        yield line, start, stop, new
 
 
 def _constant(node: ast.Constant) -> Iterator[Place]:

@@ -18,6 +18,7 @@ from .recording import BESIDE, ROOT, Recording, asked_of_pytest
         ("y = max(a, b)", {"y = min(a, b)"}),  # whose arguments may change places
         ("y -= a[0]", {"y += a[0]", "y -= a[1]"}),
         ("y = -a", {"y = a"}),
+        ("y = not (a)", {"y = (a)"}),
         ('raise Mistake("1 + 1")', set()),
         ("y: Annotated[int, 3] = 1", {"y: Annotated[int, 3] = 2"}),
     ],

@@ -89,11 +89,12 @@ def _at(data: Any, keys: tuple[str | int, ...]) -> Any:
 
 def _leaves(data: Any, keys: tuple[str | int, ...]) -> Iterator[Leaf]:
     parts = isinstance(data, list | tuple) and any(isinstance(part, dict) for part in data)
-    if parts or isinstance(data, dict):
+    nothing = isinstance(data, dict) and not data  # what a block without memory remembers
+    if isinstance(data, str) or (keys and nothing):
+        yield Leaf(keys, 0, lambda _: np.zeros(0), lambda _: data)
+    elif parts or isinstance(data, dict):
         for key, value in enumerate(data) if parts else data.items():
             yield from _leaves(value, (*keys, key))
-    elif isinstance(data, str):
-        yield Leaf(keys, 0, lambda _: np.zeros(0), lambda _: data)
     elif isinstance(data, int):
         yield Leaf(keys, LIMBS, _limbs, _whole)
     else:

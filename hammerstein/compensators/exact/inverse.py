@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from hammerstein.arrays import Array
+from hammerstein.blocks import Memory
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.law import Law, S
 from hammerstein.compensators.base import Compensator
@@ -25,7 +26,7 @@ STILL = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class ExactState:
+class ExactState(Memory):
     """Memory of the exact inverse, as in the tables of ``pieces``.
 
     stack : (m, n_max+2, 3+m) the stacks of segments behind the smallest plays
@@ -34,15 +35,6 @@ class ExactState:
 
     stack: Array
     hand: Array
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists."""
-        return {"stack": self.stack.tolist(), "hand": self.hand.tolist()}
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> ExactState:
-        """Restore what ``as_dict`` saved."""
-        return cls(np.array(data["stack"], dtype=np.float64), np.array(data["hand"], dtype=np.float64))
 
 
 class Recovery(NamedTuple):
@@ -221,10 +213,6 @@ class ExactInverseLaw(StaticInverse[ExactState]):
     def rest(self) -> ExactState:
         """Memory of an actuator at its start."""
         return self._start
-
-    def restore(self, data: dict[str, Any]) -> ExactState:
-        """State from what ``as_dict`` gave."""
-        return ExactState.from_dict(data)
 
     def _respond(self, reference_um: Array, start: ExactState) -> tuple[Array, ExactState]:
         drive, state, _ = self.solve(self._from_rest(reference_um), start, np.zeros(0))

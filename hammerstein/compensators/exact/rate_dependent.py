@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.blocks import Memory
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.exact.inverse import STILL, Recovery, StaticInverse, Tables, tables
 from hammerstein.errors import SimulationError
@@ -17,15 +17,11 @@ from hammerstein.model import HammersteinModel
 
 
 @dataclass(frozen=True, eq=False)
-class RateInverseState:
+class RateInverseState(Memory):
     """Memory of the inverse: that of the model's plays and rates, and the last voltages (m,) [V]."""
 
     model: RateState
     drive_v: Array
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists."""
-        return {"model": self.model.as_dict(), "drive_v": self.drive_v.tolist()}
 
 
 class RateDependentInverseLaw(StaticInverse[RateInverseState]):
@@ -95,12 +91,6 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
     def rest(self) -> RateInverseState:
         """Memory of an actuator at its start."""
         return self._start
-
-    def restore(self, data: dict[str, Any]) -> RateInverseState:
-        """State from what ``as_dict`` gave."""
-        return RateInverseState(
-            RateState.from_dict(data["model"]), np.array(data["drive_v"], dtype=np.float64)
-        )
 
     def _respond(self, reference_um: Array, start: RateInverseState) -> tuple[Array, RateInverseState]:
         drive, state, _ = self.solve(self._from_rest(reference_um), start, np.zeros(0))

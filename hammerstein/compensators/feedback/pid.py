@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from hammerstein.arrays import Array
-from hammerstein.blocks import Controller, Law, checked_reference
+from hammerstein.blocks import Controller, Law, Memory, checked_reference
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.instruments import standard_noise
 from hammerstein.compensators.base import COMPENSATORS, Compensator
@@ -29,14 +29,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class ControllerState:
+class ControllerState(Memory):
     """Memory of the controller, a row an output: see the columns of ``feedback_kernel``."""
 
     memory: Array
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists."""
-        return {"memory": self.memory.tolist()}
 
 
 class FeedbackController(Controller[ControllerState]):
@@ -124,10 +120,6 @@ class FeedbackController(Controller[ControllerState]):
     def rest(self) -> ControllerState:
         """Actuator at rest, reference and readings at zero."""
         return ControllerState(np.zeros((self.n_outputs, 5)))
-
-    def restore(self, data: dict[str, Any]) -> ControllerState:
-        """State from what ``as_dict`` gave."""
-        return ControllerState(np.array(data["memory"], dtype=np.float64))
 
     def step(
         self,

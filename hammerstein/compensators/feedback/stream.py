@@ -3,37 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
-from hammerstein.blocks import checked_reference
+from hammerstein.blocks import Memory, checked_reference
 from hammerstein.compensators.feedback.pid import ControllerState, FeedbackController
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.block_system import BlockSystem
 
 
-class StreamState(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class StreamState(Memory):
     """Memory of the controller, references (p, delay) that wait for their reading, memory of the feedforward.
 
-    controller : after the reading of the last sample; forward : None without feedforward
+    controller : after the reading of the last sample; forward : empty without feedforward
     """
 
     controller: ControllerState
     waiting: Array
-    forward: Any
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists."""
-        forward = {} if self.forward is None else self.forward.as_dict()
-        return {
-            "controller": self.controller.as_dict(),
-            "waiting": self.waiting.tolist(),
-            "forward": forward,
-        }
+    forward: Memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,14 +47,12 @@ class FeedbackStream:
 
     def rest(self) -> StreamState:
         """Actuator at rest, reference and readings at zero."""
-        forward = None if self.law.feedforward is None else self.law.feedforward.rest()
+        forward = Memory() if self.law.feedforward is None else self.law.feedforward.rest()
         return StreamState(self.law.rest(), np.zeros((self.law.n_outputs, self.delay_samples)), forward)
 
     def restore(self, data: dict[str, Any]) -> StreamState:
         """State from what ``as_dict`` gave."""
-        forward = None if self.law.feedforward is None else self.law.feedforward.restore(data["forward"])
-        waiting = np.reshape(np.array(data["waiting"], dtype=np.float64), (self.law.n_outputs, -1))
-        return StreamState(self.law.restore(data["controller"]), waiting, forward)
+        return self.rest().restored(data)
 
     def step(self, signals: Array, state: StreamState) -> tuple[Array, StreamState]:
         """Voltages (m,) of one sample of references, then readings, (2 p,), and the state after it."""

@@ -9,9 +9,10 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law
-from hammerstein.compensators.cycle import centred, played, rms
+from hammerstein.compensators.cycle import centred, played
 from hammerstein.compensators.learning.unsure import Unsure
 from hammerstein.errors import InputError
+from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 
 SIGNIFICANT = 3.0  # standard deviations of the noise: what an error must exceed to be learnt

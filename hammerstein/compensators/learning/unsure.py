@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Complex
 from hammerstein.dynamics import AxesDynamics, LinearBlock, discretise
 from hammerstein.model import HammersteinModel
 
@@ -52,9 +51,7 @@ class Unsure:
         return np.asarray(delta + worst)
 
     @staticmethod
-    def _gains(
-        dynamics: AxesDynamics, frequency_hz: Array, sample_time_s: float, factor: float
-    ) -> NDArray[np.complex128]:
+    def _gains(dynamics: AxesDynamics, frequency_hz: Array, sample_time_s: float, factor: float) -> Complex:
         """Response (frequency, output) of every axis with its resonance multiplied by a factor."""
         axes = tuple(
             axis.model_copy(update={"resonance_hz": factor * axis.resonance_hz})
@@ -70,6 +67,6 @@ class Unsure:
         return np.asarray(np.clip((1.0 - delta) / (1.0 - SURE), 0.0, 1.0))
 
 
-def _diagonal(block: LinearBlock, frequency_hz: Array) -> NDArray[np.complex128]:
+def _diagonal(block: LinearBlock, frequency_hz: Array) -> Complex:
     """Response (frequency, output) of each output to its own input."""
     return np.asarray(np.diagonal(block.response(frequency_hz), axis1=1, axis2=2))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from hammerstein.arrays import Array
-from hammerstein.blocks import Law, checked_reference
+from hammerstein.blocks import Law, Memory, checked_reference
 from hammerstein.blocks.driving import RangeLike
 from hammerstein.compensators.base import Compensator
 from hammerstein.compensators.exact.inverse import (
@@ -35,7 +35,7 @@ SEEN = 1e-9  # of a mode's sixth differences: less is rounding, and the mode sta
 
 
 @dataclass(frozen=True, eq=False)
-class PathState:
+class PathState(Memory):
     """Memory of the law on a stream: the references still needed, the forward modes, the exact inverse.
 
     raw, filtered : (p, samples) references before and after the filter; modes : (n_s,)
@@ -47,11 +47,6 @@ class PathState:
     modes: Array
     away: Array
     exact: ExactState
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give plain lists."""
-        arrays = {name: getattr(self, name).tolist() for name in ("raw", "filtered", "modes", "away")}
-        return {**arrays, "exact": self.exact.as_dict()}
 
 
 class HammersteinInverseLaw(Law[PathState]):
@@ -178,13 +173,6 @@ class HammersteinInverseLaw(Law[PathState]):
             np.zeros(len(linear.block.A)),
             self.exact.rest(),
         )
-
-    def restore(self, data: dict[str, Any]) -> PathState:
-        """State from what ``as_dict`` gave."""
-        p = self.n_outputs
-        raw, filtered = (np.reshape(np.array(data[n], np.float64), (p, -1)) for n in ("raw", "filtered"))
-        modes, away = (np.array(data[name], dtype=np.float64) for name in ("modes", "away"))
-        return PathState(raw, filtered, modes, away, self.exact.restore(data["exact"]))
 
     def _respond(self, reference_um: Array, start: PathState) -> tuple[Array, PathState]:
         raw = np.hstack([start.raw, reference_um])

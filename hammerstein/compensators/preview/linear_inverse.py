@@ -7,20 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.arrays import Array
-from hammerstein.dynamics import (
-    AxesDynamics,
-    LinearBlock,
-    StateSpaceDynamics,
-    StaticDynamics,
-    discretise,
-    split_delay,
-)
+from hammerstein.arrays import Array, Complex, Indices
+from hammerstein.dynamics import Dynamics, LinearBlock, discretise, split_delay
 from hammerstein.errors import SimulationError
-
-Counts = NDArray[np.int64]
 
 TAIL = 1e-8
 LONGEST_PREVIEW = 20_000
@@ -51,10 +41,10 @@ class LinearInverse:
     B: Array
     C: Array
     taps: Array
-    ahead: Counts
+    ahead: Indices
     lift: Array
     future: Array
-    zeros: NDArray[np.complex128]
+    zeros: Complex
     delay_samples: int
 
     @property
@@ -67,7 +57,7 @@ class LinearInverse:
         """The same for the block without its input delay."""
         return int(self.ahead.max()) + len(self.taps) - 1
 
-    def response(self, frequency_hz: Array) -> NDArray[np.complex128]:
+    def response(self, frequency_hz: Array) -> Complex:
         """Frequency response (frequency, p, p) from y to v, preview taken off and input delay left out."""
         z = np.exp(2j * np.pi * frequency_hz * self.block.sample_time_s)
         resolvent = np.linalg.solve(z[:, None, None] * np.eye(len(self.A)) - self.A, self.B.astype(complex))
@@ -102,9 +92,7 @@ class LinearInverse:
         return text + "."
 
 
-def linear_inverse(
-    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics, sample_time_s: float
-) -> LinearInverse:
+def linear_inverse(dynamics: Dynamics, sample_time_s: float) -> LinearInverse:
     """Invert a linear block on a sample grid, exactly for an input held over each sample.
 
     Row i of the output first hears of the input after d_i samples, by the row ``C_i A^(d_i - 1) B`` (D_i if
@@ -126,7 +114,7 @@ def linear_inverse(
 
     Examples
     --------
-    >>> from hammerstein.dynamics.models import Axis
+    >>> from hammerstein.dynamics import AxesDynamics, Axis
     >>> axis = AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12),))
     >>> linear_inverse(axis, 50e-6).preview_samples
     1
@@ -160,7 +148,7 @@ def _require_stable(block: LinearBlock) -> None:
         )
 
 
-def _first_reaction(block: LinearBlock) -> tuple[Counts, Array, Array]:
+def _first_reaction(block: LinearBlock) -> tuple[Indices, Array, Array]:
     """Samples after which each output first hears of the input, how, and what it does without input."""
     p, n = block.n_outputs, len(block.A)
     ahead, first = np.zeros(p, np.int64), block.D.copy()
@@ -191,9 +179,7 @@ def _first_reaction(block: LinearBlock) -> tuple[Counts, Array, Array]:
     return ahead, first, free
 
 
-def _split(
-    a: Array, b: Array
-) -> tuple[tuple[Array, Array], tuple[Array, Array], Array, Array, NDArray[np.complex128]]:
+def _split(a: Array, b: Array) -> tuple[tuple[Array, Array], tuple[Array, Array], Array, Array, Complex]:
     """Modes of x[k+1] = a x[k] + b y inside and outside the unit circle, and how to come back to x."""
     from scipy.linalg import schur, solve_sylvester
 

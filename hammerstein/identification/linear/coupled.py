@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Complex
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
@@ -32,7 +31,7 @@ from hammerstein.identification.static.static_block import (
 )
 from hammerstein.records.record import Record
 
-Modes = NDArray[np.complex128]
+Modes = Complex
 
 
 def measured_response(records: Sequence[Record], v_um: Sequence[Array] | None = None) -> FrequencyResponse:

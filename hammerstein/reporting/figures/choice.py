@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.experiment.report import Band, Report, Sensitivity, Trace
+from hammerstein.experiment.report import Band, Report, Trace
 from hammerstein.experiment.selection import (
     FREQUENCY,
     Condition,
@@ -19,7 +19,7 @@ from hammerstein.experiment.selection import (
     swept_over,
     told_apart,
 )
-from hammerstein.metrics import KEY, Row
+from hammerstein.metrics import Row
 from hammerstein.reporting.figures.loop_data import (
     MOST_CURVES,
     error_runs,
@@ -89,7 +89,7 @@ def _sensitivity(report: Report) -> dict[str, Figure]:
             worst[band.compensator] = band
     bars = []
     for label, band in worst.items():
-        found = [one for one in own if _key(one) == _key(band)]
+        found = [one for one in own if one.place == band.place]
         if found:
             first = [(one.first, one.first_low, one.first_high) for one in found]
             total = [(one.total, one.total_low, one.total_high) for one in found]
@@ -196,13 +196,13 @@ def sweep_curves(report: Report, merit: str, over: Over) -> list[SweepCurve]:
         others = told[_other(row, over)].replace(" um", " µm") if len(told) > 1 else ""
         words = [row.compensator, others]
         rows_of.setdefault(", ".join(word for word in words if word) or "reading", []).append(row)
-    bands = {_key(band): band for band in report.bands if band.metric == merit}
+    bands = {band.place: band for band in report.bands if band.metric == merit}
     identified = identified_at(report) if over is FREQUENCY else {}
     curves = []
     for label, rows in rows_of.items():
         places = sorted({over.of(row) for row in rows})
         where = [(row, places.index(over.of(row))) for row in rows]
-        found = [(row, at, bands[_key(row)]) for row, at in where if _key(row) in bands]
+        found = [(row, at, bands[row.place]) for row, at in where if row.place in bands]
         low = _grid(report, len(places), [(row, at, band.p5_um) for row, at, band in found])
         high = _grid(report, len(places), [(row, at, band.p95_um) for row, at, band in found])
         middle = _grid(report, len(places), [(row, at, band.median_um) for row, at, band in found])
@@ -220,11 +220,6 @@ def _other(row: Row, over: Over) -> Condition:
     """Condition of a row without the value that it is drawn over."""
     own = Condition.of(row)
     return replace(own, frequency_hz=0.0) if over is FREQUENCY else replace(own, trial=None)
-
-
-def _key(row: Row | Band | Sensitivity) -> tuple[object, ...]:
-    """What a row and its bands have in common."""
-    return tuple(getattr(row, name) for name in KEY)
 
 
 def _grid(report: Report, points: int, found: Iterable[tuple[Row, int, float | None]]) -> Array:

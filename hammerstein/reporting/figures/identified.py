@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Complex
 from hammerstein.dynamics import discretise
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
@@ -284,7 +283,7 @@ def _draw_spectrum(axes: Axes, frequency_hz: Array, values: Array, number: int) 
     return line
 
 
-def model_response(model: Candidate, fit: Fit, frequency_hz: Array) -> NDArray[np.complex128]:
+def model_response(model: Candidate, fit: Fit, frequency_hz: Array) -> Complex:
     """Linearised response (frequency, output, input) of a model with its sensor [um/V]."""
     block = discretise(model.dynamics, fit.sample_time_s, fit.sensor_bandwidth_hz)
     p = len(fit.outputs)
@@ -292,7 +291,7 @@ def model_response(model: Candidate, fit: Fit, frequency_hz: Array) -> NDArray[n
     return np.asarray(linear @ describing_gain(model, fit.amplitudes_v))
 
 
-def describing_gain(model: Candidate, amplitudes_v: Sequence[float]) -> NDArray[np.complex128]:
+def describing_gain(model: Candidate, amplitudes_v: Sequence[float]) -> Complex:
     """Describing function (output, input) of the static block to a sine on one input at a time [um/V].
 
         N(A) = (first harmonic of the settled response to A sin) / A

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from hammerstein.escaping import clean
+from hammerstein.escaping import clean, templates_of
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -53,17 +53,7 @@ def rendered(template: str, **content: Any) -> str:
 @cache
 def environment() -> Environment:
     """Templates of the pages."""
-    import jinja2
-
-    found = jinja2.Environment(
-        loader=jinja2.PackageLoader("hammerstein"),
-        undefined=jinja2.StrictUndefined,
-        autoescape=True,
-        finalize=_shown,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+    found = templates_of("hammerstein", autoescape=True, finalize=_shown)
     found.filters |= {"line": line_of, "slug": _slug}
     found.globals |= {"style": _own_file(found, "page.css"), "script": _own_file(found, "page.js")}
     return found

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-from hammerstein.experiment.report import Band, Report
+from hammerstein.experiment.report import Report
 from hammerstein.experiment.selection import is_direct, labels_of, number
-from hammerstein.metrics import KEY, Row
 from hammerstein.reporting.html.markup import rendered
 from hammerstein.reporting.page import place_of
 from hammerstein.runtime.storage.manifest import Manifest, Owner
@@ -88,14 +87,14 @@ def _worst(report: Report) -> list[tuple[str, str]]:
     Of drawn actuators it is the band whose upper end is largest; of what learns that of the last trial.
     """
     last = _last_trial(report)
-    bands = {(band.metric, *_place(band)): band for band in report.bands}
+    bands = {(band.metric, *band.place): band for band in report.bands}
     found: dict[str, tuple[float, str]] = {}
     for label in labels_of(report.rows):
         own = [row for row in report.rows if row.compensator == label and row.trial == last]
         values = []
         for row in [row for row in own if is_direct(report, row)] or own:
             metric = "euclidean_max_true_um" if row.euclidean_max_true_um else "max_true_um"
-            band, value = bands.get((metric, *_place(row))), getattr(row, metric)
+            band, value = bands.get((metric, *row.place)), getattr(row, metric)
             if band is not None:
                 spread = f"({number(band.p5_um)} to {number(band.p95_um)})"
                 values.append((band.p95_um, f"{number(band.median_um)} {spread}"))
@@ -104,7 +103,3 @@ def _worst(report: Report) -> list[tuple[str, str]]:
         if values:
             found[label] = max(values)
     return [(label, text) for label, (_, text) in sorted(found.items(), key=lambda item: item[1][0])]
-
-
-def _place(found: Row | Band) -> tuple[object, ...]:
-    return tuple(getattr(found, name) for name in KEY)

@@ -6,24 +6,23 @@ import os
 import shutil
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited, remove_empty, write_through
 from hammerstein.runtime.storage.manifest import FileName, is_own_file
+from hammerstein.validation import Strict
 
 NEW, OLD, JOURNAL, DRAFT = "new", "old", "journal.json", "journal.part"
 EDITED = "edited"
 
 
-class Exchange(BaseModel):
+class Exchange(Strict):
     """What is exchanged, as the journal says it.
 
     leaving : files of earlier runs that are replaced or removed, with their digests
     coming : new files, with theirs; the last one is the manifest
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     leaving: dict[FileName, str]
     coming: dict[FileName, str]

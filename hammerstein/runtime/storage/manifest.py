@@ -12,10 +12,11 @@ from enum import Enum, auto
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, ValidationError
 
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited
+from hammerstein.validation import Strict
 
 MANIFEST = ".hammerstein.json"
 CHUNK_BYTES = 1 << 20
@@ -38,10 +39,8 @@ class Owner:
     replaces: tuple[str, ...] = ()
 
 
-class Entry(BaseModel):
+class Entry(Strict):
     """One file in a manifest."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     owner: str
     sha256: str
@@ -58,9 +57,7 @@ FileName = Annotated[str, AfterValidator(_inside)]
 """Name of a file in a folder or its subfolders."""
 
 
-class _ManifestFile(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+class _ManifestFile(Strict):
     format: Literal["hammerstein-manifest/1"] = "hammerstein-manifest/1"
     files: dict[FileName, Entry]
 

@@ -1,4 +1,4 @@
-"""Trials on a simulated actuator: what a person does at the bench, and what the true positions were."""
+"""Trials on a simulated actuator: what a person does at the set-up, and what the true positions were."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law
-from hammerstein.compensators.cycle import centred, rms
+from hammerstein.compensators.cycle import centred
 from hammerstein.compensators.learning.lesson import Lesson, lesson
 from hammerstein.compensators.learning.unsure import Unsure
+from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
 

@@ -1,0 +1,59 @@
+"""What a block remembers between two samples, as plain data and back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What a block remembers between two samples; JSON keeps it to the last bit.
+
+    A block's own memory derives from this as a frozen dataclass of arrays, numbers, other memories and tuples
+    of them. A block that remembers nothing has this one itself.
+
+    Examples
+    --------
+    >>> @dataclass(frozen=True, eq=False)
+    ... class Held(Memory):
+    ...     last_v: np.ndarray
+    >>> before = Held(np.zeros(2))
+    >>> before.restored({"last_v": [0.5, 1.0]}).as_dict()
+    {'last_v': [0.5, 1.0]}
+    """
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give plain lists and numbers."""
+        return {item.name: _plain(getattr(self, item.name)) for item in fields(self)}
+
+    def restored(self, data: dict[str, Any]) -> Self:
+        """Memory of the same shape as this one from what its ``as_dict`` gave."""
+        return self._with(lambda name, own: _shaped(own, data[name]))
+
+    def copy(self) -> Self:
+        """Give an independent copy."""
+        return self._with(lambda _, own: own.copy() if isinstance(own, np.ndarray | Memory) else own)
+
+    def _with(self, value: Callable[[str, Any], Any]) -> Self:
+        return type(self)(*(value(item.name, getattr(self, item.name)) for item in fields(self)))
+
+
+def _plain(own: Any) -> Any:
+    if isinstance(own, Memory):
+        return own.as_dict()
+    if isinstance(own, tuple):
+        return [_plain(part) for part in own]
+    return own.tolist() if isinstance(own, np.ndarray) else own
+
+
+def _shaped(own: Any, data: Any) -> Any:
+    """Plain data as what stands in its place: of that type, an array of that shape."""
+    if isinstance(own, Memory):
+        return own.restored(data)
+    if isinstance(own, tuple):
+        return tuple(_shaped(part, given) for part, given in zip(own, data, strict=True))
+    return np.array(data, dtype=own.dtype).reshape(own.shape) if isinstance(own, np.ndarray) else data
