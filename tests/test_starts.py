@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hammerstein.identification.static.history import judged_starts
+from hammerstein.identification.static.history import each_alone, judged_starts
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 
@@ -23,3 +23,19 @@ def test_a_beginning_that_nothing_explains_is_left_out():
 def test_a_beginning_that_is_explained_is_kept():
     (start,) = judged_starts([Record([U], [5.0 * U], 1e-3)], straight, settle_s=0.0)
     assert start.first == 0
+
+
+def test_of_two_records_one_alone_may_have_begun_otherwise():
+    bump = np.where(np.arange(U.size) < 500, 8.0, 0.0)
+
+    def predict(record: Record, start: Start) -> np.ndarray:
+        came_from_below = start.turn_v == ((0.0, U.min()),)
+        return straight(record, start) + came_from_below * bump
+
+    records = [Record([U], [5.0 * U], 1e-3), Record([U], [5.0 * U + bump], 1e-3)]
+    begun = (Start("rest"), Start("rest"))
+    first, second = each_alone(records, begun, lambda starts: predict, [0, 1])
+    assert first == Start("rest")
+    assert second.turn_v == ((0.0, U.min()),)
+    assert each_alone(records, begun, lambda starts: predict, [0]) == begun
+    assert each_alone(records, begun, lambda starts: predict, []) == begun
