@@ -1,8 +1,9 @@
 """A beginning of a record that no start explains is left out, one that a start explains is kept."""
 
 import numpy as np
+import pytest
 
-from hammerstein.identification.static.history import each_alone, judged_starts
+from hammerstein.identification.static.history import closed, each_alone, judged_starts
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 
@@ -39,3 +40,10 @@ def test_of_two_records_one_alone_may_have_begun_otherwise():
     assert second.turn_v == ((0.0, U.min()),)
     assert each_alone(records, begun, lambda starts: predict, [0]) == begun
     assert each_alone(records, begun, lambda starts: predict, []) == begun
+
+
+@pytest.mark.parametrize(("gap", "is_closed"), [(0.015, True), (0.025, False)])
+def test_a_loop_is_closed_within_two_percent_of_its_height(gap, is_closed):
+    u = 10.0 * np.cos(2.0 * np.pi * np.arange(401) / 400)
+    drift = 100.0 * gap * np.linspace(0.0, 1.0, u.size)
+    assert closed(Record([u], [5.0 * u + drift], 1e-3)) == is_closed
