@@ -189,3 +189,11 @@ class TestRecords:
         assert [leads([record]) for record in records] == [()] * 3
         columns = read_columns(folder / "10_APPA_H_M130_27s.mat", ["HmeasT:2"])
         np.testing.assert_array_equal(columns.values[0], records[1].u_v[0])
+
+
+def test_committed_reports_call_records_by_their_names_alone():
+    pages = Path(__file__).resolve().parents[1] / "reports" / "measured"
+    written = [path for path in pages.rglob("*") if path.suffix in {".json", ".md", ".svg"}]
+    assert len(written) > 10
+    for path in written:
+        assert f"{DATA.name}/{DBO.name}" not in path.read_text(encoding="utf-8"), path

@@ -16,6 +16,7 @@ from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.errors import HammersteinError
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.identify import identify
+from hammerstein.identification.kinds import several_rates
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import HysteresisKind, Settings
 from hammerstein.identification.static.regressors import Start
@@ -99,7 +100,10 @@ def fit_all(
     jobs: Jobs,
     progress: Progress,
 ) -> tuple[list[Fitted], list[Failed]]:
-    """Every kind of hysteresis without a linear block, and with the one that suits plays.
+    """Every kind of hysteresis without a linear block, and with the one that suits it.
+
+    That is what ``identify`` finds behind the kind itself; from records at a single rate, the one that was
+    found with plays.
 
     Parameters
     ----------
@@ -120,7 +124,7 @@ def fit_all(
         progress(what, done, total)
 
     answers = _worked_off(records, validation, first, jobs, tell)
-    linear = _with_dynamics(settings, answers[0])
+    linear = _with_dynamics(records, settings, answers[0])
     if linear is not None:
         second = [_Asked(kind + WITH_DYNAMICS, kind, linear) for kind in others]
         answers += _worked_off(records, validation, second, jobs, tell, len(first))
@@ -132,11 +136,13 @@ def fit_all(
     ]
 
 
-def _with_dynamics(settings: Settings, plays: _Answer) -> Settings | None:
-    """Settings with the linear block that was found with plays; None where there is none."""
+def _with_dynamics(records: Sequence[Record], settings: Settings, plays: _Answer) -> Settings | None:
+    """Settings with which other kinds have a linear block; None where there is none."""
+    if settings.dynamics == "none":
+        return None
+    if settings.dynamics != "auto" or several_rates(records):
+        return settings
     found = {model.name: model for model in plays.models}.get(PLAYS + WITH_DYNAMICS)
-    if settings.dynamics != "auto":
-        return None if settings.dynamics == "none" else settings
     if found is None or not isinstance(found.candidate.dynamics, AxesDynamics):
         return None
     axes = found.candidate.dynamics.axes

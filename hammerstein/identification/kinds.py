@@ -16,6 +16,7 @@ from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.behind import Behind, search_behind, sure_behind
 from hammerstein.identification.choice import Trial, chosen, judged_squares, parameters_of
 from hammerstein.identification.fit import Kind
+from hammerstein.identification.linear.axis_search import WORSE_DELAYS
 from hammerstein.identification.linear.axis_task import parameters_of as axis_parameters
 from hammerstein.identification.linear.delay import MOST_DELAY
 from hammerstein.identification.score import Candidate, score
@@ -80,13 +81,13 @@ def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tu
     before = built.best
     task = task.delayed_as(before.candidate.dynamics)
     thresholds_v = [[pair.thresholds_v for pair in row] for row in before.blocks.chosen.hysteresis.pairs]
-    delays = range(MOST_DELAY + 1) if held and _free_delay(task) else [task.delay_samples]
-    tried = [_before(task, thresholds_v, Behind((), delay)) for delay in delays]
-    if settings.dynamics != "auto" or _several_rates(task.records):
+    tried = _late(task, thresholds_v, free=bool(held) and _free_delay(task))
+    late = len(tried)
+    if settings.dynamics != "auto" or several_rates(task.records):
         tried += [_with_axes(task, thresholds_v, tried[0].block)] if settings.dynamics != "none" else []
     trials = trials_of(task, tried, held)
-    nearest = min(range(len(delays)), key=lambda i: trials[i].percent)
-    kept = [nearest, *range(len(delays), len(tried))]
+    nearest = min(range(late), key=lambda i: trials[i].percent)
+    kept = [nearest, *range(late, len(tried))]
     found = tried[kept[chosen([trials[i] for i in kept])]]
     task = replace(task, starts=found.starts, delay_samples=found.behind.delay_samples)
     name: Kind = "static_hysteresis" if found.behind.is_static else "hammerstein"
@@ -96,13 +97,28 @@ def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tu
     return task, replace(built, found=models, kind=name, axes=axes, notes=notes)
 
 
+def _late(task: Task, thresholds_v: Thresholds, free: bool) -> list[Whole]:
+    """Blocks without dynamics: with the delay known, or with longer ones until two leave more."""
+    if not free:
+        return [_before(task, thresholds_v, Behind((), task.delay_samples))]
+    found: list[Whole] = []
+    left: list[float] = []
+    for delay in range(MOST_DELAY + 1):
+        found.append(_before(task, thresholds_v, Behind((), delay)))
+        left.append(score(found[-1].candidate, task.records, task.starts).mean_percent)
+        if delay - int(np.argmin(left)) >= WORSE_DELAYS:
+            break
+    return found
+
+
 def _free_delay(task: Task) -> bool:
     """Whether the delay is to be found: thresholds that grow with the rate look like one."""
     one_time = len({record.sample_time_s for record in task.records}) == 1
     return task.settings.delay_samples is None and one_time and task.settings.hysteresis != "rate_dependent"
 
 
-def _several_rates(records: Sequence[Record]) -> bool:
+def several_rates(records: Sequence[Record]) -> bool:
+    """Whether records are driven so fast and so slowly that they tell a lag from hysteresis."""
     rates = [drive_hz(record) for record in records]
     return max(rates) > TWO_RATES * min(rates)
 

@@ -18,7 +18,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from hammerstein.comparison.compare import compare
-from hammerstein.comparison.fitting import KINDS, LINEAR
+from hammerstein.comparison.fitting import KINDS, LINEAR, WITH_DYNAMICS
 from hammerstein.comparison.result import Comparison
 from hammerstein.identification.fit import Fit
 from hammerstein.identification.identify import identify
@@ -55,12 +55,12 @@ models make of the same records stands on [a page of its own](compared/README.md
 COMPARED = """# Every kind on measured records
 
 What `hammerstein compare` says of the [same records](../README.md): for each kind of hysteresis the better
-one of its models, without a linear block or with the one that suits plays; rms errors in percent of the
+one of its models, without a linear block or with one; rms errors in percent of the
 range, on the record held back where there is one. Kinds that could not be fitted have no number: one rate
 cannot tell how thresholds grow. The rule behind the recommendation stands on each page; single loops, with
-nothing held back, are judged by their fit. Nothing is given but the records, and of the magnets that they
-have no dynamics. The mirror is left out: it needs a state space of order 28, in front of which only plays are
-had, and its reports show that hysteresis does not improve that. Written by
+nothing held back, are judged by their fit. Nothing is given but the records, of the magnets that they have no
+dynamics, and of the mirror that it needs a state space of order 28: only plays are had in front of one, so
+that the other kinds stand there without it (*alone*). Written by
 `python reports/measured/make.py FOLDER comparisons`.
 
 | record | judged on | recommended | {kinds} |
@@ -76,13 +76,14 @@ MAGNETS = (
 )
 
 
+def stage_records(file: Path) -> tuple[Record, ...]:
+    """Records of the micromanipulator, called by the name of their file alone."""
+    return named(read_records([file], inputs=["1"], outputs=["5"], rate_hz=200.0))
+
+
 def micromanipulator(folder: Path) -> Iterator[str]:
     """One axis, with and without its delay, and by the closed form."""
-
-    def read(name: str):
-        return read_records([folder / name], inputs=["1"], outputs=["5"], rate_hz=200.0)
-
-    records, held = read("Model_Vi_Do.dat"), read("Test_Vi_Do_Di.dat")
+    records, held = (stage_records(folder / name) for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat"))
     cases = (
         ("micromanipulator", "`invertible`, delay found", "0.85, held back 1.2", {}),
         ("", "`invertible`, no delay", "0.85, held back 1.4", {"delay_samples": 0}),
@@ -109,6 +110,9 @@ MIRROR: dict[str, Any] = {
 }
 
 
+MIRROR_MV = (100, 200, 300)
+
+
 def mirror_records(folder: Path, level: int, part: str) -> tuple[Record, ...]:
     """Records of the mirror at an amplitude [mV]."""
     files = [folder / f"{axis}_{level}mV_{part}.npy" for axis in "uy"]
@@ -119,7 +123,7 @@ def mirror_records(folder: Path, level: int, part: str) -> tuple[Record, ...]:
 def mirror(folder: Path) -> Iterator[str]:
     """Three axes at three amplitudes, linear dynamics and hysteresis beside each other."""
     settings = Settings(**MIRROR)
-    for level, most in ((100, 8.4), (200, 8.0), (300, 5.6)):
+    for level, most in zip(MIRROR_MV, (8.4, 8.0, 5.6), strict=True):
         model, fit = identify(
             mirror_records(folder, level, "train"),
             settings,
@@ -168,13 +172,14 @@ def said_of(fit: Fit) -> str:
 def comparisons(folder: Path) -> Iterator[str]:
     """A line a record: the error of every kind."""
     stage = folder / "dbo_piezo_micromanipulator"
-
-    def read(name: str) -> tuple[Record, ...]:
-        return named(read_records([stage / name], inputs=["1"], outputs=["5"], rate_hz=200.0))
-
-    found = compare(read("Model_Vi_Do.dat"), Settings(), validation=read("Test_Vi_Do_Di.dat"))
+    records, held = (stage_records(stage / name) for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat"))
+    found = compare(records, Settings(), validation=held)
     write_comparison(found, HERE / "compared" / "micromanipulator")
     yield compared("[micromanipulator](micromanipulator/compare.md)", found)
+    for level in MIRROR_MV:
+        mirror = folder / "cubespec_fsm"
+        records, held = (named(mirror_records(mirror, level, part)) for part in ("train", "test"))
+        yield compared(f"mirror, {level} mV", compare(records, Settings(**MIRROR), validation=held))
     for pattern, name in MAGNETS:
         field, flux = (folder / "ja_magnetic_loops" / pattern.format(quantity) for quantity in "HB")
         records = named(read_paired_records(field, flux, axes=("sample", "experiment"), rate_hz=100.0))
@@ -189,11 +194,12 @@ def named(records: Sequence[Record]) -> tuple[Record, ...]:
 
 
 def compared(name: str, found: Comparison) -> str:
-    """Line of one record."""
+    """Line of one record; a kind that cannot have the linear block asked for is marked."""
     errors = []
+    alone = {one.hysteresis for one in found.failed if one.name.endswith(WITH_DYNAMICS)}
     for kind in (LINEAR, *KINDS):
         own = [entry.judged.mean_percent for entry in found.entries if entry.hysteresis == kind]
-        errors.append(f"{min(own):.3f}" if own else "")
+        errors.append(f"{min(own):.3f}{' alone' * (kind in alone)}" if own else "")
     return row(name, "held back" if found.held else "fitted", found.recommended, *errors)
 
 
