@@ -30,7 +30,7 @@ class DeadZones:
 
     Parameters
     ----------
-    breakpoints_v : (zone,) voltages q above which a dead-zone hears its input, as they are sent [V],
+    breakpoints_v : (zone,) voltages q above which a dead-zone responds to its input, as they are sent [V],
         strictly increasing
     weights_um_per_v : (zone,) weights [um/V], of either sign
     weight_errors_um_per_v : (zone,) standard errors of the weights [um/V], if they are known

@@ -23,7 +23,7 @@ from hammerstein.quantities import PerVolt, Weight
 
 @dataclass(frozen=True)
 class BoucWenPair:
-    """What one output hears of one input.
+    """How one output responds to one input.
 
         v = d u - a z,    dz/dt = du/dt - beta |du/dt| z - gamma du/dt |z|
 

@@ -121,7 +121,7 @@ def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Indices) -
         stretches = [*_clipped(u, column, 1.0), *_clipped(u, column, -1.0)]
         if stretches:
             start, stop = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
-            times = f" ({len(stretches)} such stretches)" if len(stretches) > 1 else ""
+            times = f" ({len(stretches)} such places)" if len(stretches) > 1 else ""
             yield Mistake(
                 where(name, rows, start, stop),
                 f"stands at {column[start]:.6g} while the voltage goes on{times}: the sensor or the drive is "

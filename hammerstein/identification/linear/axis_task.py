@@ -25,7 +25,7 @@ STEP = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Heard:
-    """A linear block that hears one sum of all columns."""
+    """A linear block that responds to one sum of all columns."""
 
     weights: Array
     block: LinearBlock
