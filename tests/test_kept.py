@@ -469,8 +469,8 @@ def test_what_a_package_only_ships_is_no_source(tmp_path, monkeypatch):
     (tmp_path / "law.py").write_text("x = 1\n")
     monkeypatch.setattr(provenance, "PACKAGE", tmp_path)
     before = provenance.sources.__wrapped__()
-    (tmp_path / "paper" / "baseline").mkdir(parents=True)
-    (tmp_path / "paper" / "baseline" / "circles.json").write_text("{}")
+    (tmp_path / "paper" / "shipped" / "baseline").mkdir(parents=True)
+    (tmp_path / "paper" / "shipped" / "baseline" / "circles.json").write_text("{}")
     assert provenance.sources.__wrapped__() == before
     (tmp_path / "law.json").write_text("{}")
     assert provenance.sources.__wrapped__() != before
