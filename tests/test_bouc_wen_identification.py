@@ -14,6 +14,7 @@ from hammerstein.commands.cli import app
 from hammerstein.dynamics import AxesDynamics, Axis, discretise
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import BoucWen
+from hammerstein.hysteresis.bouc_wen_kernels import FEW, LONGEST, lagging
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.bouc_wen import fit_bouc_wen
@@ -176,3 +177,17 @@ def test_100_000_samples_of_two_axes_take_less_than_a_minute():
     begun = time.perf_counter()
     fit_bouc_wen(records)
     assert time.perf_counter() - begun < 60.0
+
+
+@pytest.mark.parametrize(
+    ("beta", "gamma"), [(40.0, 10.0), (2.0, 8.0), (0.5, 5.0), (500.0, -400.0), (3.0, 3.0)]
+)
+def test_shapes_that_bend_within_a_sample_are_told_at_once(beta, gamma):
+    """Long movements go in closed form; the steps of the model would take seconds and come to the same."""
+    u = np.cumsum(np.random.default_rng(4).normal(0.0, 3.0, 2000))
+    z = np.empty_like(u)
+    lagging(u, beta + gamma, beta - gamma, 0.0, 0.0, z)
+    exact = -theory.bouc_wen([u], [[0.0]], [[1.0]], [[beta]], [[gamma]])[0]
+    np.testing.assert_allclose(z, exact, atol=2e-4 / (beta + gamma))
+    far = np.abs(np.diff(u, prepend=0.0)) > FEW * LONGEST / max(beta + gamma, abs(beta - gamma))
+    assert far.mean() > 0.9

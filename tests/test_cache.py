@@ -31,6 +31,19 @@ def test_a_result_is_kept_and_counts_for_its_arguments_only(tmp_path, monkeypatc
     assert calls == [("a", 1), ("a", 2)]
 
 
+def test_a_command_that_passes_by_what_was_kept_knows_what_it_has_worked_out_itself(tmp_path, monkeypatch):
+    monkeypatch.setenv("HAMMERSTEIN_CACHE", str(tmp_path))
+    cache.keep("before", str, "a")
+    assert cache.known(str, "a", fresh="first") is None
+    cache.keep("anew", str, "a", fresh="first")
+    assert cache.known(str, "a", fresh="first") == "anew"
+    assert cache.known(str, "a", fresh="second") is None
+    assert cache.known(str, "a") == "anew"
+    for number in range(2 * cache.MOST_MADE):
+        cache.keep("x", str, number, fresh="first")
+    assert cache.known(str, "a", fresh="first") is None
+
+
 @pytest.mark.parametrize("what", ["numpy", "numba", "python"])
 def test_a_result_of_other_versions_does_not_count(tmp_path, monkeypatch, what):
     monkeypatch.setenv("HAMMERSTEIN_CACHE", str(tmp_path))

@@ -1,4 +1,4 @@
-"""Compiled time loop of many copies of one linear path."""
+"""Compiled time loops of many copies of one linear path, and of several paths."""
 
 from __future__ import annotations
 
@@ -72,6 +72,45 @@ def _one(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
         now, new = new, now
     for i in range(n):
         x[i] = now[i]
+
+
+@compiled()
+def respond_paths(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
+    """Several paths of one input, four side by side; each as in ``respond_copies``.
+
+    a : (group, n, n, 4); b, c : (group, n, 4); d : (group, 4); x : (group, n, 4) states, updated in place
+    v : (N,) input; y : (4 groups, N) outputs, overwritten
+    """
+    for k in range(a.shape[0]):
+        _four_paths(a[k], b[k], c[k], d[k], x[k], v, y[4 * k : 4 * k + 4])
+
+
+@compiled()
+def _four_paths(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
+    """Four paths: a (n, n, 4), b, c and x (n, 4), d (4,), v (N,) and y (4, N)."""
+    n = b.shape[0]
+    now, new = x.copy(), np.empty((n, 4))
+    y0, y1, y2, y3 = y[0], y[1], y[2], y[3]
+    for t in range(v.shape[0]):
+        u = v[t]
+        out0, out1, out2, out3 = d[0] * u, d[1] * u, d[2] * u, d[3] * u
+        for i in range(n):
+            out0 += c[i, 0] * now[i, 0]
+            out1 += c[i, 1] * now[i, 1]
+            out2 += c[i, 2] * now[i, 2]
+            out3 += c[i, 3] * now[i, 3]
+            sum0, sum1, sum2, sum3 = b[i, 0] * u, b[i, 1] * u, b[i, 2] * u, b[i, 3] * u
+            for j in range(n):
+                sum0 += a[i, j, 0] * now[j, 0]
+                sum1 += a[i, j, 1] * now[j, 1]
+                sum2 += a[i, j, 2] * now[j, 2]
+                sum3 += a[i, j, 3] * now[j, 3]
+            new[i, 0], new[i, 1], new[i, 2], new[i, 3] = sum0, sum1, sum2, sum3
+        y0[t], y1[t], y2[t], y3[t] = out0, out1, out2, out3
+        now, new = new, now
+    for i in range(n):
+        for k in range(4):
+            x[i, k] = now[i, k]
 
 
 @compiled()

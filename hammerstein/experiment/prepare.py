@@ -247,7 +247,7 @@ def prepare(
     source: str = "scenario",
     progress: Progress | None = None,
     model: HammersteinModel | None = None,
-    fresh: bool = False,
+    fresh: str = "",
     jobs: Jobs = 1,
 ) -> SetUp:
     """Load the actuator, identify every model, build every law.
@@ -304,7 +304,7 @@ def _labelled(name: str, error: HammersteinError) -> tuple[Any, ...]:
 
 
 def _models(
-    scenario: Scenario, plant: Plant, progress: Progress | None, fresh: bool, jobs: Jobs
+    scenario: Scenario, plant: Plant, progress: Progress | None, fresh: str, jobs: Jobs
 ) -> dict[str, HammersteinModel]:
     """Models by label; one that several compensators share is identified once."""
     from hammerstein.experiment.simulated_identification import identify_each

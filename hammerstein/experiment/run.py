@@ -144,7 +144,7 @@ def run(
     own_name, scenario = scenario_of(scenario)
     name = name or own_name
     plan_of(scenario, jobs if isinstance(jobs, int) else 1).refuse_too_large()
-    setup = prepare(scenario, name, progress, fresh=store is not None and store.fresh, jobs=jobs)
+    setup = prepare(scenario, name, progress, fresh="" if store is None else store.fresh, jobs=jobs)
     cases, kept = list(setup.cases()), KeptCases(setup, store)
     results = kept.results(cases, jobs, progress)
     rows = tuple(row for result in results for row in result.rows)

@@ -45,7 +45,7 @@ def identify_each(
     plant: Plant,
     specs: Sequence[ClosedFormSpec | JointFitSpec],
     seed: int,
-    fresh: bool = False,
+    fresh: str = "",
     jobs: Jobs = 1,
 ) -> Iterator[HammersteinModel]:
     """Models of a simulated actuator, each found by driving it one input at a time (paper, section 3.3).
@@ -57,7 +57,7 @@ def identify_each(
     plant : the actuator in its set-up
     specs : the experiments and their methods, done side by side
     seed : of the sensor's noise; the experiment's own settings are mixed in
-    fresh : whether what was kept before is passed by
+    fresh : name of the command, where it passes by what was kept before it
     jobs : threads, or an executor of ``concurrent.futures``
 
     Raises
@@ -66,11 +66,11 @@ def identify_each(
     """
     actuator = replace(plant.model, instruments=plant.instruments).to_json()
     arguments = [(actuator, spec.model_dump_json(), seed) for spec in specs]
-    kept = [None if fresh else known(_identified, *one) for one in arguments]
+    kept = [known(_identified, *one, fresh=fresh) for one in arguments]
 
     def finished(number: int, text: str) -> None:
         if kept[number] is None:
-            keep(text, _identified, *arguments[number])
+            keep(text, _identified, *arguments[number], fresh=fresh)
 
     tasks = (
         partial(_identified, *one) if text is None else given(text)

@@ -6,6 +6,8 @@ import numpy as np
 
 from hammerstein.compiled import compiled
 
+CHUNK = 1024
+"""Samples of one play after the other: what they add to stays in the cache."""
 ROOT_TWO, LOG_TWO = 1.4142135623730951, 0.6931471805599453
 DOUBLINGS = 128
 SERIES = tuple(1.0 / n for n in range(23, 0, -2))
@@ -65,29 +67,45 @@ def respond_rate_dependent(  # type: ignore[no-untyped-def]
     y : (p, N), overwritten from sample first up to stop
     """
     y[:, first:stop] = 0.0
-    for k in range(u.shape[0]):
-        for t in range(first, stop):
-            next_rate(k, sample_time, pole, last, rate)
+    size, p = np.empty(min(CHUNK, stop - first)), np.empty(min(CHUNK, stop - first))
+    for begin in range(first, stop, CHUNK):
+        end = min(begin + CHUNK, stop)
+        for k in range(u.shape[0]):
+            _sizes(k, u, sample_time, pole, lam, last, rate, begin, end, size)
             for i in range(n[k]):
-                reach = threshold(k, i, r, b, lam, rate)
-                plays[k, i] = max(u[k, t] - reach, min(u[k, t] + reach, plays[k, i]))
+                plays[k, i] = _played(u[k], r[k, i], b[k, i], size, plays[k, i], begin, end, p)
                 for o in range(y.shape[0]):
-                    y[o, t] += w[k, i, o] * plays[k, i]
-            last[k, 1], last[k, 0] = last[k, 0], u[k, t]
+                    weight = w[k, i, o]
+                    for t in range(begin, end):
+                        y[o, t] += weight * p[t - begin]
 
 
 @compiled()
 def play_outputs(u, sample_time, pole, r, b, lam, plays, last, rate, p):  # type: ignore[no-untyped-def]
     """Outputs of each play of one input: p (n, N), overwritten; the rest as above with m = 1."""
     size = np.empty(u.shape[1])
-    for t in range(u.shape[1]):
-        next_rate(0, sample_time, pole, last, rate)
-        size[t] = size_of(0, lam, rate)
-        last[0, 1], last[0, 0] = last[0, 0], u[0, t]
-    for i in range(r.shape[1]):  # play after play: each writes what lies side by side in memory
-        held = plays[0, i]
-        for t in range(u.shape[1]):
-            reach = r[0, i] + b[0, i] * size[t]
-            held = max(u[0, t] - reach, min(u[0, t] + reach, held))
-            p[i, t] = held
-        plays[0, i] = held
+    _sizes(0, u, sample_time, pole, lam, last, rate, 0, u.shape[1], size)
+    for i in range(r.shape[1]):
+        plays[0, i] = _played(u[0], r[0, i], b[0, i], size, plays[0, i], 0, u.shape[1], p[i])
+
+
+@compiled()
+def _sizes(k, u, sample_time, pole, lam, last, rate, begin, end, size):  # type: ignore[no-untyped-def]
+    """Give size (end - begin,) the g(rate) of each sample of input k, and move its memory on."""
+    for t in range(begin, end):
+        next_rate(k, sample_time, pole, last, rate)
+        size[t - begin] = size_of(k, lam, rate)
+        last[k, 1], last[k, 0] = last[k, 0], u[k, t]
+
+
+@compiled()
+def _played(u, r, b, size, held, begin, end, p):  # type: ignore[no-untyped-def]
+    """Give p (end - begin,) the outputs of one play, which begins at ``held``, and where it ends.
+
+    Play after play: each writes what lies side by side in memory.
+    """
+    for t in range(begin, end):
+        reach = r + b * size[t - begin]
+        held = max(u[t] - reach, min(u[t] + reach, held))
+        p[t - begin] = held
+    return held

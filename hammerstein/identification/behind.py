@@ -50,9 +50,10 @@ REFINED = 2
 """Of the places of a coarse grid, those from which a resonance is refined."""
 SEARCHED = 1e-3
 """Gain of a step, in parts of the error, under which a search has arrived: what it decides is two percent."""
-FEW, MANY = 6, 40
+FEW, MANY = 7, 39
 """Combinations of columns, those of the largest power, beside the response of the block as it was found: with
-which a search begins, and with which it decides. The last fit has them all."""
+which a search begins, and with which it decides: with it a number of fours, which go side by side. The last
+fit has them all."""
 
 
 class Behind(NamedTuple):

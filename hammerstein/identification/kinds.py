@@ -11,7 +11,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics
-from hammerstein.hysteresis import Hysteresis, RateDependent
+from hammerstein.hysteresis import BoucWen, Hysteresis, RateDependent
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.behind import Behind, search_behind, sure_behind
 from hammerstein.identification.choice import Trial, chosen, judged_squares, parameters_of
@@ -37,20 +37,23 @@ Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
 
 MOST_TURNS = 4
 """Most times that block and axes are fitted in turn; each must lower the error by half a percent."""
-CHOSEN_TURNS, DELAY_TURN = 2, 1
-"""Turns in which the columns of the block are chosen anew, and the one in which the delay is found: behind a
-block that was found in front of axes."""
+DELAY_TURN = 1
+"""Turn in which the delay is found: behind a block that was found in front of axes."""
 BEGINNING = 20_000
 """Samples of all records together that tell how they began."""
 
 
 @dataclass(frozen=True, eq=False)
 class Replacement:
-    """A block of another kind, what is to be said of it, and the columns that were chosen if any were."""
+    """A block of another kind, what is to be said of it, and the columns that were chosen if any were.
+
+    ``rough`` asks of those that are to be like it no more than to be told apart.
+    """
 
     hysteresis: Hysteresis[Any]
     notes: tuple[str, ...] = ()
     choice: AsymmetricChoice | None = None
+    rough: bool = False
 
 
 def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tuple[Task, Built]:
@@ -81,7 +84,7 @@ def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tu
     tried = [_before(task, thresholds_v, Behind((), delay)) for delay in delays]
     if settings.dynamics != "auto" or _several_rates(task.records):
         tried += [_with_axes(task, thresholds_v, tried[0].block)] if settings.dynamics != "none" else []
-    trials = [_trial(task, one, held) for one in tried]
+    trials = trials_of(task, tried, held)
     nearest = min(range(len(delays)), key=lambda i: trials[i].percent)
     kept = [nearest, *range(len(delays), len(tried))]
     found = tried[kept[chosen([trials[i] for i in kept])]]
@@ -104,19 +107,39 @@ def _several_rates(records: Sequence[Record]) -> bool:
     return max(rates) > TWO_RATES * min(rates)
 
 
-def _trial(task: Task, one: _Whole, held: Sequence[Record]) -> Trial:
-    """What speaks for a model: its errors on the records held back, or else on those of the fit."""
+def trials_of(task: Task, tried: Sequence[Whole], held: Sequence[Record]) -> list[Trial]:
+    """What speaks for each model: its errors on the records held back, or else on those of the fit.
+
+    All are judged on the same samples: a beginning that one of them explains counts for all.
+    """
     record, swing = task.records[0], float(half_swing(task.records).max())
-    mode = task.settings.start
-    judged = held or task.records
-    starts = judged_starts(held, one.candidate.predict, one.settle_s, mode) if held else one.starts
-    squares = judged_squares(one.candidate, judged, starts)
-    block, dynamics = one.candidate.hysteresis.counted_from(record.rest_v), one.candidate.dynamics
-    told = invertibility_of(block, dynamics, swing, record.sample_time_s, record.inputs)[0]
-    return Trial(one.name, parameters_of(one.candidate), squares, told)
+    judged, found = held or task.records, []
+    for one in tried:
+        squares = judged_squares(one.candidate, judged, _judged_alike(task, one, tried, held))
+        block, dynamics = one.candidate.hysteresis.counted_from(record.rest_v), one.candidate.dynamics
+        told = invertibility_of(block, dynamics, swing, record.sample_time_s, record.inputs)[0]
+        found.append(Trial(one.name, parameters_of(one.candidate), squares, told))
+    return found
 
 
-class _Whole(NamedTuple):
+def _judged_alike(
+    task: Task, one: Whole, tried: Sequence[Whole], held: Sequence[Record]
+) -> tuple[Start, ...]:
+    """Starts with which one of several models is judged; those that it was fitted with where they explain."""
+    simpler = [other.candidate.predict for other in tried if other is not one]
+    settle_s = max(other.settle_s for other in tried)
+
+    def judge(records: Sequence[Record]) -> tuple[Start, ...]:
+        return judged_starts(records, one.candidate.predict, settle_s, task.settings.start, simpler)
+
+    if held:
+        return judge(held)
+    open_ = unexplained(task.records, one.starts)
+    again = dict(zip(open_, judge([task.records[i] for i in open_]), strict=True))
+    return tuple(again.get(i, start) for i, start in enumerate(one.starts))
+
+
+class Whole(NamedTuple):
     """A block with what stands behind it."""
 
     candidate: Candidate
@@ -141,10 +164,11 @@ class _Whole(NamedTuple):
         return float(np.log(1e3)) * max(times, default=0.0)
 
 
-def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> _Whole:
+def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whole:
     """Block, axes and starts fitted in turn until nothing is gained.
 
-    The block is fitted with its bounds and all that is not linear in it, the axes with its weights.
+    The block is fitted with its bounds and all that is not linear in it, the axes with its weights. Columns
+    are chosen in every turn: in front of axes that are not yet what they come to, too few pass for enough.
 
     alone : the block as it was found without axes
     """
@@ -154,7 +178,7 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> _Who
     for turn in range(MOST_TURNS):
         late = free and turn == DELAY_TURN
         found = search_behind(task, whole.block.hysteresis, found, late)
-        whole, found = _in_front(task, thresholds_v, whole.block, found, anew=turn < CHOSEN_TURNS)
+        whole, found = _in_front(task, thresholds_v, whole.block, found, anew=True)
         starts = _starts_behind(task, thresholds_v, whole)
         moved = starts != task.starts
         if moved:
@@ -169,7 +193,7 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> _Who
 
 def _in_front(
     task: Task, thresholds_v: Thresholds, block: Replacement, found: Behind, *, anew: bool
-) -> tuple[_Whole, Behind]:
+) -> tuple[Whole, Behind]:
     """Block in front of the axes found, and the axes again where both were fitted together.
 
     ``anew`` chooses the columns again; otherwise they stay those of ``block``.
@@ -181,7 +205,7 @@ def _in_front(
     return _before(task, thresholds_v, found, Replacement(hysteresis)), found
 
 
-def _starts_behind(task: Task, thresholds_v: Thresholds, whole: _Whole) -> tuple[Start, ...]:
+def _starts_behind(task: Task, thresholds_v: Thresholds, whole: Whole) -> tuple[Start, ...]:
     """Starts that suit a model with axes.
 
     What a record did not tell before lag and creep were known is asked again: slow modes that are fitted as
@@ -193,21 +217,21 @@ def _starts_behind(task: Task, thresholds_v: Thresholds, whole: _Whole) -> tuple
         return starts
     most = max(BEGINNING // len(task.records), FEWEST)
     parts = tuple(record.part(0, min(record.samples, most)) for record in task.records)
-    quick = replace(task, records=parts)
+    quick, rough = replace(task, records=parts), replace(whole.block, rough=True)
 
     def fit(starts: Sequence[Start]) -> Callable[[Record, Start], Array]:
         begun = replace(quick, starts=tuple(starts))
-        return _before(begun, thresholds_v, whole.behind, whole.block).candidate.predict
+        return _before(begun, thresholds_v, whole.behind, rough).candidate.predict
 
     return each_alone(quick.records, starts, fit, unexplained(task.records, starts))
 
 
-def _before(task: Task, thresholds_v: Thresholds, found: Behind, like: Replacement | None = None) -> _Whole:
+def _before(task: Task, thresholds_v: Thresholds, found: Behind, like: Replacement | None = None) -> Whole:
     """Block before the axes found, with the columns of another one if it is given."""
     late = replace(task, delay_samples=found.delay_samples)
     dynamics = StaticDynamics(n_outputs=task.outputs) if found.is_static else found.dynamics
     block = REPLACEMENTS[task.settings.hysteresis](late, thresholds_v, dynamics, like)
-    return _Whole(late.candidate(block.hysteresis, dynamics), found, block, task.starts)
+    return Whole(late.candidate(block.hysteresis, dynamics), found, block, task.starts)
 
 
 def _asymmetric(
@@ -270,6 +294,8 @@ def _bouc_wen(
         starts=task.starts,
         delay_samples=task.whole_delay,
         through=task.paths(dynamics),
+        like=like.hysteresis if like and isinstance(like.hysteresis, BoucWen) else None,
+        rough=like is not None and like.rough,
     )
     record = task.records[0]
     notes = [

@@ -20,7 +20,7 @@ from hammerstein.identification.linear.axis_fit import fit_axis
 from hammerstein.identification.linear.axis_search import TINY, thinning
 from hammerstein.identification.linear.axis_steps import FIRST_DAMPING, damped_step
 from hammerstein.identification.linear.axis_task import AxisTask, parameters_of
-from hammerstein.identification.score import begun, path_before
+from hammerstein.identification.score import path_before
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients
 from hammerstein.identification.static.rate_dependent import SEARCH_SAMPLES, STABLE, Slopes, differences
@@ -42,10 +42,14 @@ STEP = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """Numbers of the block and of all axes, what is left there, and the problem linearised about them."""
+    """Numbers of the block and of all axes, what is left there, and the problem linearised about them.
+
+    ``slopes`` (output, slope) are the best ones there.
+    """
 
     theta: Array
     x: tuple[Array, ...]
+    slopes: Array
     cost: float
     curvature: Array
     pull: Array
@@ -73,13 +77,13 @@ def fitted_together(task: Task, block: RateDependent, found: Behind) -> tuple[Ra
     search = _Search(
         replace(task, records=few, starts=starts, delay_samples=found.delay_samples), block, found
     )
-    here = search.place(search.theta_of(block), tuple(parameters_of(axis)[1] for axis in found.axes))
+    here = search.place(search.theta_of(block), tuple(parameters_of(axis)[1] for axis in found.axes), None)
     damping = FIRST_DAMPING
     for _ in range(MOST_STEPS):
         where = search.inside(*here.moved(damping))
         if here.distance(*where) < NOWHERE:
             break
-        there = search.place(*where)
+        there = search.place(*where, here.slopes)
         gain = here.cost - there.cost
         here, damping = (there, 0.1 * damping) if gain > 0.0 else (here, 10.0 * damping)
         if 0.0 < gain < ENOUGH or damping > 1e6:
@@ -126,36 +130,43 @@ class _Search:
 
     def axis_tasks(self, block: RateDependent) -> list[AxisTask]:
         """Tasks of the axes behind a block, with differences of its plays as columns."""
-        each = zip(self.task.records, self.task.starts, strict=True)
-        kept = tuple(_differences(block, *both) for both in each)
+        kept = self._columns(block)
         return [self._axis_task(o, kept) for o in range(self.task.outputs)]
 
-    def place(self, theta: Array, x: tuple[Array, ...]) -> _Place:
-        """What is left with given numbers, and the problem linearised about them."""
+    def place(self, theta: Array, x: tuple[Array, ...], near: Array | None) -> _Place:
+        """What is left with given numbers, and the problem linearised about them.
+
+        near : slopes (output, slope) near the best ones, with which the outputs are derived by the numbers
+        """
         s, block = len(theta), self.block_of(theta)
         size = s + sum(map(len, x))
         gain = float(block.on_grid(self.task.records[0].sample_time_s).loop_gain().max())
         if self.task.settings.method == "invertible" and gain >= STABLE:
-            return _Place(theta, x, math.inf, np.eye(size), np.zeros(size))
+            return _Place(theta, x, np.empty((0, 0)), math.inf, np.eye(size), np.zeros(size))
         tasks = self.axis_tasks(block)
-        moments = [_moments(*both) for both in zip(tasks, x, strict=True)]
-        solved = self.slopes.solved(moments)
-        bends = self._bends(theta, [self.slopes.weights(s.coefficients) for s, _ in solved])
-        curvature, pull, cost, first = np.zeros((size, size)), np.zeros(size), 0.0, s
+        if near is None:
+            solved = self.slopes.solved([_moments(*both) for both in zip(tasks, x, strict=True)])
+            near = np.array([solution.coefficients for solution, _ in solved])
+        bends, n = self._bends(theta, tasks[0].kept, near), near.shape[1]
+        moments = []
         for o, (one, own) in enumerate(zip(tasks, x, strict=True)):
             more = tuple(
                 Columns(np.vstack([kept.values, bend[o].values]), np.append(kept.held, bend[o].held))
                 for kept, bend in zip(one.kept, bends, strict=True)
             )
-            found, free = solved[o]
-            rms = max(found.residual_rms, ROUNDING * math.sqrt(moments[o].power[0] / moments[o].freedom))
-            curved, pulled = _linearised(replace(one, kept=more), own, found.coefficients, free)
+            moments.append(_derived(replace(one, kept=more), own, near[o]))
+        solved = self.slopes.solved([_first(moment, n) for moment in moments])
+        curvature, pull, cost, first = np.zeros((size, size)), np.zeros(size), 0.0, s
+        for (found, free), moment, own in zip(solved, moments, x, strict=True):
+            rms = max(found.residual_rms, ROUNDING * math.sqrt(moment.power[0] / moment.freedom))
+            curved, pulled = _linearised(moment, found.coefficients, free)
             at = np.r_[0:s, first : first + len(own)]
             curvature[np.ix_(at, at)] += curved / rms**2
             pull[at] += pulled / rms**2
             cost += math.log(rms)
             first += len(own)
-        return _Place(theta, x, cost, curvature, pull)
+        slopes = np.array([solution.coefficients for solution, _ in solved])
+        return _Place(theta, x, slopes, cost, curvature, pull)
 
     def _axis_task(self, o: int, kept: tuple[Columns, ...]) -> AxisTask:
         task, (shape, _) = self.task, parameters_of(self.found.axes[o])
@@ -163,26 +174,21 @@ class _Search:
         return AxisTask(task.records, task.starts, (), o, shape, task.delay_samples, sensor, every, kept)
 
     def _columns(self, block: RateDependent) -> tuple[Columns, ...]:
-        """Outputs of a block over each record, and before it."""
-        return tuple(
-            _responded(block, record, start)
-            for record, start in zip(self.task.records, self.task.starts, strict=True)
-        )
+        """Differences of the plays of a block over each record, and before it."""
+        each = zip(self.task.records, self.task.starts, strict=True)
+        return tuple(_differences(block, *both) for both in each)
 
-    def _bends(self, theta: Array, weights: Sequence[Array]) -> list[list[Columns]]:
-        """Derivatives (record) (output) of the block's outputs by its numbers, a row each."""
+    def _bends(self, theta: Array, here: Sequence[Columns], slopes: Array) -> list[list[Columns]]:
+        """Derivatives (record) (output) of the outputs of a block by its numbers, a row each.
+
+        here : differences of its plays over each record; slopes : (output, slope) of the plays
+        """
         ends = []
         for change in STEP * np.eye(len(theta)):
-            ahead, behind = (
-                self._columns(self.block_of(theta + way * change).with_weights(weights))
-                for way in (1.0, -1.0)
-            )
-            ends.append([(a.values - b.values) / (2.0 * STEP) for a, b in zip(ahead, behind, strict=True)])
+            pairs = zip(self._columns(self.block_of(theta + change)), here, strict=True)
+            ends.append([slopes @ (ahead.values - kept.values) / STEP for ahead, kept in pairs])
         return [
-            [
-                Columns(np.array([end[i][o] for end in ends]), np.zeros(len(theta)))
-                for o in range(self.task.outputs)
-            ]
+            [Columns(np.array([end[i][o] for end in ends]), np.zeros(len(theta))) for o in range(len(slopes))]
             for i in range(len(self.task.records))
         ]
 
@@ -197,16 +203,6 @@ def _differences(block: RateDependent, record: Record, start: Start) -> Columns:
     return Columns(values, held[:, 0])
 
 
-def _responded(block: RateDependent, record: Record, start: Start) -> Columns:
-    here = block.on_grid(record.sample_time_s)
-    memory = begun(here, record, start)
-    before, _ = here.respond(path_before(record, start)[:, -1:], memory)
-    values, after = here.respond(record.u_v, memory)
-    if start.kind == "repeated":
-        values, _ = here.respond(record.u_v, after)
-    return Columns(values, before[:, 0])
-
-
 def _within(one: AxisTask, free: Array) -> AxisTask:
     """The task with the columns of directions alone."""
     return replace(one, kept=tuple(Columns(free.T @ c.values, free.T @ c.held) for c in one.kept))
@@ -217,19 +213,30 @@ def _moments(one: AxisTask, x: Array) -> Moments:
     return one.moments(lambda time: [SideBySide(one.path(x, time), one.columns)], one.columns)
 
 
-def _linearised(one: AxisTask, x: Array, slopes: Array, free: Array) -> tuple[Array, Array]:
-    """Normal equations of a change of block and axis with the free directions of the slopes eliminated.
+def _first(moments: Moments, n: int) -> Moments:
+    """Moments of the first n columns alone."""
+    means = moments.means[:, [*range(n), -1]]
+    return Moments(moments.gram[:n, :n], moments.cross[:n], moments.power, moments.samples, means)
 
-    The columns of the task are those of the slopes, then those of the numbers of the block.
-    """
-    whole, n = one.columns, len(slopes)
-    padded = np.append(slopes, np.zeros(whole - n))
+
+def _derived(one: AxisTask, x: Array, slopes: Array) -> Moments:
+    """Moments of the columns behind the axis, then of the derivatives of the output by its parameters."""
+    whole = one.columns
+    padded = np.append(slopes, np.zeros(whole - len(slopes)))
 
     def filters(time: float) -> list[Filter]:
         more = [one.derivatives(x, padded, time)] if len(x) else []
         return [SideBySide(one.path(x, time), whole), *more]
 
-    moments = one.moments(filters, whole + len(x))
+    return one.moments(filters, whole + len(x))
+
+
+def _linearised(moments: Moments, slopes: Array, free: Array) -> tuple[Array, Array]:
+    """Normal equations of a change of block and axis with the free directions of the slopes eliminated.
+
+    The columns are those of the slopes, then the derivatives by the numbers of block and axis.
+    """
+    n = len(slopes)
     gram, mixed, cross = moments.gram[:n, :n], moments.gram[:n, n:], moments.cross[:, 0]
     drag = free @ coefficients(free.T @ gram @ free, free.T @ mixed)
     return moments.gram[n:, n:] - mixed.T @ drag, cross[n:] - mixed.T @ slopes

@@ -86,7 +86,7 @@ def rows_needed(
     store: Store | None = None,
 ) -> list[Row]:
     """Rows that the claims select, from the cases alone that have them."""
-    setup = prepare(scenario, name, model=model, fresh=store is not None and store.fresh)
+    setup = prepare(scenario, name, model=model, fresh="" if store is None else store.fresh)
     cases = [
         case
         for case in setup.cases()

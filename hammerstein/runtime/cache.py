@@ -39,17 +39,31 @@ def folder_of_runs() -> Path | None:
     return None if place is None else place / "kept"
 
 
-def known(function: Callable[..., str], *arguments: str | int) -> str | None:
-    """Result of a function from texts and numbers to a text, if it was kept."""
+_made: dict[tuple[str, str], str] = {}
+"""What this process has worked out for commands that pass by what was kept before them."""
+MOST_MADE = 64
+
+
+def known(function: Callable[..., str], *arguments: str | int, fresh: str = "") -> str | None:
+    """Result of a function from texts and numbers to a text, if it was kept.
+
+    fresh : name of a command that passes by what was kept before it; empty: nothing is passed by
+    """
+    if fresh:
+        return _made.get((fresh, _key(function, arguments)))
     path = _path(function, arguments)
     return None if path is None else _read(path)
 
 
-def keep(text: str, function: Callable[..., str], *arguments: str | int) -> None:
+def keep(text: str, function: Callable[..., str], *arguments: str | int, fresh: str = "") -> None:
     """Keep the result of a function; a cache that cannot be written is no mistake of the user."""
     from hammerstein.errors import InputError
     from hammerstein.files import write_atomic
 
+    if fresh:
+        _made[fresh, _key(function, arguments)] = text
+        for oldest in list(_made)[:-MOST_MADE]:
+            _made.pop(oldest, None)
     path = _path(function, arguments)
     if path is not None:
         with contextlib.suppress(InputError):
@@ -58,10 +72,12 @@ def keep(text: str, function: Callable[..., str], *arguments: str | int) -> None
 
 def _path(function: Callable[..., str], arguments: tuple[str | int, ...]) -> Path | None:
     place = folder()
-    if place is None:
-        return None
-    key = repr((function.__qualname__, _code(), arguments))
-    return place / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.json"
+    return None if place is None else place / f"{_key(function, arguments)}.json"
+
+
+def _key(function: Callable[..., str], arguments: tuple[str | int, ...]) -> str:
+    text = repr((function.__qualname__, _code(), arguments))
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def _read(path: Path) -> str | None:

@@ -13,6 +13,7 @@ import os
 import stat
 import struct
 import time
+import uuid
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -55,7 +56,7 @@ class Store:
     """Entries in a folder.
 
     folder : where they lie
-    fresh : whether what is there is passed by; what is found out is kept all the same
+    fresh : name of the command, where it passes by what is there; what it finds out is kept all the same
     elsewhere : what else computes, where it is not this machine alone
     problem : why nothing more is kept; empty as long as there is no reason
     """
@@ -63,7 +64,7 @@ class Store:
     def __init__(
         self,
         folder: Path,
-        fresh: bool = False,
+        fresh: str = "",
         limit_bytes: float = LARGEST_MB * MEGABYTE,
         elsewhere: str = "",
     ) -> None:
@@ -178,7 +179,7 @@ def opened(fresh: bool = False) -> tuple[Store | None, str]:
             None,
             f"{folder}: results are not kept, as others may write there; make it yours (chmod 700)",
         )
-    return Store(folder.absolute(), fresh, limit_bytes), ""
+    return Store(folder.absolute(), uuid.uuid4().hex if fresh else "", limit_bytes), ""
 
 
 def _limit_bytes() -> float:

@@ -19,7 +19,7 @@ import sys
 import time
 import tomllib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Mapping
 from pathlib import Path
 
 from .changes import Change, changes_of
@@ -42,9 +42,9 @@ def sample(number: int, seed: int, tree: Path) -> list[Change]:
     return [random.Random(f"{seed} {place}").choice(lines[place]) for place in places[:number]]
 
 
-def known(root: Path) -> list[Change]:
-    """Changes that are listed; each text must stand once in its file."""
-    changes = []
+def known(root: Path) -> dict[Change, str]:
+    """Changes that are listed, with the test file to try first; each text must stand once in its file."""
+    changes = {}
     for entry in tomllib.loads(KNOWN.read_text())["change"]:
         source = (root / entry["path"]).read_text()
         if source.count(entry["old"]) != 1:
@@ -54,27 +54,33 @@ def known(root: Path) -> list[Change]:
         before = source[: source.index(entry["old"])]
         start = len(before) - before.rfind("\n") - 1
         line = before.count("\n") + 1
-        changes.append(Change(entry["path"], line, start, start + len(entry["old"]), entry["new"]))
+        change = Change(entry["path"], line, start, start + len(entry["old"]), entry["new"])
+        changes[change] = entry.get("test", "")
     return changes
 
 
 def tried(
-    kept: Path, changes: Iterable[Change], budget_s: float, most_s: tuple[float, float], again: bool
+    kept: Path, changes: Mapping[Change, str], budget_s: float, most_s: tuple[float, float], again: bool
 ) -> dict[Change, str]:
-    """What came of each change, from earlier runs or now, until the budget ends."""
+    """What came of each change, from earlier runs or now, until the budget ends.
+
+    changes : with the test file to try first; where none is said, that which noticed the last one of the file
+    """
     results = kept / "results.jsonl"
     rows = [json.loads(row) for row in results.read_text().splitlines()] if results.exists() else []
     before = {Change(**row["change"]): row["outcome"] for row in rows}
-    recording, killers, found = Recording.read(kept), {}, {}
+    recording, found = Recording.read(kept), {}
+    killers: dict[str, str] = {}
     if not recording.seconds:
         raise SystemExit(f"nothing is recorded in {kept}: python -m tests.mutation record")
     load_libraries()
     end = time.monotonic() + budget_s
-    for change in changes:
+    for change, first in changes.items():
         if change in before and not (again and before[change] in UNNOTICED):
             found[change] = before[change]
         elif time.monotonic() < end:
             begun = time.monotonic()
+            killers |= {change.path: first} if first else {}
             found[change] = outcome(kept, recording, change, most_s, killers)
             took = time.monotonic() - begun
             told = change.told((kept / "tree" / change.path).read_text())
@@ -105,7 +111,9 @@ def main() -> int:
         copied(tree, asked.paths if tree.exists() else ())
         return 0 if record(kept, asked.paths) else 1
     restore(kept)
-    changes = known(tree) if asked.what == "known" else sample(asked.number, asked.seed, tree)
+    changes = (
+        known(tree) if asked.what == "known" else dict.fromkeys(sample(asked.number, asked.seed, tree), "")
+    )
     again = asked.again or asked.what == "known"
     found = tried(kept, changes, asked.budget_s, (asked.tests_s, asked.check_s), again)
     survivors = [change for change, came in found.items() if came in UNNOTICED]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.linalg import block_diag
+from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import Axis, CreepMode, LinearBlock
@@ -19,7 +20,7 @@ SERIES = 16
 """Terms of the exponential series, for a matrix with a norm of at most a half: the next one is rounding."""
 MIXED = 3
 """Columns of an input beside that of its slopes."""
-STEP = 1e-5
+STEP = 1e-6
 """Change of a parameter for its derivative: the parameters are logarithms and relative gains."""
 
 
@@ -41,6 +42,56 @@ class Heard:
     def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
         """Outputs (row, sample) and the state after them."""
         return self.block.respond(self.weights @ columns, start)
+
+
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """How the output of a path that hears one sum of all columns changes with each of its parameters.
+
+    weights : of the columns; paths : the path, and the ones with each parameter a step ahead
+    """
+
+    weights: Array
+    paths: tuple[LinearBlock, ...]
+
+    def rest(self) -> Array:
+        """State (group, state, 4) of paths that were never driven."""
+        return np.zeros_like(self._matrices[1])
+
+    def settled(self, columns: Array) -> Array:
+        """State of paths that were held at these columns for ever."""
+        return float(self.weights @ columns) * self._of_one
+
+    def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
+        """Derivatives (parameter, sample) and the state after them."""
+        from hammerstein.dynamics.path_kernel import respond_paths
+
+        v, state = np.ascontiguousarray(self.weights @ columns), start.copy()
+        y = np.empty((4 * len(start), len(v)))
+        respond_paths(*self._matrices, state, v, y)
+        return (y[1 : len(self.paths)] - y[0]) / STEP, state
+
+    @cached_property
+    def _matrices(self) -> tuple[Array, Array, Array, Array]:
+        """Matrices of all paths, four side by side."""
+        return (
+            self._side_by_side([path.A for path in self.paths]),
+            self._side_by_side([path.B[:, 0] for path in self.paths]),
+            self._side_by_side([path.C[0] for path in self.paths]),
+            self._side_by_side([path.D[0, 0] for path in self.paths]),
+        )
+
+    @cached_property
+    def _of_one(self) -> Array:
+        """State of paths that were held at 1 for ever."""
+        return self._side_by_side([path.settled([1.0]) for path in self.paths])
+
+    @staticmethod
+    def _side_by_side(each: Sequence[ArrayLike]) -> Array:
+        """Arrays of all paths as (group, ..., 4), the last group filled up with zeros."""
+        whole = np.array(each, dtype=np.float64)
+        filled = np.concatenate([whole, np.zeros((-len(whole) % 4, *whole.shape[1:]))])
+        return np.ascontiguousarray(np.moveaxis(filled.reshape(-1, 4, *whole.shape[1:]), 1, -1))
 
 
 @dataclass(frozen=True)
@@ -162,25 +213,10 @@ class AxisTask:
         s = 2.0 * math.pi * self.sensor_bandwidth_hz * one
         return held(-s, s, one, 0.0 * one, sample_time_s, late)
 
-    def derivatives(self, x: Array, slopes: Array, sample_time_s: float) -> Heard:
+    def derivatives(self, x: Array, slopes: Array, sample_time_s: float) -> Derivatives:
         """Derivatives of the output by every x_i, for the static block with these slopes."""
-        blocks = []
-        for change in STEP * np.eye(len(x)):
-            ahead, behind = self.path(x + change, sample_time_s), self.path(x - change, sample_time_s)
-            blocks += [(ahead, 0.5 / STEP), (behind, -0.5 / STEP)]
-        rows = np.kron(np.eye(len(x)), np.ones((1, 2)))
-        signed = [factor * block.C for block, factor in blocks]
-        through = [factor * block.D for block, factor in blocks]
-        return Heard(
-            slopes,
-            LinearBlock(
-                block_diag(*(block.A for block, _ in blocks)),
-                np.vstack([block.B for block, _ in blocks]),
-                rows @ block_diag(*signed),
-                np.asarray(rows @ np.vstack(through)),
-                sample_time_s,
-            ),
-        )
+        ahead = [self.path(x + change, sample_time_s) for change in STEP * np.eye(len(x))]
+        return Derivatives(slopes, (self.path(x, sample_time_s), *ahead))
 
     def moments(self, filters: Callable[[float], Sequence[Filter]], columns: int) -> Moments:
         """Moments of the columns with the output over all records; the filters depend on the sample time."""

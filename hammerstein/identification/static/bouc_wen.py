@@ -35,7 +35,7 @@ SEARCHED = 4
 MOST_EVALUATIONS = 60
 NEAR, FINE = (1e-4, 1e-6), (1e-9, 1e-12)
 """Steps of the shape and of the error, as parts of them, at which the search from each start ends, and the
-last one, which goes on from the best of these."""
+last one, which goes on from the best of these; a rough one ends as early."""
 KEPT = 4
 """Shapes of each input whose columns are kept: a search moves one input at a time."""
 
@@ -63,6 +63,8 @@ def fit_bouc_wen(
     starts: Sequence[Start] = (),
     delay_samples: int = 0,
     through: Sequence[LinearBlock] = (),
+    like: BoucWen | None = None,
+    rough: bool = False,
 ) -> BoucWenFit:
     """Find d, a, beta and gamma of all pairs by least squares.
 
@@ -74,6 +76,8 @@ def fit_bouc_wen(
     ----------
     records : at least one, all with the same axes
     invertible, starts, delay_samples, through : as for ``fit_static``
+    like : model near the best one, from which alone the search goes on
+    rough : whether the search ends early
 
     Raises
     ------
@@ -84,11 +88,15 @@ def fit_bouc_wen(
         name = records[0].inputs[int(np.argmin(reach))]
         raise IdentificationError(f"input {name} never moves: no record tells what it does")
     begun = tuple(starts) or (Start("rest"),) * len(records)
-    few, first = shortened(records, begun, SEARCH_SAMPLES)
     outputs = range(len(records[0].y_um))
     whole = [_Task.of(records, begun, delay_samples, through, o, reach) for o in outputs]
-    quick = [_Task.of(few, first, delay_samples, through, o, reach) for o in outputs]
-    shapes = [_searched(*tasks) for tasks in zip(quick, whole, strict=True)]
+    if like is None:
+        few, first = shortened(records, begun, SEARCH_SAMPLES)
+        near = [_near(_Task.of(few, first, delay_samples, through, o, reach)) for o in outputs]
+    else:
+        near = [_shape_of(row, reach) for row in like.pairs]
+    end = NEAR if rough else FINE
+    shapes = [_search(task, begin, end) for task, begin in zip(whole, near, strict=True)]
     found = [task.solution(shape) for task, shape in zip(whole, shapes, strict=True)]
     held = _held(whole, shapes, found, reach) if invertible else []
     pairs = [task.pairs(shape, s) for task, shape, s in zip(whole, shapes, found, strict=True)]
@@ -111,13 +119,8 @@ def _held(
     return held
 
 
-def _searched(quick: _Task, whole: _Task) -> Array:
-    """Shape (ln rate, ln share) of every input with the least error."""
-    from scipy.optimize import least_squares
-
-    lower, upper = (
-        np.tile(np.log([rate, share]), len(quick.reach)) for rate, share in zip(RATES, SHARES, strict=True)
-    )
+def _near(quick: _Task) -> Array:
+    """Shape (ln rate, ln share) of every input near the best one, from several starts."""
     begins = [np.log(each) for each in itertools.product(FIRST_RATES, FIRST_SHARES)]
     starts = [np.tile(each, len(quick.reach)) for each in begins]
     for k in range(len(quick.reach)):  # each input on its own, behind the best of the others
@@ -126,16 +129,29 @@ def _searched(quick: _Task, whole: _Task) -> Array:
             best[2 * k : 2 * k + 2] = each
             starts.append(best.copy())
     best_first = sorted(starts, key=quick.error)[:SEARCHED]
+    return min((_search(quick, begin, NEAR) for begin in best_first), key=quick.error)
 
-    def search(task: _Task, begin: Array, end: tuple[float, float]) -> Array:
-        begin, (xtol, ftol) = np.clip(begin, lower + 1e-6, upper - 1e-6), end
-        found = least_squares(
-            task.residual, begin, bounds=(lower, upper), max_nfev=MOST_EVALUATIONS, xtol=xtol, ftol=ftol
-        )
-        return np.asarray(found.x)
 
-    found = min((search(quick, begin, NEAR) for begin in best_first), key=quick.error)
-    return search(whole, found, FINE)
+def _search(task: _Task, begin: Array, end: tuple[float, float]) -> Array:
+    """Shape of every input with the least error, which steps from ``begin`` come to."""
+    from scipy.optimize import least_squares
+
+    xtol, ftol = end
+    lower, upper = (
+        np.tile(np.log([rate, share]), len(task.reach)) for rate, share in zip(RATES, SHARES, strict=True)
+    )
+    begin = np.clip(begin, lower + 1e-6, upper - 1e-6)
+    found = least_squares(
+        task.residual, begin, bounds=(lower, upper), max_nfev=MOST_EVALUATIONS, xtol=xtol, ftol=ftol
+    )
+    return np.asarray(found.x)
+
+
+def _shape_of(row: Sequence[BoucWenPair], reach: Array) -> Array:
+    """Shape of every input of one output of a model."""
+    loads = [pair.beta_per_v + pair.gamma_per_v for pair in row]
+    each = zip(row, loads, reach, strict=True)
+    return np.concatenate([np.log([load * swing, pair.beta_per_v / load]) for pair, load, swing in each])
 
 
 class _Recent:
