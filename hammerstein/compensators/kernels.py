@@ -73,7 +73,7 @@ def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
 
     Every pass is a step of the filter; with several in a sample, a is that of their time.
 
-    reference : (m, N); axes : m zeros in a tuple, a number that the compiler knows, for it unrolls their loops
+    reference : (m, N); axes : m zeros in a tuple: a number that the compiler knows, for it unrolls loops
     gain : (m, m) [V/um]; pole : a; low, high : (m,) range of the drive [V]
     r, slope, moment : threshold grids and partial sums; count, end, x, d, below : play memory, updated
     memory : (m,) f, updated; drive : (m, N), overwritten from sample first up to stop
