@@ -62,6 +62,18 @@ class InputError(HammersteinError):
         return "\n".join([f"{self.source}: {count}", *lines])
 
 
+def together(failures: Sequence[InputError], what: str) -> InputError:
+    """One error of several files: the only one as it is, several with the file before each place."""
+    if len(failures) == 1:
+        return failures[0]
+    mistakes = [
+        Mistake(f"{e.source}, {m.where}" if m.where else e.source, m.what)
+        for e in failures
+        for m in e.mistakes
+    ]
+    return InputError(f"{len(failures)} {what}", mistakes)
+
+
 class SimulationError(HammersteinError):
     """A simulation diverged, a law cannot converge, or a reference is out of reach."""
 

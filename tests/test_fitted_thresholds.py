@@ -17,7 +17,7 @@ from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.fitted_thresholds import fit_thresholds, merged
 from hammerstein.identification.static.regressors import BLOCK, Start, regressor_blocks
 from hammerstein.identification.static.static_block import fit_static
-from hammerstein.identification.static.threshold_exchange import exchanged, finer
+from hammerstein.identification.static.threshold_exchange import _sweep, exchanged, finer
 from hammerstein.identification.static.threshold_search import ThresholdTask, place_at
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
@@ -44,6 +44,22 @@ def test_between_two_thresholds_so_many_places_are_tried_that_there_are_about_96
     fine = finer(grid, AMPLITUDE)
     assert len(fine) == thresholds * places
     assert np.isin(grid, fine).all()
+
+
+def test_a_column_that_enters_a_regression_and_leaves_it_leaves_nothing():
+    """And while it is in, its row holds the coefficients and the corner what is left (Goodnight, 1979)."""
+    x = np.random.default_rng(2).normal(size=(4, 50))
+    gram = x @ x.T
+    swept = gram.copy()
+    for j in (0, 2):
+        _sweep(swept, j, 1.0)
+    fit, left, *_ = np.linalg.lstsq(x[[0, 2]].T, x[3], rcond=None)
+    assert swept[[0, 2], 3] == pytest.approx(fit)
+    assert swept[3, 3] == pytest.approx(left[0])
+    assert swept[0, 0] == pytest.approx(-np.linalg.inv(gram[np.ix_([0, 2], [0, 2])])[0, 0])
+    for j in (2, 0):
+        _sweep(swept, j, -1.0)
+    np.testing.assert_allclose(swept, gram, atol=1e-9)
 
 
 def wandering(generator, inputs, samples=6000):

@@ -128,6 +128,16 @@ def test_where_the_model_is_unsure_nothing_is_learnt(model, law):
     assert (1.0 - share[learnt] * (1.0 - delta[learnt]) < 1.0).all()
 
 
+def test_from_where_on_the_model_is_too_unsure_is_told(model, law):
+    unsure, path = Unsure(weights=0.05, resonance=0.2), circle()
+    lines = np.fft.rfftfreq(path.shape[1], T)
+    first = lines[(unsure.relative(model, lines, T) >= 1.0).any(axis=1)][0]
+    assert 80.0 < first < 280.0  # at the resonances, or before
+    taught = lesson(model, law, path, centred(law, model, path), np.tile(0.9 * path, 3), unsure)
+    assert taught.limit_hz == first
+    assert f"Above {first:.4g} Hz the model is too unsure." in taught.statement()
+
+
 def test_the_error_bound_covers_the_drawn_resonances(model):
     """Of 50 drawn actuators none leaves two standard deviations by more than one in twenty allows."""
     frequency = np.linspace(10.0, 1000.0, 100)

@@ -405,6 +405,10 @@ def test_noise_is_told_from_20_samples_on():
     assert noise_rms(noise[:-1]) == 0.0
 
 
+def test_two_levels_are_no_lattice():
+    assert quantum([0.0, 0.3, 0.3, 0.0]) == 0.0
+
+
 def test_dead_band_covers_noise_and_converter():
     rng = np.random.default_rng(4)
     noise = rng.standard_normal(100_000)

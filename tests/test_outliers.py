@@ -28,6 +28,13 @@ def test_a_jump_is_one_from_four_times_the_usual_large_step_on(times, is_one):
     assert without_outliers(U, y).lost_y.any() == is_one
 
 
+@pytest.mark.parametrize(("beyond", "are_some"), [(70.0, True), (40.0, False)])
+def test_readings_half_a_range_outside_it_are_some_however_many_in_a_row(beyond, are_some):
+    y = 5.0 * U  # 100 um
+    y[0, 1200:1230] = 50.0 + beyond
+    assert without_outliers(U, y).lost_y[0, 1200:1230].all() == are_some
+
+
 def test_the_sample_before_the_last_may_be_one():
     y = 5.0 * U
     y[0, -2] += 30.0

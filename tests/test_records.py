@@ -100,7 +100,7 @@ class TestClipping:
         last = top + int(np.argmin(clipped[top:] == level))
         text = message(Record, [U], [clipped], 5e-3, ("ux",), ("x",), "loop")
         assert f"column x, rows {top + 1} to {last}" in text
-        assert f"stands at {level:g} while the voltage goes on (2 such stretches)" in text
+        assert f"stands at {level:g} while the voltage goes on (2 such places)" in text
         assert "lower the amplitude or use a larger range" in text
 
     def test_clipped_below_and_second_axis(self):

@@ -1,8 +1,11 @@
 """Whether waiting longer helps, and why not."""
 
+from dataclasses import replace
+
 import pytest
 
 from hammerstein.experiment.run import run
+from hammerstein.model import HammersteinModel
 
 SINE = {"kind": "sine", "amplitude_um": 20.0, "frequency_hz": 50.0, "axis": 1}
 PAPER = {"label": "paper", "law": "inverse_multiplicative", "run_anyway": True}
@@ -30,11 +33,18 @@ def test_a_law_that_does_not_converge_never_settles():
     assert "nor does it in 20 times as many cycles: the iteration of its law does not converge" in text
 
 
-def test_creep_outlasts_twenty_times_the_cycles():
+@pytest.mark.parametrize("creeping", [2, 1])
+def test_creep_outlasts_twenty_times_the_cycles(tmp_path, creeping):
+    """Of both axes, or of the first alone, which is the one that is driven."""
+    model = HammersteinModel.load("duo_bimorph_creep")
+    still = [axis.model_copy(update={"creep": ()}) for axis in model.dynamics.axes[creeping:]]
+    dynamics = model.dynamics.model_copy(update={"axes": (*model.dynamics.axes[:creeping], *still)})
+    replace(model, dynamics=dynamics).save(tmp_path / "creeps.json")
     law = {"label": "none", "law": "none", "model": "duo_bimorph"}
     offset = SINE | {"offset_um": 20.0}
     measure = {"settle_cycles": 1, "settle_s": 0.0, "measured_cycles": 60}
-    (text,) = _told(actuator="duo_bimorph_creep", reference=offset, compensators=[law], measure=measure)
+    actuator = str(tmp_path / "creeps.json")
+    (text,) = _told(actuator=actuator, reference=offset, compensators=[law], measure=measure)
     assert "the actuator creeps, with time constants up to 300 s" in text
 
 

@@ -1,8 +1,9 @@
 """A beginning of a record that no start explains is left out, one that a start explains is kept."""
 
 import numpy as np
+import pytest
 
-from hammerstein.identification.static.history import judged_starts
+from hammerstein.identification.static.history import closed, each_alone, judged_starts
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 
@@ -23,3 +24,26 @@ def test_a_beginning_that_nothing_explains_is_left_out():
 def test_a_beginning_that_is_explained_is_kept():
     (start,) = judged_starts([Record([U], [5.0 * U], 1e-3)], straight, settle_s=0.0)
     assert start.first == 0
+
+
+def test_of_two_records_one_alone_may_have_begun_otherwise():
+    bump = np.where(np.arange(U.size) < 500, 8.0, 0.0)
+
+    def predict(record: Record, start: Start) -> np.ndarray:
+        came_from_below = start.turn_v == ((0.0, U.min()),)
+        return straight(record, start) + came_from_below * bump
+
+    records = [Record([U], [5.0 * U], 1e-3), Record([U], [5.0 * U + bump], 1e-3)]
+    begun = (Start("rest"), Start("rest"))
+    first, second = each_alone(records, begun, lambda starts: predict, [0, 1])
+    assert first == Start("rest")
+    assert second.turn_v == ((0.0, U.min()),)
+    assert each_alone(records, begun, lambda starts: predict, [0]) == begun
+    assert each_alone(records, begun, lambda starts: predict, []) == begun
+
+
+@pytest.mark.parametrize(("gap", "is_closed"), [(0.015, True), (0.025, False)])
+def test_a_loop_is_closed_within_two_percent_of_its_height(gap, is_closed):
+    u = 10.0 * np.cos(2.0 * np.pi * np.arange(401) / 400)
+    drift = 100.0 * gap * np.linspace(0.0, 1.0, u.size)
+    assert closed(Record([u], [5.0 * u + drift], 1e-3)) == is_closed

@@ -64,7 +64,7 @@ class Law(ABC, Generic[S]):
         return position_um + self.origin_um[:, None] if self.origin_um.any() else position_um
 
     def respond(self, reference_um: ArrayLike, start: S | None = None) -> tuple[Array, S]:
-        """Drive for a stretch of reference.
+        """Drive for a part of a reference.
 
         Parameters
         ----------

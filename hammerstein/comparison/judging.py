@@ -1,4 +1,4 @@
-"""How far models are off: over all records, at each frequency, and stretch by stretch."""
+"""How far models are off: over all records, at each frequency, and part by part."""
 
 from __future__ import annotations
 

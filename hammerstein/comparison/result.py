@@ -20,7 +20,7 @@ RULE = (
     "Recommended is the model with the fewest parameters whose mean squared error is within one standard "
     "error of the least, and its rms error within 5 % of the least; one without an inverse only where none "
     "with an inverse is within one standard error. The standard error is that of the mean difference to the "
-    "best model, from the differences on the 16 stretches into which each judged record falls."
+    "best model, from the differences on the 16 parts into which each judged record falls."
 )
 
 

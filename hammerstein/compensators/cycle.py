@@ -16,14 +16,14 @@ from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.drive_file import (
     Terms,
     allowed_range,
-    compensator_of,
     read_path,
     refuse_beyond,
     refuse_flagged,
+    sensorless_law,
     verdict_statements,
 )
 from hammerstein.dynamics import LinearBlock, discretise
-from hammerstein.errors import InputError, SimulationError
+from hammerstein.errors import SimulationError
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 
@@ -135,9 +135,7 @@ def design_of(model_path: str, path: Path, law: str, options: Mapping[str, Any],
     limits = allowed_range(model, terms)
     time_s = model.instruments.drive.sample_time_s
     _, reference, _ = read_path(path, model, time_s)
-    built = compensator_of(law, options).design(model, limits, time_s)
-    if not isinstance(built, Law):
-        raise InputError("--law", f"{law} needs the sensor's readings: it has no drive to send ahead")
+    built = sensorless_law(law, options, model, limits, time_s)
     return Design(model, limits, built, reference, source, str(path))
 
 

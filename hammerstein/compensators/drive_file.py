@@ -211,9 +211,7 @@ def compensation_of(
         update={"range_v": tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))}
     )
     reference = checked_reference(reference_um, len(model.outputs))
-    built = compensator_of(law, options).design(model, limits, drive.sample_time_s)
-    if not isinstance(built, Law):
-        raise InputError("--law", f"{law} needs the sensor's readings: it has no drive to send ahead")
+    built = sensorless_law(law, options, model, limits, drive.sample_time_s)
     asked = built.drive_for(reference)
     held, _ = drive.apply(asked)
     predicted = shortfall(model, built, reference, asked, drive.sample_time_s, held)
@@ -328,9 +326,7 @@ def _slower(
     for frequency in np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS):
         rounded = float(f"{frequency:.2g}")
         try:
-            options_then = compensator_of(law, {**options, "filter_hz": rounded})
-            built = options_then.design(model, limits, sample_time_s)
-            assert isinstance(built, Law)  # feedback has no filter
+            built = sensorless_law(law, {**options, "filter_hz": rounded}, model, limits, sample_time_s)
             found = shortfall(model, built, reference, built.drive_for(reference), sample_time_s)
         except HammersteinError:
             break
@@ -364,6 +360,16 @@ def read_path(path: Path, model: HammersteinModel, sample_time_s: float) -> tupl
         raise InputError(str(path), f"is shorter than two samples of {sample_time_s:g} s")
     reference = values if same else np.stack([np.interp(grid, times, row) for row in values])
     return grid, np.ascontiguousarray(reference), not same
+
+
+def sensorless_law(
+    law: str, options: Mapping[str, Any], model: HammersteinModel, limits: DriveRange, sample_time_s: float
+) -> Law[Any]:
+    """Design the law that is named; InputError where it needs the sensor, or its options are wrong."""
+    built = compensator_of(law, options).design(model, limits, sample_time_s)
+    if not isinstance(built, Law):
+        raise InputError("--law", f"{law} needs the sensor's readings: it has no drive to send ahead")
+    return built
 
 
 def compensator_of(law: str, options: Mapping[str, Any]) -> Compensator:

@@ -128,6 +128,7 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
 
         self._start, self.origin_um = self._at_start()
         self._frame, self._limits = self._frame_of_steps(), np.stack(self.range.counted)
+        self._axes = (0.0,) * self.n_inputs
 
     @cached_property
     def _compiled_step(self) -> Any:
@@ -143,7 +144,7 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         drive, stack, memory, sound = self._compiled_step(
             sample_um,
             self._frame,
-            *(self.gain_v_per_um, self.pole, self.iterations, self._limits),
+            *(self._axes, self.gain_v_per_um, self.pole, self.iterations, self._limits),
             *(bank.r, bank.slope, bank.moment),
             *(plays.count, plays.end, plays.x, plays.d, plays.below, state.memory_v),
         )
@@ -205,7 +206,7 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
 
         plays, memory = _copy_of(start.plays), start.memory_v.copy()
         drive, b = np.empty_like(wanted_um), hysteresis.bank
-        options = (self.gain_v_per_um, self.pole, self.iterations, *self.range.counted)
+        options = (self._axes, self.gain_v_per_um, self.pole, self.iterations, *self.range.counted)
         stack = (plays.count, plays.end, plays.x, plays.d, plays.below)
         bank = (b.r, b.slope, b.moment)
         for first, stop in spans(wanted_um.shape[1], 64 * self.iterations):

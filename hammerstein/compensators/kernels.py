@@ -30,9 +30,9 @@ def respond_gain(reference, gain, base, low, high, first, stop, drive):  # type:
 @compiled()
 def asked_for(gain, reference, t, memory, low, high, u):  # type: ignore[no-untyped-def]
     """Put U = K Y_r + f of sample t into u (m,), within the range."""
-    for k in range(gain.shape[0]):
+    for k in range(u.shape[0]):
         wanted = memory[k]
-        for o in range(gain.shape[1]):
+        for o in range(u.shape[0]):
             wanted += gain[k, o] * reference[o, at(t)]
         u[k] = min(max(wanted, low[k]), high[k])
 
@@ -40,9 +40,9 @@ def asked_for(gain, reference, t, memory, low, high, u):  # type: ignore[no-unty
 @compiled()
 def feed_back(gain, pole, u, v, memory):  # type: ignore[no-untyped-def]
     """Move f (m,) on by a pass, after voltages u (m,) that put out v (p,)."""
-    for k in range(gain.shape[0]):
+    for k in range(u.shape[0]):
         left = u[k]
-        for o in range(gain.shape[1]):
+        for o in range(v.shape[0]):
             left -= gain[k, o] * v[o]
         memory[k] = pole * memory[k] + (1.0 - pole) * left
 
@@ -50,6 +50,7 @@ def feed_back(gain, pole, u, v, memory):  # type: ignore[no-untyped-def]
 @compiled()
 def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
     reference,
+    axes,
     gain,
     pole,
     iterations,
@@ -72,13 +73,13 @@ def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
 
     Every pass is a step of the filter; with several in a sample, a is that of their time.
 
-    reference : (p, N); gain : (m, p) [V/um]; pole : a; low, high : (m,) range of the drive [V]
+    reference : (m, N); axes : m zeros in a tuple: a number that the compiler knows, for it unrolls loops
+    gain : (m, m) [V/um]; pole : a; low, high : (m,) range of the drive [V]
     r, slope, moment : threshold grids and partial sums; count, end, x, d, below : play memory, updated
     memory : (m,) f, updated; drive : (m, N), overwritten from sample first up to stop
     """
-    m, p = gain.shape
-    v = np.empty(p)
-    u = np.empty(m)
+    m = len(axes)
+    u, v = np.empty(m), np.empty(m)
     for t in range(first, stop):
         for _ in range(iterations):
             asked_for(gain, reference, t, memory, low, high, u)
@@ -148,7 +149,7 @@ def step_gain(sample, frame, gain, limits):  # type: ignore[no-untyped-def]
 
 @compiled()
 def step_inverse_multiplicative(  # type: ignore[no-untyped-def]
-    sample, frame, gain, pole, iterations, limits, r, slope, moment, count, end, x, d, below, memory
+    sample, frame, axes, gain, pole, iterations, limits, r, slope, moment, count, end, x, d, below, memory
 ):
     """Voltages as they are sent (m,), the memory after one sample (p,), and whether all is finite.
 
@@ -162,6 +163,7 @@ def step_inverse_multiplicative(  # type: ignore[no-untyped-def]
     if sound:
         respond_inverse_multiplicative(
             reference,
+            axes,
             gain,
             pole,
             iterations,

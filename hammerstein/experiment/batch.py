@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from hammerstein.errors import HammersteinError, InputError, LostProcessError, Mistake
+from hammerstein.errors import HammersteinError, InputError, LostProcessError, together
 from hammerstein.experiment.prepare import Progress, Window
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
@@ -71,11 +71,8 @@ def load_all(paths: Sequence[Path]) -> dict[str, Scenario]:
             scenarios[path.stem] = load_scenario(path)
         except InputError as error:
             errors.append(error)
-    if len(errors) == 1:
-        raise errors[0]
     if errors:
-        mistakes = [Mistake(f"{e.source} {m.where}".strip(), m.what) for e in errors for m in e.mistakes]
-        raise InputError(f"{len(errors)} scenario files", mistakes)
+        raise together(errors, "scenario files")
     return scenarios
 
 

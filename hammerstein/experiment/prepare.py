@@ -168,7 +168,7 @@ class SetUp:
         return law is None or (isinstance(law, Law) and not law.preview_samples)
 
     def stretches(self, case: Case, samples: int) -> Iterator[Response]:
-        """Response of one case, stretch by stretch: for runs that do not fit the memory.
+        """Response of one case, part by part: for runs that do not fit the memory.
 
         Raises InputError where the law knows the reference ahead or reads the sensor.
         """
@@ -178,7 +178,7 @@ class SetUp:
         if not (law is None or isinstance(law, Law)) or not self.runs_on(case):
             raise InputError(
                 f"compensator {case.label!r}",
-                "works on the whole path, not on stretches; use a law that neither looks ahead nor feeds "
+                "works on the whole path, not on parts; use a law that neither looks ahead nor feeds "
                 "back nor learns",
             )
         state, memory = plant.rest(case.seed(scenario.seed)), None if law is None else law.rest()
@@ -189,7 +189,7 @@ class SetUp:
                 voltages, memory = law.respond(values, memory)
             response, state = plant.carry_on(voltages, state, reference)
             yield response
-            del response, values, reference, voltages  # the next stretch needs the memory
+            del response, values, reference, voltages  # the next part needs the memory
 
     def _values(self, case: Case, first: int, stop: int) -> Array:
         """Values (axis, sample) of the signal of a case from one sample to before another."""

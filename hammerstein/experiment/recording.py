@@ -40,7 +40,7 @@ class Recording:
 def recorded(setup: SetUp, case: Case) -> Recording:
     """Simulate a case and keep one of ``measure.record_every`` samples.
 
-    The models predict from every sample. A case that can be is simulated stretch by stretch.
+    The models predict from every sample. A case that can be is simulated part by part.
     """
     every = setup.scenario.measure.record_every or 1
     long = every > 1 and setup.runs_on(case)

@@ -66,15 +66,15 @@ def simulate_in_stretches(
     excited_axis: str | None = None,
     **values: float,
 ) -> Iterator[Response]:
-    """Simulate one case of a scenario stretch by stretch, for runs that do not fit the memory.
+    """Simulate one case of a scenario part by part, for runs that do not fit the memory.
 
-    The state is carried over: the stretches, one after the other, are what ``simulate`` gives in one piece,
-    to the last bit. Drop each response before the next, and memory stays that of one stretch.
+    The state is carried over: the parts, one after the other, are what ``simulate`` gives in one piece,
+    to the last bit. Drop each response before the next, and memory stays that of one part.
 
     Parameters
     ----------
     scenario, compensator, excited_axis, values : as for ``simulate``
-    samples : length of a stretch
+    samples : length of a part
 
     Raises
     ------
@@ -85,8 +85,8 @@ def simulate_in_stretches(
     >>> scenario = {
     ...     "question": "How far does it get?", "actuator": "duo_bimorph_static",
     ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}}
-    >>> stretches = simulate_in_stretches(scenario, 600)
-    >>> round(max(float(abs(part.position_um).max()) for part in stretches), 2)
+    >>> parts = simulate_in_stretches(scenario, 600)
+    >>> round(max(float(abs(part.position_um).max()) for part in parts), 2)
     58.4
     """
     setup, case = _chosen(scenario, compensator, excited_axis, values)

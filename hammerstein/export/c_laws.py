@@ -259,7 +259,9 @@ def _(law: HammersteinInverseLaw) -> CPart:
             Size("STATES", n, "of the linear block"),
         ),
         tables=tuple(tables),
-        indices=(Table("lead", inverse.ahead, "Samples after which each output first hears of its input."),),
+        indices=(
+            Table("lead", inverse.ahead, "Samples after which each output first responds to its input."),
+        ),
         start={name: value for name, value in states.items() if value.size},
         values={"n_raw": raw, "n_known": known, "n_modes": modes, "n_states": n},
     )

@@ -53,7 +53,7 @@ def _reach(law: Law[Any], model: HammersteinModel) -> tuple[Array, Array]:
 
 
 def _waves(axes: int, samples: int, seed: int) -> Iterator[Array]:
-    """Stretches within -1 to 1, but for the saturated one."""
+    """Parts within -1 to 1, but for the saturated one."""
     rng, n = Uniform(seed), -(-samples // 6)
     turn = 2.0 * np.pi * np.arange(n) / n
     rates = 3.0 + 2.0 * np.arange(axes)[:, None]

@@ -8,7 +8,7 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 
 from hammerstein.blocks import Law
-from hammerstein.compensators.drive_file import Terms, allowed_range, compensator_of, refuse_flagged
+from hammerstein.compensators.drive_file import Terms, allowed_range, refuse_flagged, sensorless_law
 from hammerstein.errors import InputError
 from hammerstein.export.forward import ForwardModel
 from hammerstein.model import HammersteinModel
@@ -53,12 +53,7 @@ class Request(Strict):
             if self.options:
                 raise InputError("--law model", f"takes no options; {', '.join(sorted(self.options))} is one")
             return ForwardModel(model, limits, self.sample_time_s)
-        law = compensator_of(self.law, self.options).design(model, limits, self.sample_time_s)
-        if not isinstance(law, Law):
-            raise InputError(
-                "--law", f"{self.law} needs the sensor's readings; only sensorless laws are exported"
-            )
-        return law
+        return sensorless_law(self.law, self.options, model, limits, self.sample_time_s)
 
 
 def request_of(

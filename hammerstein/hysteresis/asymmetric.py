@@ -15,6 +15,7 @@ from hammerstein.arrays import Array, Indices, freeze, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.bank import PlayState
+from hammerstein.hysteresis.covariance import refuse_other_sizes
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
 from hammerstein.hysteresis.pair import Pair, WeightCovariance, played, weighted_mistakes
 from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, PartFile, covariances
@@ -30,7 +31,7 @@ class DeadZones:
 
     Parameters
     ----------
-    breakpoints_v : (zone,) voltages q above which a dead-zone hears its input, as they are sent [V],
+    breakpoints_v : (zone,) voltages q above which a dead-zone responds to its input, as they are sent [V],
         strictly increasing
     weights_um_per_v : (zone,) weights [um/V], of either sign
     weight_errors_um_per_v : (zone,) standard errors of the weights [um/V], if they are known
@@ -183,10 +184,7 @@ class Asymmetric(Hysteresis[AsymmetricState]):
         object.__setattr__(self, "working_point_v", frozen(given))
         if np.shape(given) != (m,) or not np.isfinite(given).all():
             raise InputError("asymmetric model", f"its working point must be {m} finite voltages")
-        if self.weight_covariance is not None:
-            weights = [sum(row) for row in self.operators]
-            if [known.factor_um_per_v.shape for known in self.weight_covariance] != [(n, n) for n in weights]:
-                raise InputError("weight_covariance", f"must have one factor an output, of {weights} rows")
+        refuse_other_sizes(self.operators, self.weight_covariance)
 
     def describe(self) -> str:
         """Say in a few words what it is."""

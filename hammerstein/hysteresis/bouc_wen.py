@@ -15,6 +15,7 @@ from pydantic import Field
 from hammerstein.arrays import Array, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake
+from hammerstein.hysteresis.covariance import refuse_other_sizes
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import WeightCovariance
 from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, covariances
@@ -23,7 +24,7 @@ from hammerstein.quantities import PerVolt, Weight
 
 @dataclass(frozen=True)
 class BoucWenPair:
-    """What one output hears of one input.
+    """How one output responds to one input.
 
         v = d u - a z,    dz/dt = du/dt - beta |du/dt| z - gamma du/dt |z|
 
@@ -157,11 +158,7 @@ class BoucWen(Hysteresis[BoucWenState]):
         object.__setattr__(self, "pairs", tuple(tuple(row) for row in self.pairs))
         if not self.pairs or not self.pairs[0] or len({len(row) for row in self.pairs}) > 1:
             raise InputError("Bouc-Wen model", "must have a row for each output, with a pair for each input")
-        known, size = self.weight_covariance, 2 * self.n_inputs
-        if known is not None and [one.factor_um_per_v.shape for one in known] != self.n_outputs * [
-            (size, size)
-        ]:
-            raise InputError("weight_covariance", f"must have one factor an output, of {size} rows")
+        refuse_other_sizes(self.operators, self.weight_covariance)
 
     @property
     def n_inputs(self) -> int:

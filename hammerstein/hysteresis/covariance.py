@@ -51,7 +51,7 @@ def triangle(spread: Array) -> Array:
 def refuse_other_sizes(
     thresholds: Sequence[Sequence[int]],
     weights: Sequence[WeightCovariance] | None,
-    places: ThresholdCovariance | None,
+    places: ThresholdCovariance | None = None,
 ) -> None:
     """Refuse covariances that are not those of so many thresholds (output, input)."""
     sizes = [sum(row) for row in thresholds]

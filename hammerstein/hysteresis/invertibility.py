@@ -91,7 +91,7 @@ def invertibility(
     """Examine every slope matrix that a drive within a range can bring about.
 
     Gamma(U) = Y has one solution for every Y if the determinants of all slope matrices J have one sign, for
-    on a monotone stretch the model is separable and piecewise affine (Fujisawa and Kuh 1972). Column k of J
+    on a monotone piece the model is separable and piecewise affine (Fujisawa and Kuh 1972). Column k of J
     is the sum of the first 1, 2, ... weights of input k, and of those of its dead-zones below the voltage. A
     model with more inputs than outputs is first completed to a square one (see ``completed``).
 

@@ -84,7 +84,7 @@ def _line(name: str, values: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """What one output hears of one input: a bank of play operators.
+    """How one output responds to one input: a bank of play operators.
 
     A linear gain is a bank with the single threshold 0, for a play of threshold 0 passes its input
     unchanged; an absent pair is an empty bank (paper, definition 3.1).
@@ -126,7 +126,7 @@ class Pair:
 
     @classmethod
     def absent(cls) -> Pair:
-        """Hear nothing of the input."""
+        """Respond to nothing."""
         return cls(frozen([]), frozen([]))
 
     def __repr__(self) -> str:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PrandtlIshlinskii(Hysteresis[PlayState]):
-    """Rate-independent hysteresis of m inputs and p outputs: every output hears every input.
+    """Rate-independent hysteresis of m inputs and p outputs: every output responds to every input.
 
         v_l[k] = sum over inputs j and operators i of  w_lji  play(u_j; r_lji)[k]      (paper, eq. 4)
 

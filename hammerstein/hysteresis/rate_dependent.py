@@ -200,7 +200,7 @@ class RateDependent(Hysteresis[RateState]):
         """Gain beta of the loop from each voltage through its rate back to itself in the inverse (m,).
 
         On a branch the inverse gives u[k] = ... + b rho[k], with b the weighted mean growth of the plays that
-        move; rho hears u[k-1] - u[k-2]. The loop closed has the poles of
+        move; rho follows u[k-1] - u[k-2]. The loop closed has the poles of
 
             z^2 - (a + beta) z + beta = 0,      beta = b (1 - a) / T
 

@@ -26,7 +26,7 @@ from hammerstein.identification.static.static_block import Layout, path_filters
 from hammerstein.records.record import Record
 
 STRETCHES = 16
-"""Stretches into which every record falls; where no record is held back, every fourth is left out in turn."""
+"""Parts into which every record falls; where no record is held back, every fourth is left out in turn."""
 MOST_WORSE = 1.05
 """Rms error, in parts of the least, up to which a simpler model may be kept."""
 
@@ -39,7 +39,7 @@ class Trial:
     ----------
     name : what it consists of
     parameters : free numbers in it
-    squares : (stretch,) mean squared error of the outputs in parts of their ranges, on each judged stretch;
+    squares : (part,) mean squared error of the outputs in parts of their ranges, on each judged part;
         infinite where the prediction is not finite or the model unstable
     invertible : whether its main pairs and its linear block can be inverted
     told : whether the records tell the dynamics that it has; if not, it is only there to compare with
@@ -68,7 +68,7 @@ class Trial:
 def chosen(trials: Sequence[Trial]) -> int:
     """Trial to keep: fewest parameters within one standard error of the best, and within 5 % of its rms.
 
-    The standard error is that of the difference to the best, from stretch to stretch (Breiman et al.,
+    The standard error is that of the difference to the best, from part to part (Breiman et al.,
     Classification and Regression Trees, 1984, section 3.4.3). A model without an inverse is kept only where
     none with an inverse is within one standard error of it.
 
@@ -145,7 +145,7 @@ def is_stable(dynamics: Dynamics, sample_time_s: float) -> bool:
 
 
 def judged_squares(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
-    """Squared errors (stretch,) on records held back; infinite for a model that cannot be used."""
+    """Squared errors (part,) on records held back; infinite for a model that cannot be used."""
     span = ranges(records, starts)
     if not is_stable(candidate.dynamics, records[0].sample_time_s):
         return np.full(STRETCHES * len(records), np.inf)
@@ -161,8 +161,8 @@ def judged_squares(candidate: Candidate, records: Sequence[Record], starts: Sequ
 def crossed_squares(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
     """Squared errors (record and fold,) where the weights were fitted to the other folds of the same records.
 
-    Each record falls into 16 stretches, every fourth of which is one fold: cycles of an experiment lie on
-    both sides. Thresholds and linear block stay as they are; the plays run through all stretches.
+    Each record falls into 16 parts, every fourth of which is one fold: cycles of an experiment lie on
+    both sides. Thresholds and linear block stay as they are; the plays run through all parts.
     """
     if isinstance(candidate.dynamics, StateSpaceDynamics):  # not fitted again: its parts are too many
         each = judged_squares(candidate, records, starts).reshape(len(records), -1, FOLDS)

@@ -70,7 +70,7 @@ def identify(
     Linear gain, static Prandtl-Ishlinskii block, linear dynamics alone and the Hammerstein model are fitted
     beside each other, each as far as it was asked for. The model with the fewest parameters that is as good
     as the best on the records held back is returned (see ``choice.chosen``); without such records, it is
-    judged on stretches that are left out. The verdict says what each block is worth, and what no model
+    judged on parts that are left out. The verdict says what each block is worth, and what no model
     explains.
 
     Parameters

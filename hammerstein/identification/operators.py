@@ -80,7 +80,7 @@ def _samples_per_half_cycle(records: Sequence[Record], k: int) -> float:
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """Errors on held-out stretches with one number of operators.
+    """Errors on held-out parts with one number of operators.
 
     Parameters
     ----------
@@ -106,9 +106,9 @@ def error_curve(
     through: Sequence[LinearBlock] = (),
     counts: Sequence[int] = COUNTS,
 ) -> tuple[CurvePoint, ...]:
-    """Error on held-out stretches of the records against the number of operators.
+    """Error on held-out parts of the records against the number of operators.
 
-    Each record is cut in 16 stretches; every fourth is held out. The plays run through all of them.
+    Each record is cut in 16 parts; every fourth is held out. The plays run through all of them.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def error_curve(
 def _halves(
     record: Record, start: Start, grids: Sequence[Array], delay: int, filters: Sequence[Filter], o: int
 ) -> tuple[Moments, Moments]:
-    """Moments of the fitted and of the held-out stretches."""
+    """Moments of the fitted and of the held-out parts."""
     u, y = delayed(record, start, delay), record.y_um[[o]]
     blocks = list(regressor_blocks(u, start, grids, filters))
     columns = sum(map(len, grids))
@@ -157,7 +157,7 @@ def _halves(
 
 
 def _held_out(fitted: Sequence[Moments], held: Sequence[Moments]) -> tuple[float, int]:
-    """Squares left in the held-out stretches, and how many samples they have."""
+    """Squares left in the held-out parts, and how many samples they have."""
     train, test = pooled(fitted), pooled(held)
     found = coefficients(train.gram, train.cross[:, 0])
     return squares_left(test.gram, test.cross[:, 0], float(test.power[0]), found), test.samples

@@ -40,7 +40,7 @@ class Settings:
     Parameters
     ----------
     operators : thresholds of every pair: one number, one for each pair (output, input), or ``auto``: the
-        fewest that lower the error on stretches that are left out
+        fewest that lower the error on parts that are left out
     thresholds_v : thresholds [V] instead: one array for all pairs, or one for each pair (output, input)
     partition : how thresholds are placed: uniform in ``time`` as in the paper, or in ``voltage``; ``fitted``:
         found from the records, beginning with those uniform in time, and kept if they lower the error by

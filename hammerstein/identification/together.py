@@ -18,7 +18,7 @@ from hammerstein.hysteresis import RateDependent
 from hammerstein.identification.behind import Behind
 from hammerstein.identification.linear.axis_fit import fit_axis
 from hammerstein.identification.linear.axis_search import TINY, thinning
-from hammerstein.identification.linear.axis_steps import FIRST_DAMPING, LARGEST_CHANGE
+from hammerstein.identification.linear.axis_steps import FIRST_DAMPING, damped_step
 from hammerstein.identification.linear.axis_task import AxisTask, parameters_of
 from hammerstein.identification.score import path_before
 from hammerstein.identification.static.history import shortened
@@ -56,10 +56,7 @@ class _Place:
 
     def moved(self, damping: float) -> tuple[Array, tuple[Array, ...]]:
         """All numbers after a step (Levenberg-Marquardt)."""
-        scale = np.sqrt(np.maximum(np.diag(self.curvature), np.finfo(float).tiny))
-        scaled = self.curvature / np.outer(scale, scale) + damping * np.eye(len(scale))
-        change = np.linalg.lstsq(scaled, self.pull / scale, rcond=1e-12)[0] / scale
-        change = np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE)
+        change = damped_step(self.curvature, self.pull, damping)
         ends = np.cumsum([len(self.theta), *map(len, self.x)])[:-1]
         first, *others = np.split(change, ends)
         return self.theta + first, tuple(x + d for x, d in zip(self.x, others, strict=True))

@@ -41,6 +41,11 @@ def runs(flags: Flags) -> Indices:
     return np.column_stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1])
 
 
+def not_listed(place: str, count: int, what: str) -> list[Mistake]:
+    """How many mistakes of one kind there are behind those that are shown."""
+    return [Mistake(place, f"{count - SHOWN} more {what}")] if count > SHOWN else []
+
+
 def gap_mistakes(names: Sequence[str], values: Array, rows: Indices) -> Iterator[Mistake]:
     """Samples without a number, in runs; values (column, sample)."""
     for name, column in zip(names, values, strict=True):
@@ -49,8 +54,7 @@ def gap_mistakes(names: Sequence[str], values: Array, rows: Indices) -> Iterator
             count = stop - start + 1
             what = "holds no finite number" if count == 1 else f"gap of {count} samples without a number"
             yield Mistake(where(name, rows, start, stop), f"{what}; mend the record or cut it before the gap")
-        if len(gaps) > SHOWN:
-            yield Mistake(where(name), f"{len(gaps) - SHOWN} more gaps further down")
+        yield from not_listed(where(name), len(gaps), "gaps further down")
 
 
 def far_mistakes(
@@ -62,8 +66,7 @@ def far_mistakes(
         for start, stop in far[:SHOWN]:
             what = f"holds {column[start]:.3g} {unit}, which {limit.words()}; mend the cell, or give a scale"
             yield Mistake(where(name, rows, start, stop), what)
-        if len(far) > SHOWN:
-            yield Mistake(where(name), f"{len(far) - SHOWN} more such places further down")
+        yield from not_listed(where(name), len(far), "such places further down")
 
 
 def length_mistakes(samples: int) -> Iterator[Mistake]:
@@ -121,7 +124,7 @@ def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Indices) -
         stretches = [*_clipped(u, column, 1.0), *_clipped(u, column, -1.0)]
         if stretches:
             start, stop = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
-            times = f" ({len(stretches)} such stretches)" if len(stretches) > 1 else ""
+            times = f" ({len(stretches)} such places)" if len(stretches) > 1 else ""
             yield Mistake(
                 where(name, rows, start, stop),
                 f"stands at {column[start]:.6g} while the voltage goes on{times}: the sensor or the drive is "
@@ -165,7 +168,8 @@ def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
     gaps = np.flatnonzero(steps > 1.5 * typical)
     short = np.count_nonzero(steps < 0.5 * typical)
     if gaps.size > 2 * short:  # else long and short steps make up for each other: jitter
-        return [_time_gap(name, time_s, rows, int(k), typical) for k in gaps[:SHOWN]] + _more(name, gaps.size)
+        listed = [_time_gap(name, time_s, rows, int(k), typical) for k in gaps[:SHOWN]]
+        return listed + not_listed(where(name), gaps.size, "gaps further down")
     deviation = np.abs(time_s - _grid(time_s))
     if deviation.max() > time_tolerance(time_s):
         k = int(np.argmax(deviation))
@@ -211,17 +215,13 @@ def hidden_gaps(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
         )
         for k in lasting[:SHOWN]
     ]
-    return found + _more(name, len(lasting))
+    return found + not_listed(where(name), len(lasting), "gaps further down")
 
 
 def _lasts(time_s: Array, k: int, typical: float) -> bool:
     """Whether the samples behind a long step stay late: those behind jitter do not."""
     before, after = max(k - AROUND_GAP, 0), min(k + 1 + AROUND_GAP, len(time_s) - 1)
     return float(time_s[after] - time_s[before]) > (after - before + 0.5) * typical
-
-
-def _more(name: str, count: int) -> list[Mistake]:
-    return [Mistake(where(name), f"{count - SHOWN} more gaps further down")] if count > SHOWN else []
 
 
 def _grid(time_s: Array) -> Array:

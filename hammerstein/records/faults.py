@@ -46,7 +46,7 @@ SHARP = 0.8
 FEWEST = 8
 """Samples from which a slope is believed."""
 LONG = 9
-"""Samples from which a stretch at the limit has a shape."""
+"""Samples from which a part at the limit has a shape."""
 JUMP = 0.1
 SURE = 5.0
 HUMP = 0.01
@@ -194,7 +194,7 @@ def _clipped_commands(record: Record, stride: int, blocks: dict[int, Array]) -> 
 def _clipped(record: Record, k: int, o: int, side: float, level: float) -> Fault:
     places = runs(side * record.u_v[k] > level)
     start, stop = max(places.tolist(), key=lambda place: place[1] - place[0])
-    more = f" and {len(places) - 1} more stretches" if len(places) > 1 else ""
+    more = f" and {len(places) - 1} more places" if len(places) > 1 else ""
     name, moved = record.inputs[k], record.outputs[o]
     return Fault(
         record.source,
@@ -273,7 +273,7 @@ def _clipped_readings(record: Record) -> Iterator[Fault]:
                     record.outputs,
                     f"{name} of {record.source} is clipped by its recorder at {limit:.4g} V: {moved} "
                     f"rises and falls while it stands (rows {record.rows[start]} to {record.rows[stop]}, "
-                    f"{len(places)} such stretches); record it over a larger range",
+                    f"{len(places)} such places); record it over a larger range",
                 )
 
 
@@ -285,7 +285,7 @@ def _reached(u: Array, start: int, stop: int) -> bool:
 
 
 def _hump(y: Array) -> Array:
-    """How far the middle of a stretch stands above both of its ends (output,); negative if above one only."""
+    """How far the middle of a part stands above both of its ends (output,); negative if above one only."""
     tenth = max(y.shape[1] // 8, 1)
     half = y.shape[1] // 2
     middle = y[:, half - tenth : half + tenth + 1].mean(axis=1)

@@ -115,7 +115,7 @@ def loop_table(record: Record) -> list[Loop]:
 
     Only cycles in which one input moves alone are loops of a pair: with two in motion, nobody knows which of
     them the output follows. Sines, triangles, modulated amplitudes, nested loops; the period need not be
-    known. The first stretch from rest belongs to no loop. A record without a whole cycle gives an empty list.
+    known. The way from rest belongs to no loop. A record without a whole cycle gives an empty list.
 
     Parameters
     ----------

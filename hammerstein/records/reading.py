@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.errors import InputError, Mistake
+from hammerstein.errors import InputError, Mistake, together
 from hammerstein.quantities import RATE_HZ, SCALE
 from hammerstein.records.checks import (
     moves,
@@ -70,7 +70,7 @@ def read_records(
         except InputError as error:
             failures.append(error)
     if failures:
-        raise _together(failures)
+        raise together(failures, "records")
     if all_driven:
         _refuse_never_driven(records)
     return tuple(records)
@@ -135,18 +135,6 @@ def _record(
     values = factors[:, None] * columns.values[: m + p]
     names = tuple(axis_name(name) for name in columns.names[: m + p])
     return Record(values[:m], values[m:], step, names[:m], names[m:], columns.source, columns.rows)
-
-
-def _together(failures: Sequence[InputError]) -> InputError:
-    """One error for all files: the only one as it is, several with the file before each place."""
-    if len(failures) == 1:
-        return failures[0]
-    mistakes = [
-        Mistake(f"{error.source}, {m.where}" if m.where else error.source, m.what)
-        for error in failures
-        for m in error.mistakes
-    ]
-    return InputError(f"{len(failures)} records", mistakes)
 
 
 def _refuse_never_driven(records: Sequence[Record]) -> None:
@@ -227,7 +215,7 @@ def read_paired_records(
         except InputError as error:
             failures.append(error)
     if failures:
-        raise _together(failures)
+        raise together(failures, "records")
     return tuple(records)
 
 

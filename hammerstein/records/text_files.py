@@ -18,7 +18,7 @@ import numpy as np
 
 from hammerstein.arrays import Array, Flags, Indices
 from hammerstein.errors import InputError, Mistake
-from hammerstein.records.checks import SHOWN, where
+from hammerstein.records.checks import SHOWN, not_listed, where
 from hammerstein.records.units import is_unit
 
 HEAD_BYTES = 1 << 18
@@ -316,16 +316,10 @@ def _text_flags(spoiled: Sequence[dict[int, str]], samples: int) -> Flags:
 
 
 def _text_mistakes(name: str, texts: dict[int, str], rows: Indices) -> list[Mistake]:
+    what = "is text in a column of numbers; mend or delete the row"
     shown = list(texts.items())[:SHOWN]
-    mistakes = [
-        Mistake(
-            where(name, rows, k, k), f"{text[:40]!r} is text in a column of numbers; mend or delete the row"
-        )
-        for k, text in shown
-    ]
-    if len(texts) > SHOWN:
-        mistakes.append(Mistake(where(name), f"{len(texts) - SHOWN} more fields with text further down"))
-    return mistakes
+    mistakes = [Mistake(where(name, rows, k, k), f"{text[:40]!r} {what}") for k, text in shown]
+    return mistakes + not_listed(where(name), len(texts), "fields with text further down")
 
 
 def _scan(path: Path, layout: Layout) -> tuple[Indices, list[int], list[Mistake]]:
@@ -339,15 +333,9 @@ def _scan(path: Path, layout: Layout) -> tuple[Indices, list[int], list[Mistake]
             elif _count(line, layout) > layout.width:
                 long.append(row)
     rows = np.delete(np.arange(layout.first + 1, row + 1), np.array(skipped, dtype=np.int64) - layout.first)
-    mistakes = [
-        Mistake(
-            f"row {row}", f"has more columns than the others, which have {layout.width}; mend its separators"
-        )
-        for row in long[:SHOWN]
-    ]
-    if len(long) > SHOWN:
-        mistakes.append(Mistake("rows", f"{len(long) - SHOWN} more rows with too many columns"))
-    return rows, skipped, mistakes
+    what = f"has more columns than the others, which have {layout.width}; mend its separators"
+    mistakes = [Mistake(f"row {row}", what) for row in long[:SHOWN]]
+    return rows, skipped, mistakes + not_listed("rows", len(long), "rows with too many columns")
 
 
 def _count(line: str, layout: Layout) -> int:

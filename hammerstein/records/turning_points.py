@@ -96,7 +96,7 @@ class Cycles:
 def find_cycles(u_v: ArrayLike) -> Cycles:
     """Cut a voltage record into cycles, from turning point to the next but one, and minor loops.
 
-    The period need not be known nor constant. The stretch from rest to the first turning point belongs to
+    The period need not be known nor constant. The way from rest to the first turning point belongs to
     no cycle, unless the record begins at the level of a turning point; the same holds for its end. A minor
     loop is an excursion of at most half the swing beside it: it ends where the voltage regains the level at
     which it began (return-point memory).

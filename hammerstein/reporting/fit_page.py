@@ -21,7 +21,7 @@ CAPTIONS = {
     "loops": "One cycle of each input, measured and by the model (dark, broken). Of an input that only moves "
     "together with others, what the model says of the others is taken off what was measured.",
     "residual": "What each kind of model leaves: over time, and the largest amplitude in bands of frequency.",
-    "operators": "Error on stretches of the records that were held out, against the number of operators. The "
+    "operators": "Error on parts of the records that were held out, against the number of operators. The "
     "grey bar marks this model.",
     "response": "Gain of each pair, measured and by the model at the amplitude of the records, and the part "
     "of each output's power that the inputs explain linearly.",

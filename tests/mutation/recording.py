@@ -136,10 +136,11 @@ class Recording:
     def tests_of(self, tree: Path, path: str, line: int) -> dict[str, float]:
         """Tests and scenarios that touch a line, and how much of what each touches is the file's.
 
-        A line that runs at import is touched by whoever touches a line that names what it makes; a compiled
-        loop, which coverage does not see into, by whoever calls it.
+        What a function begins with, such as a default, is touched by whoever runs it; a line that runs at
+        import by whoever touches a line that names what it makes; a compiled loop, which coverage does not
+        see into, by whoever calls it.
         """
-        found = self._direct(path, line) if _within_function(tree / path, line) else set()
+        found = {name for row in _run_with(tree / path, line) for name in self._direct(path, row)}
         about = {path}
         if not found:
             places = [
@@ -179,6 +180,17 @@ def _within_function(path: Path, line: int) -> bool:
 
     bodies = (n.body for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.FunctionDef))
     return any(body[0].lineno <= line <= (body[-1].end_lineno or 0) for body in bodies)
+
+
+def _run_with(path: Path, line: int) -> Iterable[int]:
+    """Lines of a function that run when a line of it counts: all of them for one of its signature."""
+    import ast
+
+    functions = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.FunctionDef)]
+    for node in functions:
+        if node.lineno <= line < node.body[0].lineno:
+            return range(node.body[0].lineno, (node.end_lineno or 0) + 1)
+    return [line] if _within_function(path, line) else []
 
 
 def _made_by(path: Path, line: int) -> list[str]:

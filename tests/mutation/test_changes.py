@@ -80,7 +80,7 @@ def test_lines_are_touched_by_tests_by_fixtures_of_their_file_and_through_names(
     def tests_of(path, line):
         return set(recording.tests_of(tmp_path, f"hammerstein/{path}", line))
 
-    assert tests_of("user.py", 2) == {"a.py::one"}
+    assert tests_of("user.py", 1) == tests_of("user.py", 2) == {"a.py::one"}
     assert tests_of("user.py", 5) == {"b.py::two", "b.py::three"}
     assert tests_of("kernel.py", 3) == {"a.py::one"}
     assert tests_of("kernel.py", 6) == {"a.py::one"}

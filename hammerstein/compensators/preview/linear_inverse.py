@@ -95,8 +95,8 @@ class LinearInverse:
 def linear_inverse(dynamics: Dynamics, sample_time_s: float) -> LinearInverse:
     """Invert a linear block on a sample grid, exactly for an input held over each sample.
 
-    Row i of the output first hears of the input after d_i samples, by the row ``C_i A^(d_i - 1) B`` (D_i if
-    d_i = 0). Where these rows form a regular matrix E,
+    Row i of the output first responds to the input after d_i samples, by the row ``C_i A^(d_i - 1) B`` (or
+    D_i if d_i = 0). Where these rows form a regular matrix E,
 
         v[k] = E^-1 (y+[k] - L x[k]),    x[k+1] = (A - B E^-1 L) x[k] + B E^-1 y+[k],    L_i = C_i A^d_i
 
@@ -149,7 +149,7 @@ def _require_stable(block: LinearBlock) -> None:
 
 
 def _first_reaction(block: LinearBlock) -> tuple[Indices, Array, Array]:
-    """Samples after which each output first hears of the input, how, and what it does without input."""
+    """Samples after which each output first responds to the input, how, and what it does without input."""
     p, n = block.n_outputs, len(block.A)
     ahead, first = np.zeros(p, np.int64), block.D.copy()
     free = block.C.copy()

@@ -20,7 +20,7 @@ from hammerstein.records.record import Record
 
 CREEP_OPERATORS = 6
 STRETCHES = 16
-"""Stretches of a record within which errors may be related."""
+"""Parts of a record within which errors may be related."""
 NEAR = 1.15
 """Ratio of frequencies that belong to a resonance."""
 EXCITED = 2.0
@@ -83,10 +83,10 @@ def standard_errors(task: AxisTask, point: Point) -> Array:
 
     The larger of two: for errors that are independent from sample to sample, and
 
-        (H^-1 (sum over stretches of g g^T) H^-1)_ii,    g = sum over the stretch of psi e
+        (H^-1 (sum over parts of g g^T) H^-1)_ii,    g = sum over the part of psi e
 
     with the derivatives psi of the output behind the slopes, and H = psi^T psi: errors may be related
-    within a stretch (White, Econometrica 48 (1980) 817-838; Liang and Zeger, Biometrika 73 (1986) 13-22).
+    within a part (White, Econometrica 48 (1980) 817-838; Liang and Zeger, Biometrika 73 (1986) 13-22).
     """
     n = task.columns
     inverse = np.linalg.pinv(point.curvature, rcond=1e-14, hermitian=True)

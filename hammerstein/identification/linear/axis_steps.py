@@ -52,18 +52,19 @@ class Point:
     pull: Array
     drag: Array
 
-    def step(self, damping: float) -> Array:
-        """Change of the parameters (Levenberg-Marquardt)."""
-        scale = np.sqrt(np.maximum(np.diag(self.curvature), np.finfo(float).tiny))
-        scaled = self.curvature / np.outer(scale, scale) + damping * np.eye(len(scale))
-        change = np.linalg.lstsq(scaled, self.pull / scale, rcond=1e-12)[0] / scale
-        return np.asarray(np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE))
-
     @property
     def errors(self) -> Array:
         """Standard errors of the parameters, for independent errors."""
         spread = np.linalg.pinv(self.curvature, rcond=1e-14, hermitian=True)
         return np.asarray(self.rms * np.sqrt(np.maximum(np.diag(spread), 0.0)))
+
+
+def damped_step(curvature: Array, pull: Array, damping: float) -> Array:
+    """Change of some parameters from their normal equations (Levenberg-Marquardt)."""
+    scale = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
+    scaled = curvature / np.outer(scale, scale) + damping * np.eye(len(scale))
+    change = np.linalg.lstsq(scaled, pull / scale, rcond=1e-12)[0] / scale
+    return np.asarray(np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE))
 
 
 def refine(task: AxisTask, x: Array, enough: float = ENOUGH) -> Point:
@@ -73,7 +74,7 @@ def refine(task: AxisTask, x: Array, enough: float = ENOUGH) -> Point:
     here = _point(task, begin, alone(task, partial(task.path, begin))[0])
     damping = FIRST_DAMPING
     for _ in range(MOST_STEPS):
-        x = np.clip(here.x + here.step(damping), lower, upper)
+        x = np.clip(here.x + damped_step(here.curvature, here.pull, damping), lower, upper)
         there = _point(task, x, here.slopes - here.drag @ (x - here.x))
         if there.rms < here.rms:
             arrived = there.rms >= here.rms * (1.0 - enough)

@@ -26,7 +26,7 @@ STEP = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Heard:
-    """A linear block that hears one sum of all columns."""
+    """A linear block that responds to one sum of all columns."""
 
     weights: Array
     block: LinearBlock

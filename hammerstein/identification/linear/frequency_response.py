@@ -72,7 +72,7 @@ class FrequencyResponse:
 
 
 class _Blocks(NamedTuple):
-    """Spectra of the stretches that are averaged: ``U`` (F, m, block), ``Y`` (F, p, block)."""
+    """Spectra of the parts that are averaged: ``U`` (F, m, block), ``Y`` (F, p, block)."""
 
     frequency_hz: Array
     U: Complex

@@ -79,7 +79,7 @@ class PathRun:
     lap_s: float = 0.0
 
     def first(self, seconds: float) -> slice:
-        """Samples of the first stretch of the run."""
+        """Samples of the first part of the run."""
         return slice(0, int(np.searchsorted(self.time_s, self.time_s[0] + seconds * (1.0 + 1e-9), "right")))
 
     def plane_of(self, path_um: Array) -> Array:

@@ -229,7 +229,7 @@ def thin_path(curves: Sequence[Array], most: int) -> list[Array]:
 
 
 def thin_trace(time: Array, values: Array, most: int) -> tuple[Array, Array]:
-    """Lowest and highest sample of each stretch: fewer points, and every peak is still there.
+    """Lowest and highest sample of each part: fewer points, and every peak is still there.
 
     >>> time = np.arange(1000.0)
     >>> peak = np.where(time == 333.0, 5.0, 0.0)
