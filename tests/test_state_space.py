@@ -13,7 +13,7 @@ from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.linear import weighted_lines
 from hammerstein.identification.linear.frequency_response import FrequencyResponse, frequency_response
-from hammerstein.identification.linear.refinement import _normal_equations, _step, refine, split
+from hammerstein.identification.linear.refinement import _normal_equations, _Place, refine, split
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.identification.linear.subspace import stable, subspace
 from hammerstein.identification.linear.weighted_lines import Matrices, WeightedLines, weigh
@@ -384,7 +384,9 @@ class Downhill:
 
 def test_a_parameter_that_nothing_depends_on_does_not_stop_the_others() -> None:
     blocks = Downhill()
-    found, cost, _ = _step(None, blocks, np.diag([4.0, 0.0]), np.array([2.0, 0.0]), 1.0, 1e-3)  # type: ignore[arg-type]
-    assert found is blocks
-    assert cost == 0.0
+    here = _Place(blocks, None, 1.0)  # type: ignore[arg-type]
+    vars(here)["normal_equations"] = np.diag([4.0, 0.0]), np.array([2.0, 0.0])
+    there = here.step(1e-3)
+    assert there.blocks is blocks
+    assert there.cost == 0.0
     np.testing.assert_allclose(blocks.step, [-0.5, 0.0], rtol=2e-3)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -18,9 +19,9 @@ from hammerstein.hysteresis import RateDependent
 from hammerstein.identification.behind import Behind
 from hammerstein.identification.linear.axis_fit import fit_axis
 from hammerstein.identification.linear.axis_search import TINY, thinning
-from hammerstein.identification.linear.axis_steps import FIRST_DAMPING, damped_step
 from hammerstein.identification.linear.axis_task import AxisTask, parameters_of
 from hammerstein.identification.score import path_before
+from hammerstein.identification.static.damped_search import Damping, damped_change, steps
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients
 from hammerstein.identification.static.rate_dependent import SEARCH_SAMPLES, STABLE, Slopes, differences
@@ -29,7 +30,7 @@ from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.task import Task
 from hammerstein.records.record import Record
 
-MOST_STEPS = 30
+MOST_STEPS, DAMPING = 30, Damping(most=1e6)
 ENOUGH = 1e-5
 """Gain of a step, in parts of the error, under which the search has arrived."""
 NOWHERE = 1e-5
@@ -56,14 +57,15 @@ class _Place:
 
     def moved(self, damping: float) -> tuple[Array, tuple[Array, ...]]:
         """All numbers after a step (Levenberg-Marquardt)."""
-        change = damped_step(self.curvature, self.pull, damping)
+        change = damped_change(self.curvature, self.pull, damping)
         ends = np.cumsum([len(self.theta), *map(len, self.x)])[:-1]
         first, *others = np.split(change, ends)
         return self.theta + first, tuple(x + d for x, d in zip(self.x, others, strict=True))
 
-    def distance(self, theta: Array, x: tuple[Array, ...]) -> float:
+    def distance(self, other: _Place) -> float:
         """Largest change of a number."""
-        return float(np.abs(np.concatenate([theta, *x]) - np.concatenate([self.theta, *self.x])).max())
+        ours, theirs = (np.concatenate([place.theta, *place.x]) for place in (self, other))
+        return float(np.abs(ours - theirs).max())
 
 
 def fitted_together(task: Task, block: RateDependent, found: Behind) -> tuple[RateDependent, Behind]:
@@ -78,15 +80,11 @@ def fitted_together(task: Task, block: RateDependent, found: Behind) -> tuple[Ra
         replace(task, records=few, starts=starts, delay_samples=found.delay_samples), block, found
     )
     here = search.place(search.theta_of(block), tuple(parameters_of(axis)[1] for axis in found.axes), None)
-    damping = FIRST_DAMPING
-    for _ in range(MOST_STEPS):
-        where = search.inside(*here.moved(damping))
-        if here.distance(*where) < NOWHERE:
+    for tried in islice(steps(here, search.step, lambda place: place.cost, DAMPING), MOST_STEPS):
+        if tried.before.distance(tried.there) < NOWHERE:
             break
-        there = search.place(*where, here.slopes)
-        gain = here.cost - there.cost
-        here, damping = (there, 0.1 * damping) if gain > 0.0 else (here, 10.0 * damping)
-        if 0.0 < gain < ENOUGH or damping > 1e6:
+        here = tried.best
+        if 0.0 < tried.before.cost - tried.there.cost < ENOUGH:
             break
     block = search.block_of(here.theta)
     tasks = search.axis_tasks(block)
@@ -132,6 +130,10 @@ class _Search:
         """Tasks of the axes behind a block, with differences of its plays as columns."""
         kept = self._columns(block)
         return [self._axis_task(o, kept) for o in range(self.task.outputs)]
+
+    def step(self, here: _Place, damping: float) -> _Place:
+        """Where a damped step from a place leads to, within what the records can tell."""
+        return self.place(*self.inside(*here.moved(damping)), here.slopes)
 
     def place(self, theta: Array, x: tuple[Array, ...], near: Array | None) -> _Place:
         """What is left with given numbers, and the problem linearised about them.

@@ -20,18 +20,18 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.identification.linear.axis_task import AxisTask, Heard
+from hammerstein.identification.static.damped_search import Damping, damped_change, steps
 from hammerstein.identification.static.normal_equations import coefficients, squares_left
 from hammerstein.identification.static.regressors import Filter, SideBySide
 
-LARGEST_CHANGE = 0.5
 SMALLEST_CHANGE = 1e-6
-FIRST_DAMPING = 1e-3
 MOST_STEPS = 25
 ENOUGH = 1e-7
 """Relative gain of a step under which the search has arrived."""
@@ -59,30 +59,21 @@ class Point:
         return np.asarray(self.rms * np.sqrt(np.maximum(np.diag(spread), 0.0)))
 
 
-def damped_step(curvature: Array, pull: Array, damping: float) -> Array:
-    """Change of some parameters from their normal equations (Levenberg-Marquardt)."""
-    scale = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
-    scaled = curvature / np.outer(scale, scale) + damping * np.eye(len(scale))
-    change = np.linalg.lstsq(scaled, pull / scale, rcond=1e-12)[0] / scale
-    return np.asarray(np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE))
-
-
 def refine(task: AxisTask, x: Array, enough: float = ENOUGH) -> Point:
     """Levenberg-Marquardt steps from x until a step gains less than ``enough`` of the error."""
     lower, upper = task.limits
     begin = np.clip(x, lower, upper)
     here = _point(task, begin, alone(task, partial(task.path, begin))[0])
-    damping = FIRST_DAMPING
-    for _ in range(MOST_STEPS):
-        x = np.clip(here.x + damped_step(here.curvature, here.pull, damping), lower, upper)
-        there = _point(task, x, here.slopes - here.drag @ (x - here.x))
-        if there.rms < here.rms:
-            arrived = there.rms >= here.rms * (1.0 - enough)
-            here, damping = there, 0.1 * damping
-        else:
-            arrived = bool(np.abs(x - here.x).max() < SMALLEST_CHANGE)
-            damping *= 10.0
-        if arrived:
+
+    def step(here: Point, damping: float) -> Point:
+        x = np.clip(here.x + damped_change(here.curvature, here.pull, damping), lower, upper)
+        return _point(task, x, here.slopes - here.drag @ (x - here.x))
+
+    for tried in islice(steps(here, step, lambda point: point.rms, Damping()), MOST_STEPS):
+        here, before, there = tried.best, tried.before, tried.there
+        if tried.gained and there.rms >= before.rms * (1.0 - enough):
+            break
+        if not tried.gained and np.abs(there.x - before.x).max() < SMALLEST_CHANGE:
             break
     return here
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from scipy import linalg
 
 from hammerstein.arrays import Array, Complex
 from hammerstein.identification.linear.weighted_lines import Matrices, WeightedLines
+from hammerstein.identification.static.damped_search import Damping, steps
 
 CONDITION = 1e6
 """Condition of the eigenvectors above which A is not taken apart: nearly equal poles share their states."""
@@ -19,7 +21,7 @@ CONDITION = 1e6
 ROUNDING = 1e-30
 """Part of the whole sum of squares below which nothing but rounding is left."""
 
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-10, 1e10
+DAMPING = Damping(less=0.2, more=4.0, least=1e-10, most=1e10)
 
 
 @dataclass(frozen=True)
@@ -94,22 +96,48 @@ def refine(
     -------
     Matrices, stable, in block diagonal form where that is well conditioned
     """
-    blocks = split(start)
-    cost = blocks.cost(lines)
-    damping = FIRST_DAMPING
-    for iteration in range(1, max_iterations + 1):
-        if cost <= ROUNDING * lines.total:
+    here, gains = _Place.of(split(start), lines), 0
+    if max_iterations < 1 or here.cost <= ROUNDING * lines.total:
+        return here.blocks.model
+    for tried in steps(here, _Place.step, lambda place: place.cost, DAMPING):
+        if not tried.gained:
+            continue
+        here, gains = tried.there, gains + 1
+        progress(gains, here.cost)
+        arrived = tried.before.cost - here.cost <= tolerance * here.cost
+        if arrived or gains == max_iterations or here.cost <= ROUNDING * lines.total:
             break
-        hessian, gradient = _normal_equations(lines, blocks)
-        before = cost
-        trial, cost, damping = _step(lines, blocks, hessian, gradient, cost, damping)
-        if trial is None:
-            break
-        blocks = trial
-        progress(iteration, cost)
-        if before - cost <= tolerance * cost:
-            break
-    return blocks.model
+    return here.blocks.model
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """The search at one model: what it leaves, and the problem linearised about it."""
+
+    blocks: _Blocks
+    lines: WeightedLines
+    cost: float
+
+    @classmethod
+    def of(cls, blocks: _Blocks, lines: WeightedLines) -> _Place:
+        """The place of a model; nobody may stand where it is not stable."""
+        return cls(blocks, lines, blocks.cost(lines) if _is_stable(blocks.model.A) else math.inf)
+
+    @cached_property
+    def normal_equations(self) -> tuple[Array, Array]:
+        """J^T J and J^T e there."""
+        return _normal_equations(self.lines, self.blocks)
+
+    def step(self, damping: float) -> _Place:
+        """Where a damped step leads to."""
+        hessian, gradient = self.normal_equations
+        scale = np.diagonal(hessian)
+        scale = np.maximum(scale, 1e-12 * scale.max())
+        try:
+            factor = linalg.cho_factor(hessian + damping * np.diag(scale))
+        except linalg.LinAlgError:
+            return replace(self, cost=math.inf)
+        return _Place.of(self.blocks.moved(-linalg.cho_solve(factor, gradient)), self.lines)
 
 
 def split(model: Matrices) -> _Blocks:
@@ -136,25 +164,6 @@ def split(model: Matrices) -> _Blocks:
         B[part] *= balance
         C[:, part] /= balance
     return _Blocks(Matrices(A, B, C, model.D), parts)
-
-
-def _step(
-    lines: WeightedLines, blocks: _Blocks, hessian: Array, gradient: Array, cost: float, damping: float
-) -> tuple[_Blocks | None, float, float]:
-    """First step, under growing damping, that is stable and lowers the cost; None if there is none."""
-    scale = np.diagonal(hessian)
-    scale = np.maximum(scale, 1e-12 * scale.max())
-    while damping < MOST_DAMPING:
-        try:
-            factor = linalg.cho_factor(hessian + damping * np.diag(scale))
-        except linalg.LinAlgError:
-            damping *= 10.0
-            continue
-        trial = blocks.moved(-linalg.cho_solve(factor, gradient))
-        if _is_stable(trial.model.A) and (fresh := trial.cost(lines)) < cost:
-            return trial, fresh, max(damping / 5.0, LEAST_DAMPING)
-        damping *= 4.0
-    return None, cost, damping
 
 
 def _is_stable(A: Array) -> bool:

@@ -16,12 +16,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
+from hammerstein.identification.static.damped_search import Damping, steps
 from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import half_swing, static_moments
@@ -37,7 +39,7 @@ LARGEST_STEP = 0.4
 MOST_STEPS = 60
 ENOUGH, ARRIVED_AFTER = 1e-3, 2
 """Relative gain of a step that counts as none, and how many such steps in a row end the search."""
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e3
+DAMPING = Damping(least=1e-12, most=1e3)
 ROUNDING = 1e-15
 """Part of an output's power under which its squared errors are rounding."""
 
@@ -171,15 +173,16 @@ def search_near(task: ThresholdTask, grids: Grids, unit: Array | None = None) ->
     """Levenberg-Marquardt steps from given thresholds until nothing is gained; never worse than there."""
     reach = task.reach_v
     here = place_at(task, grids, unit)
-    damping, idle = FIRST_DAMPING, 0
-    for _ in range(MOST_STEPS):
-        there = place_at(task, here.step(damping, reach), here.unit)
-        if there.cost < here.cost:
-            idle = idle + 1 if there.cost > (1.0 - ENOUGH) * here.cost else 0
-            here, damping = there, max(0.1 * damping, LEAST_DAMPING)
-        else:
-            damping *= 10.0
-        if idle >= ARRIVED_AFTER or damping > MOST_DAMPING:
+    idle = 0
+
+    def step(here: Place, damping: float) -> Place:
+        return place_at(task, here.step(damping, reach), here.unit)
+
+    for tried in islice(steps(here, step, lambda place: place.cost, DAMPING), MOST_STEPS):
+        here = tried.best
+        if tried.gained:
+            idle = idle + 1 if tried.there.cost > (1.0 - ENOUGH) * tried.before.cost else 0
+        if idle >= ARRIVED_AFTER:
             break
     return here
 

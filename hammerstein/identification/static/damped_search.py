@@ -1,0 +1,75 @@
+"""Levenberg-Marquardt search: steps that are damped more after a failure and less after a gain.
+
+Source: Marquardt, Journal of the Society for Industrial and Applied Mathematics 11 (1963) 431-441.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from hammerstein.arrays import Array
+
+LARGEST_CHANGE = 0.5
+
+P = TypeVar("P")
+
+
+@dataclass(frozen=True)
+class Damping:
+    """How much steps are damped: first, by which factor less after a gain and more after none, and its ends.
+
+    Beyond ``most`` the search is given up.
+    """
+
+    first: float = 1e-3
+    less: float = 0.1
+    more: float = 10.0
+    least: float = 0.0
+    most: float = math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Tried(Generic[P]):
+    """One step: where it began, where it led to, and whether that is better."""
+
+    before: P
+    there: P
+    gained: bool
+
+    @property
+    def best(self) -> P:
+        """Where the search goes on."""
+        return self.there if self.gained else self.before
+
+
+def steps(
+    begin: P, step: Callable[[P, float], P], cost: Callable[[P], float], damping: Damping
+) -> Iterator[Tried[P]]:
+    """Try steps from where the last gain led to; who takes them says when the search has arrived.
+
+    Parameters
+    ----------
+    begin : a place of the search
+    step : place that a step leads to from a place with a damping
+    cost : what is left at a place, not to grow; infinite where nobody may stand
+    """
+    here, amount = begin, damping.first
+    while amount <= damping.most:
+        there = step(here, amount)
+        tried = Tried(here, there, cost(there) < cost(here))
+        yield tried
+        here = tried.best
+        amount = max(damping.less * amount, damping.least) if tried.gained else damping.more * amount
+
+
+def damped_change(curvature: Array, pull: Array, damping: float) -> Array:
+    """Change of some parameters from their normal equations."""
+    scale = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
+    scaled = curvature / np.outer(scale, scale) + damping * np.eye(len(scale))
+    change = np.linalg.lstsq(scaled, pull / scale, rcond=1e-12)[0] / scale
+    return np.asarray(np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE))
