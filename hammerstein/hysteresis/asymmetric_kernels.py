@@ -29,8 +29,12 @@ def add_dead_zones(  # type: ignore[no-untyped-def]
             continue
         for start in range(0, u.shape[1], BLOCK):
             stop = min(start + BLOCK, u.shape[1])
-            held[k] = _smallest_block(u[k], r[k], held[k], start, stop, q)
-            _add_lines(q, start, stop, ends[k], slope[k], intercept[k], y, outputs)
+            if r[k] == 0.0:
+                held[k] = u[k, at(stop - 1)]
+                _add_lines(u[k], 0, start, stop, ends[k], slope[k], intercept[k], y, outputs)
+            else:
+                held[k] = _smallest_block(u[k], r[k], held[k], start, stop, q)
+                _add_lines(q, start, start, stop, ends[k], slope[k], intercept[k], y, outputs)
 
 
 @compiled()
@@ -46,10 +50,6 @@ def _smallest(u, r, p, start, stop):  # type: ignore[no-untyped-def]
 @compiled()
 def _smallest_block(u, r, p, start, stop, q):  # type: ignore[no-untyped-def]
     """Put the smallest play of samples start to stop into q; returns the last one."""
-    if r == 0.0:
-        for t in range(start, stop):
-            q[at(t - start)] = u[at(t)]
-        return u[at(stop - 1)]
     for t in range(start, stop):
         p = max(u[at(t)] - r, min(u[at(t)] + r, p))
         q[at(t - start)] = p
@@ -57,19 +57,22 @@ def _smallest_block(u, r, p, start, stop, q):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _add_lines(q, start, stop, ends, slope, intercept, y, outputs):  # type: ignore[no-untyped-def]
-    """Add the lines of the zones that the smallest plays q of samples start to stop stand in."""
-    t, z, n = 0, 0, stop - start
-    while t < n:
-        while q[at(t)] > ends[at(z)]:
+def _add_lines(q, shift, start, stop, ends, slope, intercept, y, outputs):  # type: ignore[no-untyped-def]
+    """Add the lines of the zones that the smallest plays of samples start to stop stand in.
+
+    q : smallest plays, that of sample t at t - shift
+    """
+    t, z = start, 0
+    while t < stop:
+        while q[at(t - shift)] > ends[at(z)]:
             z += 1
-        while z > 0 and q[at(t)] <= ends[at(z - 1)]:
+        while z > 0 and q[at(t - shift)] <= ends[at(z - 1)]:
             z -= 1
         low, high = -np.inf if z == 0 else ends[at(z - 1)], ends[at(z)]
         first = t
-        while t < n and low < q[at(t)] and q[at(t)] <= high:
+        while t < stop and low < q[at(t - shift)] and q[at(t - shift)] <= high:
             t += 1
         for o in range(len(outputs)):
             rise, begin = slope[at(z), at(o)], intercept[at(z), at(o)]
             for i in range(first, t):
-                y[at(o), at(start + i)] += begin + rise * q[at(i)]
+                y[at(o), at(i)] += begin + rise * q[at(i - shift)]
