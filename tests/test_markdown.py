@@ -102,6 +102,25 @@ def test_answer_gives_the_worst_distances_with_their_part_of_the_radius() -> Non
     )
 
 
+def test_conditions_of_an_answer_are_points_of_a_list() -> None:
+    two = report_of(
+        reference=SINE_UM, sweep={"frequency_hz": [20.0, 50.0]}, compensators=[PAPER, NONE],
+        assessment=of_figure("Fig. 9"),
+    )  # fmt: skip
+    page = render(with_rms(two, lambda label, f: f / (10.0 if label == "paper" else 5.0)))
+    assert (
+        "\nThe rms error of the direct transfers:\n\n"
+        "* at 20 Hz, 2.00 um with *paper* and 4.00 um with *none*\n"
+        "* at 50 Hz, 5.00 um with *paper* and 10.0 um with *none*\n\n"
+        "The rms error of the cross-couplings:\n"
+    ) in page
+
+
+def test_what_is_said_of_several_stands_once() -> None:
+    page = render(replace(sine(), statements=("paper: is slow", "The sensor lags.", "none: is slow")))
+    assert "\n* paper; none: is slow\n* The sensor lags.\n" in page
+
+
 def test_answer_tells_the_errors_of_a_single_frequency() -> None:
     text = answer(with_rms(sine(), lambda label, _: 3.0 if label == "paper" else 0.5))
     assert text == (
