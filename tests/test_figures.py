@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 import theory
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from PIL import Image
 
 from hammerstein.errors import InputError
 from hammerstein.experiment.report import Report
@@ -27,12 +29,21 @@ from hammerstein.records.record import Record
 from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure, save_figures, write_figures
 from hammerstein.reporting.figures.loop_data import legend_labels, legible_parts
 from hammerstein.reporting.figures.path import PathRun, path_figure
-from hammerstein.reporting.figures.style import MOST_POINTS, line_style, thin_path, thin_trace
+from hammerstein.reporting.figures.png import png_of
+from hammerstein.reporting.figures.style import (
+    COLOURS,
+    MOST_POINTS,
+    line_style,
+    new_figure,
+    thin_path,
+    thin_trace,
+)
 from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
-from hammerstein.reporting.figures.write import images
+from hammerstein.reporting.figures.write import images, png
 from hammerstein.scenario import Scenario
 
 LARGEST_SVG_BYTES = 400_000
+LARGEST_PNG_BYTES = 40_000
 
 SINE_V = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}
 SINE_UM = {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 50.0}
@@ -345,14 +356,42 @@ def test_files_are_the_same_every_time_and_whatever_the_user_s_style(tmp_path: P
     assert "<dc:date>" not in first[0].read_text()
 
 
-def test_a_line_drawing_is_a_small_file() -> None:
-    from PIL import Image
-
+def test_a_line_drawing_is_a_small_file_in_the_hues_of_its_inks() -> None:
     for figure in (figures_of(loops()) | figures_of(circles())).values():
-        png = images(figure)["png"]
-        assert len(png) < 75_000  # without a palette four times as much
-        with Image.open(io.BytesIO(png)) as picture:
+        drawn = images(figure)["png"]
+        assert len(drawn) < LARGEST_PNG_BYTES
+        with Image.open(io.BytesIO(drawn)) as picture:
             assert picture.mode == "P"
+            assert picture.info["dpi"] == pytest.approx((125, 125), abs=0.1)
+            shown = {colour for _, colour in picture.convert("RGB").getcolors()}
+        inks = {to_rgb(line.get_color()) for axes in figure.axes for line in axes.lines}
+        hued = {tuple(round(255 * part) for part in ink) for ink in inks if np.ptp(ink) > 0.1}
+        assert hued <= shown
+        assert len(shown) <= 2 * len(hued) + 6
+
+
+def test_a_pale_band_keeps_its_colour_beside_others() -> None:
+    """Bands of two inks, where they overlap a third colour: in a palette of the inks alone all turn grey."""
+    figure = new_figure(2.0)
+    axes = figure.subplots()
+    for number, colour in enumerate(COLOURS[:2]):
+        axes.axhspan(number, number + 2.0, color=colour, alpha=0.22, linewidth=0.0)
+    drawn = np.asarray(Image.open(io.BytesIO(png(figure))).convert("RGB")).astype(float)
+    figure.canvas.draw()
+    exact = np.asarray(figure.canvas.buffer_rgba())[:, :, :3].astype(float)
+    assert np.median(np.abs(drawn - exact).max(axis=2)) == 0.0
+    for height in (0.5, 1.5, 2.5):
+        x, y = axes.transData.transform((0.45, height)).astype(int)
+        np.testing.assert_array_equal(drawn[-y, x], exact[-y, x])
+
+
+@pytest.mark.parametrize(("width", "colours"), [(7, 16), (8, 2), (9, 17)])
+def test_a_png_holds_the_pixels_it_was_given(width: int, colours: int) -> None:
+    rng = np.random.default_rng(width)
+    palette = rng.integers(0, 256, (colours, 3)).astype(np.uint8)
+    numbers = rng.integers(0, colours, (5, width)).astype(np.uint8)
+    with Image.open(io.BytesIO(png_of(palette, numbers, 125.0))) as picture:
+        np.testing.assert_array_equal(np.asarray(picture.convert("RGB")), palette[numbers])
 
 
 def test_threads_draw_the_same_as_one_alone() -> None:
@@ -402,7 +441,7 @@ import sys
 import numpy as np
 from hammerstein.reporting.figures import (LoopRun, loops_figure)
 assert "matplotlib" not in sys.modules
-from hammerstein.reporting.figures.write import images
+from hammerstein.reporting.figures.write import images, png
 images(loops_figure([LoopRun("a", 0, np.arange(3.0), np.ones((1, 3)))], ["u"], ["y"]))
 assert "matplotlib" in sys.modules
 assert "matplotlib.pyplot" not in sys.modules
