@@ -64,11 +64,14 @@ CAPTIONS = {
     "errors": "The sensor's reading less what it is compared with. The worst error in the legend is that of "
     "the whole run, also where a part of it is drawn.",
     "drift": "The mean error of the true position over each measured cycle, of the axis that is driven.",
-    "path": "(a) the path in the plane, (b) the axes over time, (c) the errors over time: of each axis, the "
-    "distance in the plane, and that of the true position. Where one curve would hide others the scale is "
-    "logarithmic, of errors with a sign beyond the first tick on each side of zero. Thin short dashes are "
-    "what the path is compared with. The legend gives the worst distance of the whole run.",
+    "path": "(a) the path in the plane, (b) the axes over time, (c) the errors over time: of each axis, and "
+    "the distance in the plane. Where one curve would hide others the scale is logarithmic, of errors with a "
+    "sign beyond the first tick on each side of zero. Thin short dashes are what the path is compared with. "
+    "The legend gives the worst distance of the whole run.",
 }
+
+IS_TRUE = "True is the actuator's position, without the sensor."
+READS_TRUTH = "The sensor is ideal: it reads the true position."
 
 MOST_STATEMENTS = 15
 
@@ -175,7 +178,7 @@ def picture_of(name: str, report: Report) -> Picture:
         + banded,
         "trials_true": banded,
         "trials": banded,
-        "path": ["True is the actuator's position, without the sensor."] * compared
+        "path": [READS_TRUTH if report.reads_truth else IS_TRUE] * compared
         + ["Dots are the samples, few a turn; smooth curves join them."] * any(map(_sparse, report.traces)),
     }
     caption = " ".join([CAPTIONS.get(kind, ""), *remarks.get(kind, [])])

@@ -159,6 +159,7 @@ def _compared(report: Report, quote: Quote) -> Iterator[Sentence]:
     """Sentences on every merit, of the reading and of the true position.
 
     The true position comes first, or the reading, where that is what the scenario's assessment is about.
+    An ideal sensor leaves one of the two.
     """
     asked = report.scenario.assessment
     reading_first = asked is not None and asked.reading_first
@@ -168,12 +169,13 @@ def _compared(report: Report, quote: Quote) -> Iterator[Sentence]:
         prefix, words = ("euclidean_", "distance") if len(report.axes) > 1 else ("", "error")
         reading = Merit(f"{prefix}max_um", f"worst {words} of the reading from the {target}")
         true = Merit(f"{prefix}max_true_um", f"worst {words} of the true position from the {target}")
-        for merit in (reading, true) if reading_first else (true, reading):
+        merits = (reading, true) if reading_first else (true, reading)
+        for merit in merits[: 1 if report.reads_truth else None]:
             yield from _sentences(report.rows, merit, contest)
         return
     direct = [row for row in report.rows if is_direct(report, row)]
     crossed = [row for row in report.rows if not is_direct(report, row)]
-    if not reading_first:
+    if not reading_first and not report.reads_truth:
         yield from _sentences(
             direct, Merit("rms_true_um", "rms error of the true position (direct transfers)"), contest
         )
