@@ -30,7 +30,7 @@ def in_few_colours(pixels: Bytes) -> tuple[Bytes, Bytes]:
     """Palette of about a dozen colours (number, 3), and each pixel's number in it (row, column).
 
     No hue shifts: the full colour of an ink is exact. The many shades of its edges become the ink, half of
-    it, or white; a grey stands for grey alone.
+    it, or white; greys stay grey, and nothing else becomes one.
 
     Parameters
     ----------
@@ -84,8 +84,8 @@ def _with_areas(palette: Array, areas: Array) -> Array:
 
 
 def _distances(colours: Array, palette: Array) -> Array:
-    """Distance of each colour from each one of the palette; infinite of a hue from a grey."""
-    hued = np.ptp(colours, axis=1) > NEUTRAL
-    grey = (np.ptp(palette, axis=1) == 0.0) & (palette[:, 0] > 0.0) & (palette[:, 0] < 255.0)
+    """Distance of each colour from each one of the palette; infinite between a hue and a grey."""
+    hued, hue = (np.ptp(some, axis=1) > NEUTRAL for some in (colours, palette))
+    grey = ~hue & (palette[:, 0] > 0.0) & (palette[:, 0] < 255.0)
     distances = np.linalg.norm(colours[:, None] - palette[None], axis=2)
-    return np.where(np.outer(hued, grey), np.inf, distances)
+    return np.where(np.outer(hued, grey) | np.outer(~hued, hue), np.inf, distances)
