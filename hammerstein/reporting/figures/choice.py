@@ -151,7 +151,7 @@ def _sweeps(report: Report, over: Over) -> dict[str, Figure]:
     wanted = [(over.figure, "rms_um", "rms error [µm]", seen)]
     if volts and all(row.rms_um is None for row in report.rows):
         wanted = [(over.figure, "gain", "gain [µm/V]", "Gain of the first harmonic")]
-    if not volts:
+    if not volts and not report.reads_truth:
         wanted.append((f"{over.figure}_true", "rms_true_um", "rms error [µm]", "Error of the true position"))
     figures = {}
     for name, merit, quantity, title in wanted:
@@ -277,7 +277,8 @@ def path_runs_of(report: Report, trace: Trace) -> Iterator[PathRun]:
     lap = 1.0 / signal.highest_frequency_hz if signal.smooth else 0.0
     drawn: dict[str, Any] = {"shown_s": shown, "period_s": period, "closes": signal.repeats, "lap_s": lap}
     if response.reference_um is not None:
-        target, reading, true = response.reference_um, response.reading_um, response.position_um
+        target, reading = response.reference_um, response.reading_um
+        true = None if report.reads_truth else response.position_um
         yield PathRun(trace.label, group, time_s, target, reading, true, **drawn)
         return
     for p in trace.predictions:

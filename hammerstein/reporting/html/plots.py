@@ -150,7 +150,7 @@ def _sweeps(report: Report) -> list[tuple[list[SweepCurve], list[list[str]], str
         return []
     wanted = [
         ("rms_um", "Error of the reading", "rms error [µm]"),
-        ("rms_true_um", "Error of the true position", "rms error [µm]"),
+        *[("rms_true_um", "Error of the true position", "rms error [µm]")] * (not report.reads_truth),
     ]
     if all(row.rms_um is None for row in report.rows):
         wanted = [("gain", "Gain", "gain [µm/V]")]
