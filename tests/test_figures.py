@@ -5,9 +5,10 @@ from __future__ import annotations
 import io
 import subprocess
 import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from itertools import pairwise
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ import numpy as np
 import pytest
 import theory
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 from PIL import Image
 
 from hammerstein.errors import InputError
@@ -27,14 +30,17 @@ from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure, save_figures, write_figures
+from hammerstein.reporting.figures.drawing import Painting, Words, drawing_of
 from hammerstein.reporting.figures.loop_data import legend_labels, legible_parts
-from hammerstein.reporting.figures.path import PathRun, path_figure
+from hammerstein.reporting.figures.narrow import NARROW_PX, narrow_figure
+from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
 from hammerstein.reporting.figures.png import png_of
 from hammerstein.reporting.figures.style import (
     COLOURS,
     MOST_POINTS,
     line_style,
     new_figure,
+    styled,
     thin_path,
     thin_trace,
 )
@@ -380,8 +386,8 @@ def test_a_pale_band_keeps_its_colour_beside_others() -> None:
     for number, colour in enumerate(COLOURS[:2]):
         axes.axhspan(number, number + 2.0, color=colour, alpha=0.22, linewidth=0.0)
     drawn = np.asarray(Image.open(io.BytesIO(png(figure))).convert("RGB")).astype(float)
-    figure.canvas.draw()
-    exact = np.asarray(figure.canvas.buffer_rgba())[:, :, :3].astype(float)
+    figure.set_frameon(True)
+    exact = _drawn(figure).astype(float)
     assert np.median(np.abs(drawn - exact).max(axis=2)) == 0.0
     for height in (0.5, 1.5, 2.5):
         x, y = axes.transData.transform((0.45, height)).astype(int)
@@ -497,28 +503,98 @@ def test_inputs_that_move_at_once_have_the_loop_of_each_pair_by_the_model() -> N
         assert abs(theory.polygon_area(*drawn)) == pytest.approx(area, rel=0.01)
 
 
-def test_a_narrow_drawing_has_its_panels_below_each_other_and_cuts_nothing_off() -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    names = ["x", "y" * 30]
+def _two_paths() -> Figure:
     time_s = 50e-6 * np.arange(800)
     turn = 2.0 * np.pi * 50.0 * time_s
     circle = 30.0 * np.array([np.cos(turn), np.sin(turn)])
     labels = ["a long label of " + "many words " * 6, "b"]
     runs = [PathRun(one, "", time_s, circle, circle + 2.0, circle + 1.0, 0.04) for one in labels]
-    figure = path_figure(runs, names, "reference", "A title of " + "many words " * 9)
-    drawn = images(figure)
-    assert len(drawn["narrow"]) < len(drawn["svg"])
+    return path_figure(runs, ["x", "y" * 30], "reference", "A title of " + "many words " * 9)
+
+
+def _errors_of_three() -> Figure:
+    time_s = 50e-6 * np.arange(800)
+    circle = np.array([np.cos(314.0 * time_s), np.sin(314.0 * time_s)])
+    runs = [PathRun("a", f"{r} um", time_s, r * circle, r * circle + 2.0, None, 0.04) for r in (1, 2, 3)]
+    return path_errors_figure(runs, ["x", "y"], "Errors")
+
+
+def _sweep_with_a_band(columns: int = 1) -> Figure:
+    x = np.array([10.0, 20.0, 50.0, 100.0, 200.0, 300.0])
+    values = np.ones((1, columns, 6)) * x
+    curve = SweepCurve("model", x, values, mark=50.0, band=(0.5 * values, 2.0 * values), nominal=1.1 * values)
+    return sweep_figure([curve], [["panel"] * columns], "error [um]", "A band")
+
+
+def _crowded() -> Figure:
+    figure = _sweep_with_a_band()
+    for axes in figure.axes:
+        axes.set_xticks(np.linspace(10.0, 300.0, 12), [f"{k} 000 000" for k in range(12)])
+    return figure
+
+
+def _pixels(png: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+
+
+def _words_of(figure: Figure) -> list[tuple[str, Bbox]]:
+    """Words that stand in the panels of a narrow figure, and the room of each."""
+    (painting,) = (artist for artist in figure.artists if isinstance(artist, Painting))
     renderer = FigureCanvasAgg(figure).get_renderer()
-    width, height = figure.bbox.width, figure.bbox.height
-    boxes = [axes.get_window_extent(renderer) for axes in figure.axes]
-    tops = sorted(((box.y1, box.y0) for box in boxes), reverse=True)
-    assert all(below[0] < above[1] for above, below in pairwise(tops))
-    seen = [axes.get_tightbbox(renderer) for axes in figure.axes]
-    seen += [legend.get_window_extent(renderer) for legend in figure.legends]
-    for box in seen:
-        assert box.x0 > -1.0
-        assert box.x1 < width + 1.0
-        assert box.y0 > -1.0
-        assert box.y1 < height + 1.0
-    assert [axes.get_xlabel() for axes in figure.axes].count("time [ms]") == 1
+    placed = [(stroke, move) for stroke, move in painting.strokes if isinstance(stroke, Words)]
+    return [(words.text, Bbox(move.transform(words.box(renderer)))) for words, move in placed]
+
+
+@pytest.mark.parametrize("draw", [_two_paths, _errors_of_three, _sweep_with_a_band, _crowded])
+def test_a_narrow_drawing_cuts_nothing_off_and_no_word_hides_another(draw: Callable[[], Figure]) -> None:
+    figure = draw()
+    with styled():
+        found = _words_of(narrow_figure(figure, drawing_of(figure)))
+    for (_, one), (_, other) in combinations(found, 2):
+        assert min(one.x1, other.x1) - max(one.x0, other.x0) < 1.0 or (
+            min(one.y1, other.y1) - max(one.y0, other.y0) < 1.0
+        )
+    narrow = _pixels(images(draw())["narrow"])
+    assert narrow.shape[1] == NARROW_PX
+    for edge in (narrow[:3], narrow[-3:], narrow[:, :3], narrow[:, -3:]):
+        assert (edge > 250).all()
+
+
+def test_a_narrow_drawing_has_its_panels_below_each_other_each_with_its_numbers() -> None:
+    figure = _errors_of_three()
+    with styled():
+        found = _words_of(narrow_figure(figure, drawing_of(figure)))
+    letters = [next(room for text, room in found if text == f"({name})") for name in "abc"]
+    assert letters[0].y0 > letters[1].y1 > letters[1].y0 > letters[2].y1
+    assert np.ptp([room.x0 for room in letters]) < 1.0
+    texts = [text for text, _ in found]
+    assert texts.count("time [ms]") == 3  # once below each group
+    assert texts.count("$e_x$ [µm]") == texts.count("distance") == 3  # the wide figure has them once
+
+
+@pytest.mark.parametrize("draw", [_two_paths, _sweep_with_a_band])
+def test_what_was_kept_of_a_drawing_is_painted_as_matplotlib_draws_it(draw: Callable[[], Figure]) -> None:
+    with styled():
+        figure = draw()
+        painted = _drawn(drawing_of(figure).painted())
+        figure.set_frameon(True)
+        drawn = _drawn(figure)
+    assert np.abs(drawn - painted).max() <= 1
+    assert (drawn != painted).mean() < 1e-3
+
+
+def _drawn(figure: Figure) -> np.ndarray:
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[:, :, :3].astype(int)
+
+
+def test_a_band_is_squeezed_with_its_curves() -> None:
+    pixels = _pixels(images(_sweep_with_a_band(2))["narrow"])
+    below = pixels[pixels.shape[0] * 6 // 10 :].astype(int)  # the second panel
+    red, _, blue = np.moveaxis(below, 2, 0)
+    curve = np.flatnonzero(((blue - red > 100) & (red < 100)).any(axis=0))
+    band = np.flatnonzero((((blue - red) > 15) & (red > 180)).sum(axis=0) > 20)
+    assert np.ptp(curve) > 0.8 * NARROW_PX
+    assert abs(curve[0] - band[0]) < 8  # a band has no markers at its ends
+    assert abs(curve[-1] - band[-1]) < 8

@@ -66,10 +66,8 @@ CAPTIONS = {
     "first tick on each side of zero. The worst error in the legend is that of the whole run, also where a "
     "part of it is drawn.",
     "drift": "The mean error of the true position over each measured cycle, of the axis that is driven.",
-    "path": "(a) the path in the plane, (b) the axes over time, (c) the errors over time: of each axis, and "
-    "the distance in the plane. Where one curve would hide others the scale is logarithmic, of errors with a "
-    "sign beyond the first tick on each side of zero. Thin short dashes are what the path is compared with. "
-    "The legend gives the worst distance of the whole run.",
+    "path": "(a) the path in the plane, (b) the axes over time. Thin short dashes are "
+    "what the path is compared with. The legend gives the worst distance of the whole run.",
 }
 
 IS_TRUE = "True is the actuator's position, without the sensor."

@@ -146,9 +146,13 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
 
 
 def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title: str = "") -> Figure:
-    """Errors over time, (c) of the paper's Figs. 10 to 13, a column a group; every run has a target."""
+    """Errors over time, a column a group; every run has a target.
+
+    Those of a single group go on with the letters of ``path_figure``: (c) of the paper's Figs. 10 to 13.
+    """
     groups = list(dict.fromkeys(run.group for run in runs))
     rows = len(runs[0].drawn_errors())
+    first = 0 if len(groups) > 1 else _panels_of_path(len(axes_names))
     with styled():
         figure = new_figure(0.8 + 1.15 * rows)
         panels = figure.subplots(rows, len(groups), squeeze=False, sharey="row", sharex="col")
@@ -158,7 +162,7 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
             inside = [run for run in runs if run.group == group]
             lines = _draw_errors(list(panels[:, column]), inside, _pens(runs), axes_names, most)
             entries |= {_entry(label, runs): line for label, line in lines.items()}
-            letter(panels[0, column], column, group)
+            letter(panels[0, column], first + column, group)
             for axes in panels[:, column] if column else []:
                 axes.set_ylabel("")
         for name, axes in zip([name for name, _ in runs[0].drawn_errors()], panels[:, 0], strict=True):
@@ -191,6 +195,11 @@ def _of_different_sizes(runs: Sequence[PathRun]) -> bool:
         sizes[run.group] = max(sizes.get(run.group, 0.0), float(np.abs(path).max()))
     ordered = sorted(sizes.values())
     return all(b > APART * a for a, b in itertools.pairwise(ordered))
+
+
+def _panels_of_path(n_axes: int) -> int:
+    """Lettered panels of ``path_figure``: the plane, of two axes only, and the axes over time."""
+    return 2 if n_axes == 2 else 1
 
 
 def _layout(n_axes: int) -> tuple[Figure, Axes | None, list[Axes]]:

@@ -11,7 +11,6 @@ import numpy as np
 
 from hammerstein.experiment.report import Report
 from hammerstein.reporting.figures.choice import figures_of
-from hammerstein.reporting.figures.narrow import make_narrow
 from hammerstein.reporting.figures.palette import in_few_colours
 from hammerstein.reporting.figures.png import png_of
 from hammerstein.reporting.figures.style import PNG_DPI, styled
@@ -73,33 +72,21 @@ def files_of(figures: Mapping[str, Figure]) -> Iterator[tuple[str, bytes]]:
 
 def images(figure: Figure) -> dict[str, bytes]:
     """Give the bytes of a figure, by ``KINDS``, without date or version."""
+    from hammerstein.reporting.figures.drawing import drawing_of
+    from hammerstein.reporting.figures.narrow import narrow_figure
+
     with styled():
-        _laid_out(figure)
-        png, svg = _png(figure), _svg(figure)
-        make_narrow(figure)
-        _laid_out(figure)
-        return dict(zip(KINDS, (svg, png, _png(figure)), strict=True))
+        drawing = drawing_of(figure)
+        wide, narrow = drawing.painted(), narrow_figure(figure, drawing)
+        return dict(zip(KINDS, (_svg(wide), _png(wide), _png(narrow)), strict=True))
 
 
 def png(figure: Figure) -> bytes:
     """Give the bytes of a figure as PNG alone."""
+    from hammerstein.reporting.figures.drawing import drawing_of
+
     with styled():
-        _laid_out(figure)
-        return _png(figure)
-
-
-def _laid_out(figure: Figure) -> None:
-    """Find the layout once; it holds for both files, and what it measures serves the PNG again."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    FigureCanvasAgg(figure)
-    for axes in figure.axes:
-        for spine in axes.spines.values():
-            spine.set_in_layout(False)  # it stands on the edge of its panel: nothing to measure
-    layout = figure.get_layout_engine()
-    if layout is not None:
-        layout.execute(figure)
-        figure.set_layout_engine(None)
+        return _png(drawing_of(figure).painted())
 
 
 def _svg(figure: Figure) -> bytes:
@@ -113,7 +100,7 @@ def _png(figure: Figure) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas = figure.canvas
-    assert isinstance(canvas, FigureCanvasAgg)  # given when it was laid out
+    assert isinstance(canvas, FigureCanvasAgg)  # given with the drawing
     canvas.draw()  # type: ignore[no-untyped-call]
     palette, numbers = in_few_colours(np.asarray(canvas.buffer_rgba()))  # type: ignore[no-untyped-call]
     return png_of(palette, numbers, PNG_DPI)
