@@ -112,8 +112,8 @@ def test_what_an_ideal_sensor_reads_is_told_once() -> None:
         page = render(report)
         assert page.count("\nThe worst distance of the ") == times
         assert page.count("\n### Error of the ") == times
-        (figure,) = figures_of(report).values()
-        assert sum("true" in axes.get_ylabel() for axes in figure.axes) == times - 1
+        panels = figures_of(report)["errors"].axes
+        assert sum("true" in axes.get_ylabel() for axes in panels) == times - 1
 
 
 def test_conditions_of_an_answer_are_points_of_a_list() -> None:

@@ -46,7 +46,7 @@ TITLES = {
     "errors": "Errors over time",
     "drift": "Drift",
     "sensitivity": "What the spread is due to",
-    "path": "Path, time and errors",
+    "path": "Path and axes over time",
 }
 CAPTIONS = {
     "sensitivity": "Parts of the variance over the drawn actuators, for each compensator where its 95 % band "
@@ -61,13 +61,13 @@ CAPTIONS = {
     "operators": "The rms error of models that differ by their number of play operators alone.",
     "loops": "One row of panels for each measured axis, one column for each driven one. Each curve is the "
     "mean of the measured cycles.",
-    "errors": "The sensor's reading less what it is compared with. The worst error in the legend is that of "
-    "the whole run, also where a part of it is drawn.",
+    "errors": "The sensor's reading less what it is compared with; of a path also the distance of the true "
+    "position. Where one curve would hide others the scale is logarithmic, of errors with a sign beyond the "
+    "first tick on each side of zero. The worst error in the legend is that of the whole run, also where a "
+    "part of it is drawn.",
     "drift": "The mean error of the true position over each measured cycle, of the axis that is driven.",
-    "path": "(a) the path in the plane, (b) the axes over time, (c) the errors over time: of each axis, and "
-    "the distance in the plane. Where one curve would hide others the scale is logarithmic, of errors with a "
-    "sign beyond the first tick on each side of zero. Thin short dashes are what the path is compared with. "
-    "The legend gives the worst distance of the whole run.",
+    "path": "(a) the path in the plane, (b) the axes over time. Thin short dashes are "
+    "what the path is compared with. The legend gives the worst distance of the whole run.",
 }
 
 IS_TRUE = "True is the actuator's position, without the sensor."

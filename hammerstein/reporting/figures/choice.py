@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
 MOST_LOOPS = 4  # frequencies of a run that are drawn as loops; more make a curve over frequency
 DRIFT = "drift_true_um"
-SHOWN_CYCLES = 2  # of a path that repeats
 
 
 def figures_of(report: Report) -> dict[str, Figure]:
@@ -262,7 +261,7 @@ def _paths(report: Report) -> dict[str, Figure]:
     what = "predictions of the models" if volts and compared else "sensor's reading"
     target = "sensor's reading" if volts else "reference"
     figures = {"path": path_figure(runs, report.axes, target, f"{kind}: {what}")}
-    if len({run.group for run in runs}) > 1 and compared:
+    if compared:
         figures["errors"] = path_errors_figure(runs, report.axes, f"{kind}: {what} less {target}")
     return figures
 
@@ -273,9 +272,8 @@ def path_runs_of(report: Report, trace: Trace) -> Iterator[PathRun]:
     group = swept_label(trace, report.scenario.sweep)
     length = float(np.ptp(time_s))
     period = signal.period_s if signal.repeats else length
-    shown = min(length, SHOWN_CYCLES * period)
     lap = 1.0 / signal.highest_frequency_hz if signal.smooth else 0.0
-    drawn: dict[str, Any] = {"shown_s": shown, "period_s": period, "closes": signal.repeats, "lap_s": lap}
+    drawn: dict[str, Any] = {"period_s": period, "closes": signal.repeats, "lap_s": lap}
     if response.reference_um is not None:
         target, reading = response.reference_um, response.reading_um
         true = None if report.reads_truth else response.position_um

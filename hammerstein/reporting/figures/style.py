@@ -48,6 +48,7 @@ LINES: tuple[tuple[Any, str], ...] = (
 )
 DARK = "#222222"
 PALE = "#9a9a9a"
+GRID = "#e4e4e4"
 OVERLAYS: tuple[Any, ...] = ((0, (4, 2)), (0, (1, 1.5)), (0, (7, 2, 1, 2)), (0, (2, 1)))
 
 STYLE: dict[str, Any] = {
@@ -71,7 +72,7 @@ STYLE: dict[str, Any] = {
     "ytick.labelcolor": DARK,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "grid.color": "#e4e4e4",
+    "grid.color": GRID,
     "grid.linewidth": 0.7,
     "lines.linewidth": 1.4,
     "lines.markersize": 4.0,
@@ -242,6 +243,17 @@ def thin_path(curves: Sequence[Array], most: int) -> list[Array]:
         return list(curves)
     kept = np.unique(np.append(np.arange(0, samples, math.ceil(samples / most)), samples - 1))
     return [curve[kept] for curve in curves]
+
+
+def extremes(time: Array, values: Array, parts: int) -> tuple[Array, Array, Array]:
+    """Middle of each part of a trace, and its lowest and highest sample there.
+
+    >>> [found.tolist() for found in extremes(np.arange(6.0), np.array([0.0, 3.0, 1.0, 5.0, 4.0, 9.0]), 2)]
+    [[1.0, 4.0], [0.0, 4.0], [3.0, 9.0]]
+    """
+    edges = np.linspace(0, len(values), parts + 1).astype(int)
+    middle = (time[edges[:-1]] + time[edges[1:] - 1]) / 2.0
+    return middle, np.minimum.reduceat(values, edges[:-1]), np.maximum.reduceat(values, edges[:-1])
 
 
 def thin_trace(time: Array, values: Array, most: int) -> tuple[Array, Array]:

@@ -7,17 +7,18 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hammerstein.experiment.report import Report
 from hammerstein.reporting.figures.choice import figures_of
+from hammerstein.reporting.figures.palette import in_few_colours
+from hammerstein.reporting.figures.png import png_of
 from hammerstein.reporting.figures.style import PNG_DPI, styled
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import Stage, staged
 
-PNG_COMPRESSION = 6
-FEW_COLOURS = 64
 KINDS = ("svg", "png", "narrow")
 """What is drawn of each figure; the last one, a PNG for a narrow screen, lies in a page alone."""
-SHADES = [min(255, round(round(v / 25.5) * 25.5)) for v in range(256)]  # eleven of each colour
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,7 +78,7 @@ def images(figure: Figure) -> dict[str, bytes]:
     with styled():
         drawing = drawing_of(figure)
         wide, narrow = drawing.painted(), narrow_figure(figure, drawing)
-        return dict(zip(KINDS, (_svg(wide), _png(wide), _png(narrow, FEW_COLOURS)), strict=True))
+        return dict(zip(KINDS, (_svg(wide), _png(wide), _png(narrow)), strict=True))
 
 
 def png(figure: Figure) -> bytes:
@@ -94,19 +95,12 @@ def _svg(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def _png(figure: Figure, colours: int = 256) -> bytes:
+def _png(figure: Figure) -> bytes:
     """With a palette and without transparency: a line drawing has few colours."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
 
     canvas = figure.canvas
     assert isinstance(canvas, FigureCanvasAgg)  # given with the drawing
     canvas.draw()  # type: ignore[no-untyped-call]
-    buffer = io.BytesIO()
-    pixels = canvas.buffer_rgba()  # type: ignore[no-untyped-call]
-    picture = Image.frombuffer("RGBA", canvas.get_width_height(), pixels, "raw", "RGBA", 0, 1).convert("RGB")
-    # Coarse shades first: few colours are left, and the palette then keeps pale ones, bands and grids.
-    picture = picture.point(SHADES * 3)
-    picture = picture.quantize(colours, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    picture.save(buffer, format="png", dpi=(PNG_DPI, PNG_DPI), compress_level=PNG_COMPRESSION)
-    return buffer.getvalue()
+    palette, numbers = in_few_colours(np.asarray(canvas.buffer_rgba()))  # type: ignore[no-untyped-call]
+    return png_of(palette, numbers, PNG_DPI)
