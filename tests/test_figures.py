@@ -5,9 +5,10 @@ from __future__ import annotations
 import io
 import subprocess
 import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from itertools import pairwise
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,11 @@ import numpy as np
 import pytest
 import theory
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
+from PIL import Image
 
 from hammerstein.errors import InputError
 from hammerstein.experiment.report import Report
@@ -25,14 +30,26 @@ from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure, save_figures, write_figures
+from hammerstein.reporting.figures.drawing import Painting, Words, drawing_of
 from hammerstein.reporting.figures.loop_data import legend_labels, legible_parts
-from hammerstein.reporting.figures.path import PathRun, path_figure
-from hammerstein.reporting.figures.style import MOST_POINTS, line_style, thin_path, thin_trace
+from hammerstein.reporting.figures.narrow import NARROW_PX, narrow_figure
+from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
+from hammerstein.reporting.figures.png import png_of
+from hammerstein.reporting.figures.style import (
+    COLOURS,
+    MOST_POINTS,
+    line_style,
+    new_figure,
+    styled,
+    thin_path,
+    thin_trace,
+)
 from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
-from hammerstein.reporting.figures.write import images
+from hammerstein.reporting.figures.write import images, png
 from hammerstein.scenario import Scenario
 
 LARGEST_SVG_BYTES = 400_000
+LARGEST_PNG_BYTES = 40_000
 
 SINE_V = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}
 SINE_UM = {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 50.0}
@@ -80,12 +97,12 @@ def legend_texts(figure: Figure) -> list[str]:
         ({"drive": SINE_V, "sweep": FIVE, "models": [MODEL]}, ["sweep"]),
         ({"reference": SINE_UM, "compensators": [NONE]}, ["loops", "errors"]),
         ({"reference": SINE_UM, "compensators": [NONE], "sweep": FIVE}, ["sweep", "sweep_true"]),
-        ({"reference": CIRCLE, "compensators": [NONE]}, ["path"]),
+        ({"reference": CIRCLE, "compensators": [NONE]}, ["path", "errors"]),
         (
             {"reference": CIRCLE, "compensators": [NONE], "sweep": {"radius_um": [20.0, 40.0]}},
             ["path", "errors"],
         ),
-        ({"reference": SINE_UM | {"axis": "all"}, "compensators": [NONE]}, ["path"]),
+        ({"reference": SINE_UM | {"axis": "all"}, "compensators": [NONE]}, ["path", "errors"]),
         ({"drive": {"kind": "circle", "radius_v": 8.0, "frequency_hz": 50.0}}, ["path"]),
         (
             {
@@ -224,7 +241,7 @@ def test_a_circle_is_drawn_as_a_circle_however_few_samples_are_kept(every: int) 
     time_s = 50e-6 * np.arange(0, 801, every)
     turn = 2.0 * np.pi * 50.0 * time_s
     circle = 30.0 * np.array([np.cos(turn), np.sin(turn)])
-    run = PathRun("", "", time_s, circle, circle + 2.0, None, 0.02, 0.02, closes=True, lap_s=0.02)
+    run = PathRun("", "", time_s, circle, circle + 2.0, None, 0.02, closes=True, lap_s=0.02)
     plane = path_figure([run], ["x", "y"], "reference").axes[0]
     drawn, target = (np.array(plane.lines[k].get_data()) for k in (0, -1))
     for points, centre in ((drawn, 2.0), (target, 0.0)):
@@ -244,13 +261,16 @@ def test_a_path_with_corners_is_not_rounded() -> None:
     assert len(plane.lines[-1].get_xdata()) == 11  # the samples of one period, both ends included
 
 
-def test_errors_of_a_path_keep_their_worst_sample() -> None:
+def test_errors_of_a_path_keep_the_worst_sample_of_the_first_lap() -> None:
     report = circles()
     errors = figures_of(report)["errors"].axes
-    rows = [r for r in report.rows if r.compensator == "none" and r.amplitude_um == 40.0]
     largest = [np.abs(axes.lines[1].get_ydata()).max() for axes in errors[1::2]]
-    expected = [rows[0].max_um, rows[1].max_um, rows[0].euclidean_max_um, rows[0].euclidean_max_true_um]
-    assert largest == pytest.approx(expected)
+    (wire,) = [
+        t.response for t in report.traces if t.label == "none" and t.signal.model_dump()["radius_um"] == 40.0
+    ]
+    lap = slice(0, round(0.02 / wire.sample_time_s) + 1)
+    off, truly = (np.abs(y - wire.reference_um)[:, lap] for y in (wire.reading_um, wire.position_um))
+    assert largest == pytest.approx([*off.max(axis=1), np.hypot(*truly).max()])
 
 
 def test_distance_is_logarithmic_where_one_curve_would_hide_another() -> None:
@@ -258,10 +278,10 @@ def test_distance_is_logarithmic_where_one_curve_would_hide_another() -> None:
     report = report_of(
         reference=CIRCLE, compensators=[many_passes, NONE], instruments={"sensor": {"bandwidth_hz": "inf"}}
     )
-    distances = {axes.get_ylabel(): axes.get_yscale() for axes in figures_of(report)["path"].axes}
-    assert distances["distance\n[µm]"] == "log"
+    distances = {axes.get_ylabel(): axes.get_yscale() for axes in figures_of(report)["errors"].axes}
+    assert distances["true\ndistance\n[µm]"] == "log"
     assert distances["$e_x$ [µm]"] == "symlog"
-    assert {axes.get_yscale() for axes in figures_of(circles())["path"].axes} == {"linear"}
+    assert {axes.get_yscale() for axes in figures_of(circles())["errors"].axes} == {"linear"}
 
 
 def test_errors_of_an_axis_are_seen_beside_those_of_a_compensator_that_fails() -> None:
@@ -270,7 +290,7 @@ def test_errors_of_an_axis_are_seen_beside_those_of_a_compensator_that_fails() -
     ideal = {"bandwidth_hz": "inf", "noise_um": 0, "resolution_um": 0}
     content = {"actuator": "duo_bimorph", "instruments": {"sensor": ideal}}
     report = report_of(reference=CIRCLE, compensators=[failing, good], **content)
-    signed = [axes for axes in figures_of(report)["path"].axes if axes.get_yscale() == "symlog"]
+    signed = [axes for axes in figures_of(report)["errors"].axes if axes.get_yscale() == "symlog"]
     worst = max(row.figures["euclidean_max_um"] for row in report.rows)
     assert len(signed) == 2
     for axes in signed:  # where the linear middle ends, and how far the failing one goes
@@ -286,7 +306,7 @@ def test_an_error_of_rounding_neither_fills_an_axis_with_ticks_nor_stretches_it(
     instruments = {"sensor": ideal, "drive": {"resolution_v": 0}}
     report = report_of(reference=CIRCLE, compensators=[exact, NONE], instruments=instruments)
     assert min(row.figures["euclidean_max_true_um"] for row in report.rows) < 1e-10
-    for axes in figures_of(report)["path"].axes:
+    for axes in figures_of(report)["errors"].axes:
         if axes.get_yscale() == "symlog":
             assert 3 <= len(axes.get_yticks()) <= 5
         elif axes.get_yscale() == "log":
@@ -340,19 +360,47 @@ def test_files_are_the_same_every_time_and_whatever_the_user_s_style(tmp_path: P
     with mpl.rc_context({"font.size": 31.0, "svg.hashsalt": None, "axes.facecolor": "red"}):
         second = write_figures(report, tmp_path / "b")
         assert mpl.rcParams["font.size"] == 31.0
-    assert [path.name for path in first] == ["path.svg", "path.png"]
+    assert [path.name for path in first] == ["path.svg", "path.png", "errors.svg", "errors.png"]
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
     assert "<dc:date>" not in first[0].read_text()
 
 
-def test_a_line_drawing_is_a_small_file() -> None:
-    from PIL import Image
-
+def test_a_line_drawing_is_a_small_file_in_the_hues_of_its_inks() -> None:
     for figure in (figures_of(loops()) | figures_of(circles())).values():
-        png = images(figure)["png"]
-        assert len(png) < 75_000  # without a palette four times as much
-        with Image.open(io.BytesIO(png)) as picture:
+        drawn = images(figure)["png"]
+        assert len(drawn) < LARGEST_PNG_BYTES
+        with Image.open(io.BytesIO(drawn)) as picture:
             assert picture.mode == "P"
+            assert picture.info["dpi"] == pytest.approx((125, 125), abs=0.1)
+            shown = {colour for _, colour in picture.convert("RGB").getcolors()}
+        inks = {to_rgb(line.get_color()) for axes in figure.axes for line in axes.lines}
+        hued = {tuple(round(255 * part) for part in ink) for ink in inks if np.ptp(ink) > 0.1}
+        assert hued <= shown
+        assert len(shown) <= 2 * len(hued) + 6
+
+
+def test_a_pale_band_keeps_its_colour_beside_others() -> None:
+    """Bands of two inks, where they overlap a third colour: in a palette of the inks alone all turn grey."""
+    figure = new_figure(2.0)
+    axes = figure.subplots()
+    for number, colour in enumerate(COLOURS[:2]):
+        axes.axhspan(number, number + 2.0, color=colour, alpha=0.22, linewidth=0.0)
+    drawn = np.asarray(Image.open(io.BytesIO(png(figure))).convert("RGB")).astype(float)
+    figure.set_frameon(True)
+    exact = _drawn(figure).astype(float)
+    assert np.median(np.abs(drawn - exact).max(axis=2)) == 0.0
+    for height in (0.5, 1.5, 2.5):
+        x, y = axes.transData.transform((0.45, height)).astype(int)
+        np.testing.assert_array_equal(drawn[-y, x], exact[-y, x])
+
+
+@pytest.mark.parametrize(("width", "colours"), [(7, 16), (8, 2), (9, 17)])
+def test_a_png_holds_the_pixels_it_was_given(width: int, colours: int) -> None:
+    rng = np.random.default_rng(width)
+    palette = rng.integers(0, 256, (colours, 3)).astype(np.uint8)
+    numbers = rng.integers(0, colours, (5, width)).astype(np.uint8)
+    with Image.open(io.BytesIO(png_of(palette, numbers, 125.0))) as picture:
+        np.testing.assert_array_equal(np.asarray(picture.convert("RGB")), palette[numbers])
 
 
 def test_threads_draw_the_same_as_one_alone() -> None:
@@ -402,7 +450,7 @@ import sys
 import numpy as np
 from hammerstein.reporting.figures import (LoopRun, loops_figure)
 assert "matplotlib" not in sys.modules
-from hammerstein.reporting.figures.write import images
+from hammerstein.reporting.figures.write import images, png
 images(loops_figure([LoopRun("a", 0, np.arange(3.0), np.ones((1, 3)))], ["u"], ["y"]))
 assert "matplotlib" in sys.modules
 assert "matplotlib.pyplot" not in sys.modules
@@ -455,28 +503,98 @@ def test_inputs_that_move_at_once_have_the_loop_of_each_pair_by_the_model() -> N
         assert abs(theory.polygon_area(*drawn)) == pytest.approx(area, rel=0.01)
 
 
-def test_a_narrow_drawing_has_its_panels_below_each_other_and_cuts_nothing_off() -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    names = ["x", "y" * 30]
+def _two_paths() -> Figure:
     time_s = 50e-6 * np.arange(800)
     turn = 2.0 * np.pi * 50.0 * time_s
     circle = 30.0 * np.array([np.cos(turn), np.sin(turn)])
     labels = ["a long label of " + "many words " * 6, "b"]
-    runs = [PathRun(one, "", time_s, circle, circle + 2.0, circle + 1.0, 0.04, 0.02) for one in labels]
-    figure = path_figure(runs, names, "reference", "A title of " + "many words " * 9)
-    drawn = images(figure)
-    assert len(drawn["narrow"]) < len(drawn["svg"])
+    runs = [PathRun(one, "", time_s, circle, circle + 2.0, circle + 1.0, 0.04) for one in labels]
+    return path_figure(runs, ["x", "y" * 30], "reference", "A title of " + "many words " * 9)
+
+
+def _errors_of_three() -> Figure:
+    time_s = 50e-6 * np.arange(800)
+    circle = np.array([np.cos(314.0 * time_s), np.sin(314.0 * time_s)])
+    runs = [PathRun("a", f"{r} um", time_s, r * circle, r * circle + 2.0, None, 0.04) for r in (1, 2, 3)]
+    return path_errors_figure(runs, ["x", "y"], "Errors")
+
+
+def _sweep_with_a_band(columns: int = 1) -> Figure:
+    x = np.array([10.0, 20.0, 50.0, 100.0, 200.0, 300.0])
+    values = np.ones((1, columns, 6)) * x
+    curve = SweepCurve("model", x, values, mark=50.0, band=(0.5 * values, 2.0 * values), nominal=1.1 * values)
+    return sweep_figure([curve], [["panel"] * columns], "error [um]", "A band")
+
+
+def _crowded() -> Figure:
+    figure = _sweep_with_a_band()
+    for axes in figure.axes:
+        axes.set_xticks(np.linspace(10.0, 300.0, 12), [f"{k} 000 000" for k in range(12)])
+    return figure
+
+
+def _pixels(png: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+
+
+def _words_of(figure: Figure) -> list[tuple[str, Bbox]]:
+    """Words that stand in the panels of a narrow figure, and the room of each."""
+    (painting,) = (artist for artist in figure.artists if isinstance(artist, Painting))
     renderer = FigureCanvasAgg(figure).get_renderer()
-    width, height = figure.bbox.width, figure.bbox.height
-    boxes = [axes.get_window_extent(renderer) for axes in figure.axes]
-    tops = sorted(((box.y1, box.y0) for box in boxes), reverse=True)
-    assert all(below[0] < above[1] for above, below in pairwise(tops))
-    seen = [axes.get_tightbbox(renderer) for axes in figure.axes]
-    seen += [legend.get_window_extent(renderer) for legend in figure.legends]
-    for box in seen:
-        assert box.x0 > -1.0
-        assert box.x1 < width + 1.0
-        assert box.y0 > -1.0
-        assert box.y1 < height + 1.0
-    assert [axes.get_xlabel() for axes in figure.axes].count("time [ms]") == 2
+    placed = [(stroke, move) for stroke, move in painting.strokes if isinstance(stroke, Words)]
+    return [(words.text, Bbox(move.transform(words.box(renderer)))) for words, move in placed]
+
+
+@pytest.mark.parametrize("draw", [_two_paths, _errors_of_three, _sweep_with_a_band, _crowded])
+def test_a_narrow_drawing_cuts_nothing_off_and_no_word_hides_another(draw: Callable[[], Figure]) -> None:
+    figure = draw()
+    with styled():
+        found = _words_of(narrow_figure(figure, drawing_of(figure)))
+    for (_, one), (_, other) in combinations(found, 2):
+        assert min(one.x1, other.x1) - max(one.x0, other.x0) < 1.0 or (
+            min(one.y1, other.y1) - max(one.y0, other.y0) < 1.0
+        )
+    narrow = _pixels(images(draw())["narrow"])
+    assert narrow.shape[1] == NARROW_PX
+    for edge in (narrow[:3], narrow[-3:], narrow[:, :3], narrow[:, -3:]):
+        assert (edge > 250).all()
+
+
+def test_a_narrow_drawing_has_its_panels_below_each_other_each_with_its_numbers() -> None:
+    figure = _errors_of_three()
+    with styled():
+        found = _words_of(narrow_figure(figure, drawing_of(figure)))
+    letters = [next(room for text, room in found if text == f"({name})") for name in "abc"]
+    assert letters[0].y0 > letters[1].y1 > letters[1].y0 > letters[2].y1
+    assert np.ptp([room.x0 for room in letters]) < 1.0
+    texts = [text for text, _ in found]
+    assert texts.count("time [ms]") == 3  # once below each group
+    assert texts.count("$e_x$ [µm]") == texts.count("distance") == 3  # the wide figure has them once
+
+
+@pytest.mark.parametrize("draw", [_two_paths, _sweep_with_a_band])
+def test_what_was_kept_of_a_drawing_is_painted_as_matplotlib_draws_it(draw: Callable[[], Figure]) -> None:
+    with styled():
+        figure = draw()
+        painted = _drawn(drawing_of(figure).painted())
+        figure.set_frameon(True)
+        drawn = _drawn(figure)
+    assert np.abs(drawn - painted).max() <= 1
+    assert (drawn != painted).mean() < 1e-3
+
+
+def _drawn(figure: Figure) -> np.ndarray:
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[:, :, :3].astype(int)
+
+
+def test_a_band_is_squeezed_with_its_curves() -> None:
+    pixels = _pixels(images(_sweep_with_a_band(2))["narrow"])
+    below = pixels[pixels.shape[0] * 6 // 10 :].astype(int)  # the second panel
+    red, _, blue = np.moveaxis(below, 2, 0)
+    curve = np.flatnonzero(((blue - red > 100) & (red < 100)).any(axis=0))
+    band = np.flatnonzero((((blue - red) > 15) & (red > 180)).sum(axis=0) > 20)
+    assert np.ptp(curve) > 0.8 * NARROW_PX
+    assert abs(curve[0] - band[0]) < 8  # a band has no markers at its ends
+    assert abs(curve[-1] - band[-1]) < 8

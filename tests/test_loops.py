@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 import theory
 
-from hammerstein.records.loops import _path, loop_table, pair_loops, telling_loops, without_loops
+from hammerstein.records.loops import (
+    _path,
+    loop_table,
+    pair_loops,
+    telling_loops,
+    widest_cycle,
+    without_loops,
+)
 from hammerstein.records.noise import dead_band, noise_rms, quantum
 from hammerstein.records.preparation import leads
 from hammerstein.records.reading import read_paired_records, read_records
@@ -471,3 +478,25 @@ def test_a_multisine_behind_slow_loops_is_not_listed():
     shown = telling_loops(loops)
     assert [loop.amplitude_v for loop in shown] == pytest.approx([10.0] * len(shown), rel=0.3)
     assert 2 <= len(shown) <= 5
+
+
+def test_the_widest_cycle_is_one_that_closes():
+    """The cycle that leads over to another signal turns as wide, but ends where that one first turns."""
+    slow, u = 400, 10.0 * np.sin(2.0 * np.pi * np.arange(1200) / 400)
+    after = 6.0 * np.sin(2.0 * np.pi * np.arange(400) / 100)
+    u = np.concatenate([u, after])
+    record = Record([u], [u], 5e-5)
+    part = widest_cycle(record, 0)
+    assert part is not None
+    assert part.stop - 1 - part.start == slow
+    assert record.u_v[0, part][[0, -1]] == pytest.approx([10.0, 10.0], abs=1e-9)
+
+
+def test_noise_that_could_hide_the_closure_settles_no_lone_loop():
+    """Nothing repeats the loop: that it closes within a large noise says nothing."""
+    u = 10.0 * np.cos(2.0 * np.pi * np.arange(401) / 400)
+    noise = np.random.default_rng(4).normal(0.0, 1.0, 401)
+    for share, settled in ((0.0, True), (0.01, True), (0.1, False)):
+        y = u + share * np.ptp(u) * np.where(np.arange(401) % 400 == 0, 0.0, noise)
+        (loop,) = (found for found in loop_table(Record([u], [y], 1e-3)) if not found.minor)
+        assert loop.settled == settled, share

@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.escaping import markdown
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.experiment.selection import number
 from hammerstein.metrics import KEY, METRICS, Row
+from hammerstein.reporting.figures import figures_of
 from hammerstein.reporting.page import KEYS, render
 from hammerstein.reporting.summary import answer
 from hammerstein.reporting.tables import MOST_FREQUENCIES, number_tables
@@ -100,6 +102,37 @@ def test_answer_gives_the_worst_distances_with_their_part_of_the_radius() -> Non
         "10.0 um (25 %) with NONE. The worst distance of the true position from the reference is "
         "1.50 um (3.8 %) with PAPER"
     )
+
+
+def test_what_an_ideal_sensor_reads_is_told_once() -> None:
+    ideal = Instruments.ideal().sensor
+    for noise_um, times in ((0.0, 1), (0.01, 2)):
+        sensor = ideal.model_copy(update={"noise_um": noise_um}).model_dump()
+        report = report_of(reference=CIRCLE, compensators=[NONE], instruments={"sensor": sensor})
+        page = render(report)
+        assert page.count("\nThe worst distance of the ") == times
+        assert page.count("\n### Error of the ") == times
+        panels = figures_of(report)["errors"].axes
+        assert sum("true" in axes.get_ylabel() for axes in panels) == times - 1
+
+
+def test_conditions_of_an_answer_are_points_of_a_list() -> None:
+    two = report_of(
+        reference=SINE_UM, sweep={"frequency_hz": [20.0, 50.0]}, compensators=[PAPER, NONE],
+        assessment=of_figure("Fig. 9"),
+    )  # fmt: skip
+    page = render(with_rms(two, lambda label, f: f / (10.0 if label == "paper" else 5.0)))
+    assert (
+        "\nThe rms error of the direct transfers:\n\n"
+        "* at 20 Hz, 2.00 um with *paper* and 4.00 um with *none*\n"
+        "* at 50 Hz, 5.00 um with *paper* and 10.0 um with *none*\n\n"
+        "The rms error of the cross-couplings:\n"
+    ) in page
+
+
+def test_what_is_said_of_several_stands_once() -> None:
+    page = render(replace(sine(), statements=("paper: is slow", "The sensor lags.", "none: is slow")))
+    assert "\n* paper; none: is slow\n* The sensor lags.\n" in page
 
 
 def test_answer_tells_the_errors_of_a_single_frequency() -> None:

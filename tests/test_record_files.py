@@ -6,6 +6,7 @@ import json
 
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.io
 from record_cases import TIME, N, U, X, message, read, table_text
@@ -255,6 +256,26 @@ class TestFiles:
         assert f"{bad}, column u_x, row 6" in text
         assert "none.csv " in text
         assert "does not exist" in text
+
+    def test_units_tell_what_the_columns_are(self, tmp_path):
+        file = tmp_path / "a.csv"
+        header = ("Zeit [ms]", "Spannung [mV]", "Weg [nm]")
+        for names in (header, header[::-1]):
+            columns = dict(zip(header, (np.arange(N) * 5.0, 1e3 * U, 1e3 * X), strict=True))
+            pd.DataFrame(columns)[list(names)].to_csv(file, index=False)
+            (record,) = read_records([file])
+            assert (record.inputs, record.outputs) == (("Spannung",), ("Weg",))
+            assert record.sample_time_s == pytest.approx(5e-3, rel=1e-12)
+            np.testing.assert_allclose(record.u_v[0], U, rtol=1e-12)
+            np.testing.assert_allclose(record.y_um[0], X, rtol=1e-12)
+        (record,) = read_records([file], inputs=["2"], rate_hz=200.0)
+        assert record.outputs == ("Weg",)
+
+    def test_columns_without_units_are_asked_for(self, csv):
+        text = message(read_records, [csv()], rate_hz=200.0)
+        assert text.count("has a unit of") == 2
+        assert "name the columns: it has 1 t, 2 u_x, 3 x" in text
+        assert "give one of them" in message(read_records, [csv()], inputs=["u_x"], outputs=["x"])
 
     def test_arguments(self, csv):
         text = message(

@@ -128,6 +128,11 @@ class Sensor(Strict):
     bandwidth_hz: Bandwidth = Field(default=2000.0, description="-3 dB of the first-order lag; inf: none")
     noise_um: Noise = Field(default=0.04, description="rms of the white noise; 0: none")
 
+    @property
+    def is_ideal(self) -> bool:
+        """Whether it reads the true position."""
+        return self == Instruments.ideal().sensor
+
     def read(self, filtered_um: Array, generator: np.random.Generator) -> Array:
         """Readings (output, sample) of positions that have passed the sensor's bandwidth."""
         reading = np.array(filtered_um, dtype=np.float64, order="C")

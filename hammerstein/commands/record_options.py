@@ -26,15 +26,17 @@ class Recorded:
         list[Path], typer.Argument(metavar="FILE", help="Records: CSV, .dat, .npy, .mat, Parquet.")
     ]
     inputs: Annotated[
-        str, typer.Option(metavar="COL[,COL]", help="Voltage columns, by name or number from 1.")
-    ]
+        str | None,
+        typer.Option(metavar="COL[,COL]", help="Voltage columns, by name or number; by units if not given."),
+    ] = None
     outputs: Annotated[
-        str, typer.Option(metavar="COL[,COL]", help="Displacement columns, by name or number from 1.")
-    ]
+        str | None, typer.Option(metavar="COL[,COL]", help="Displacement columns; by units if not given.")
+    ] = None
     rate: Annotated[float | None, typer.Option(metavar="HZ", help="Samples a second.")] = None
-    time: Annotated[str | None, typer.Option(metavar="COL", help="Time column in s, instead of --rate.")] = (
-        None
-    )
+    time: Annotated[
+        str | None,
+        typer.Option(metavar="COL", help="Time column in s, instead of --rate; found by its unit."),
+    ] = None
     input_scale: Annotated[
         float | None,
         typer.Option(metavar="S", help="Factor from the file's number to V; from its unit if not given."),
@@ -79,8 +81,8 @@ class Recorded:
         return gains
 
 
-def _columns(words: str) -> list[str]:
-    return [word.strip() for word in words.split(",") if word.strip()]
+def _columns(words: str | None) -> list[str] | None:
+    return None if words is None else [word.strip() for word in words.split(",") if word.strip()]
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,8 @@ def loops(
             show(loops_table(shown))
             if (few := sum(map(len, shown.values()))) < (all_ := sum(map(len, found.values()))):
                 tell(
-                    f"{few} of {all_} loops: of each pair the settled and the widest; --json has all of them"
+                    f"{few} of {all_} loops: of each pair those that have settled, or the widest; "
+                    "--json has all of them"
                 )
     if figures:
         from hammerstein.reporting.figures import save_figures

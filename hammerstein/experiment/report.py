@@ -114,6 +114,11 @@ class Report(Pictured):
         counts = f"{len(self.rows)} rows, {len(self.traces)} traces{verdicts}"
         return f"Report({self.name!r} on {self.actuator}: {counts})"
 
+    @property
+    def reads_truth(self) -> bool:
+        """Whether the sensor is ideal: what is said of its readings holds for the true position."""
+        return self.instruments.sensor.is_ideal
+
     def without_traces(self) -> Report:
         """Give the report without its traces, as small as its file."""
         return replace(self, traces=())

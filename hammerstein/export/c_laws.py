@@ -130,7 +130,7 @@ def _(law: ExactInverseLaw, start: Any) -> CPart:
     m, bank, design = law.n_inputs, law.square.plays.bank, law.design_tables()
     segments = bank.r.shape[1] + 2
     held = design.here["y"][law.n_outputs :]
-    sums = [design.w[pieces.GRID, :, : segments - 1, at : at + m] for at in (pieces.SLOPE, pieces.SLOPE + m)]
+    slope, moment = (design.w[name][:, : segments - 1] for name in ("slope", "moment"))
     return CPart(
         sizes=(
             Size("SEGMENTS", segments, "segments that an input can have"),
@@ -139,8 +139,8 @@ def _(law: ExactInverseLaw, start: Any) -> CPart:
         tables=(
             *_walk_tables(design, m),
             Table("threshold", bank.r, "Thresholds behind the smallest plays [V]: input, operator."),
-            Table("slope", sums[0], "Summed weights of the first j operators [um/V]: input, j, row."),
-            Table("moment", sums[1], "The same sums of weight times threshold [um]: input, j, row."),
+            Table("slope", slope, "Summed weights of the first j operators [um/V]: input, j, row."),
+            Table("moment", moment, "The same sums of weight times threshold [um]: input, j, row."),
         ),
         start={"hand": [_hand(start, k) for k in range(m)]},
         values={"inverse": "walk", "moving_zones": False, "segments": segments, "held": held.tolist()},
@@ -190,7 +190,7 @@ def _walk_tables(design: Tables, m: int) -> tuple[Table, ...]:
         Table("low", here["low"], "Least q that falls [V]."),
         Table("high", here["high"], "Largest q that rises [V]."),
         Table("soft", here["soft"], "Movement over which the jump at a turn is spread [V]."),
-        Table("pull", design.w[pieces.SQUARE, :, pieces.GAIN, :m], "What an input moves each row [um/V]."),
+        Table("pull", here["gain"], "What an input moves each row [um/V]."),
     )
 
 

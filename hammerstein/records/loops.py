@@ -31,6 +31,8 @@ GRID = 64
 """Voltages on each branch at which two cycles are compared."""
 SETTLED_SHARE = 0.005
 """Part of the height by which a settled cycle may differ from its neighbour, beside the noise."""
+LONE_SHARE = 0.1
+"""Part of the height up to which noise may hide the closure of a cycle that nothing repeats."""
 WIDE = 0.6
 """Part of the largest amplitude from which a loop is a wide one."""
 SLOW = 0.05
@@ -62,7 +64,7 @@ class Loop:
     drift_um : mean rise of the output to the next cycle of this amplitude [um], or from the one before;
         the closure where there is neither
     settled : whether it repeats in a neighbouring cycle within the noise; where no neighbour has its
-        amplitude, whether voltage and output are closed
+        amplitude, whether voltage and output are closed, by more than the noise could hide
 
     Notes
     -----
@@ -139,14 +141,14 @@ def loop_table(record: Record) -> list[Loop]:
 
 
 def telling_loops(loops: Sequence[Loop], most: int | None = None) -> list[Loop]:
-    """Loops that a person looks at, in their order: of each pair the settled ones and the widest.
+    """Loops that a person looks at, in their order: of each pair the settled ones, or else the widest.
 
     The hundreds of excursions of a multisine are neither.
 
     Parameters
     ----------
     loops : of one record
-    most : of each pair, settled, wide and late ones first; None: all of them
+    most : of each pair, wide and late ones first; None: all of them
 
     Examples
     --------
@@ -163,18 +165,15 @@ def telling_loops(loops: Sequence[Loop], most: int | None = None) -> list[Loop]:
     for own in pairs.values():
         widest = max(loop.amplitude_v for loop in own)
         least = SLOW * max(loop.samples for loop in own if loop.amplitude_v >= WIDE * widest)
-        telling = [
-            loop
-            for loop in own
-            if loop.amplitude_v >= WIDE * widest or (loop.settled and loop.samples >= least)
-        ]
-        telling.sort(key=lambda loop: (not loop.settled, -loop.amplitude_v, -loop.start))
+        settled = [loop for loop in own if loop.settled and loop.samples >= least]
+        telling = settled or [loop for loop in own if loop.amplitude_v >= WIDE * widest]
+        telling.sort(key=lambda loop: (-loop.amplitude_v, -loop.start))
         kept |= {id(loop) for loop in telling[:most]}
     return [loop for loop in loops if id(loop) in kept]
 
 
 def widest_cycle(record: Record, k: int, alone: bool = True) -> slice | None:
-    """Last closed cycle of largest swing of an input, if there is one.
+    """Last cycle of largest swing of an input, if there is one: one that closes, if any does.
 
     Parameters
     ----------
@@ -187,9 +186,16 @@ def widest_cycle(record: Record, k: int, alone: bool = True) -> slice | None:
     cycles = [e for e in found if not e.minor] or found
     if not cycles:
         return None
+    cycles = [e for e in cycles if _closed(u, e)] or cycles
     swings = [float(np.ptp(u[e.start : e.stop + 1])) for e in cycles]
     wide = [e for e, swing in zip(cycles, swings, strict=True) if swing >= (1.0 - SAME_SWING) * max(swings)]
     return slice(wide[-1].start, wide[-1].stop + 1)
+
+
+def _closed(u: Array, cycle: Excursion) -> bool:
+    """Whether the voltage ends where it began: the last cycle before another signal does not."""
+    ends = u[[cycle.start, cycle.stop]]
+    return float(np.ptp(ends)) <= SAME_SWING * float(np.ptp(u[cycle.start : cycle.stop + 1]))
 
 
 def move_at_once(record: Record) -> bool:
@@ -355,7 +361,8 @@ def _compared(k: int, loops: Sequence[Loop], paths: Sequence[_Path], band_v: flo
             settled = alike and abs(loop.closure_um) <= limit + explained
             return replace(loop, drift_um=float(difference.mean()), settled=settled)
     closed = abs(float(path.u[0] - path.u[-1])) <= max(same_v, 0.01 * loop.amplitude_v)
-    return replace(loop, settled=closed and abs(loop.closure_um) <= limit)
+    clear = limit <= LONE_SHARE * loop.height_um
+    return replace(loop, settled=closed and clear and abs(loop.closure_um) <= limit)
 
 
 def _apart(a: _Path, b: _Path) -> float:

@@ -23,7 +23,7 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.records.array_files import SUFFIXES, array_columns, refuse_large, whole_array
 from hammerstein.records.checks import gap_mistakes, where
 from hammerstein.records.text_files import find_layout, read_text
-from hammerstein.records.units import without_unit
+from hammerstein.records.units import Kind, Unit, unit_in, without_unit
 
 TIME_NAMES = ("time", "t", "zeit", "x-axis")
 """Names of a time column, without their unit and in any case."""
@@ -90,6 +90,53 @@ def _unit_text(index: int, names: Sequence[str], units: Sequence[str]) -> str:
     return beneath or (names[index] if names else "")
 
 
+@dataclass(frozen=True)
+class Header:
+    """What a file calls its columns: names as written, and the unit of each, where it has one.
+
+    names : (column,), empty without a header; units : (column,)
+    """
+
+    names: tuple[str, ...]
+    units: tuple[Unit | None, ...]
+
+    @classmethod
+    def of(cls, path: str | Path) -> Header:
+        """Give that of a file; of arrays nothing is known.
+
+        Raises
+        ------
+        InputError : a missing, empty or unreadable file
+        """
+        path = Path(path)
+        refuse_missing(path)
+        suffix = path.suffix.lower()
+        if suffix in SUFFIXES:
+            return cls((), ())
+        if suffix in PARQUET:
+            names: Sequence[str] = _parquet_names(path)
+            return cls(tuple(names), tuple(map(unit_in, names)))
+        layout = find_layout(path)
+        texts = [_unit_text(k, layout.names, layout.units) for k in range(layout.width)]
+        return cls(tuple(layout.names), tuple(map(unit_in, texts)))
+
+    def measuring(self, kind: Kind) -> list[str]:
+        """Columns with a unit of a kind, by name; by number where the name does not tell them apart."""
+        found = [k for k, unit in enumerate(self.units) if unit is not None and unit.kind == kind]
+        return [
+            self.names[k] if self.names and self.names.count(self.names[k]) == 1 else str(k + 1)
+            for k in found
+        ]
+
+    def called_time(self) -> list[str]:
+        """Columns that are called a time."""
+        return [name for name in self.names if (without_unit(name) or name).lower() in TIME_NAMES]
+
+    def listed(self) -> str:
+        """Its columns with their numbers, for a message."""
+        return _known("", unique(self.names), len(self.units)) if self.units else "name them"
+
+
 def named_time(path: str | Path) -> Columns | None:
     """The column of a file that is called a time, if it has one that can be read.
 
@@ -109,11 +156,7 @@ def named_time(path: str | Path) -> Columns | None:
 
 def _time_names(path: Path) -> Sequence[str]:
     """Names in a file that may be those of a time."""
-    suffix = path.suffix.lower()
-    if suffix in SUFFIXES:
-        return ARRAY_TIME_NAMES
-    names = _parquet_names(path) if suffix in PARQUET else find_layout(path).names
-    return [name for name in names if (without_unit(name) or name).lower() in TIME_NAMES]
+    return ARRAY_TIME_NAMES if path.suffix.lower() in SUFFIXES else Header.of(path).called_time()
 
 
 def read_array(path: str | Path, variable: str | None = None) -> Array:

@@ -17,10 +17,10 @@ from hammerstein.records.checks import (
     unit_mistake,
     where,
 )
-from hammerstein.records.readers import Columns, read_array, read_columns
+from hammerstein.records.readers import Columns, Header, read_array, read_columns
 from hammerstein.records.record import Record
 from hammerstein.records.scales import factors_of, refuse_other_time, sample_time_of
-from hammerstein.records.units import axis_name
+from hammerstein.records.units import Kind, axis_name
 
 PathLike = str | Path
 
@@ -30,8 +30,8 @@ AXES = ("sample", "channel", "experiment", "period")
 def read_records(
     paths: Sequence[PathLike],
     *,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
     rate_hz: float | None = None,
     time: str | None = None,
     input_scale: float | None = None,
@@ -46,9 +46,9 @@ def read_records(
     Parameters
     ----------
     paths : files
-    inputs, outputs : columns with the voltages and the displacements
+    inputs, outputs : columns with the voltages and the displacements; if not given, those with such a unit
     rate_hz : samples a second [Hz], or
-    time : column with the time [s]; one of the two
+    time : column with the time [s]; one of the two, or neither where one column has such a unit
     input_scale, output_scale : factors that turn the file's numbers into V and um; if not given, by the unit
         in the name of a column (``u [mV]``, ``x_nm``) or in a row of units, else 1
     all_driven : whether every input must be driven in some record, as identification needs it
@@ -57,6 +57,9 @@ def read_records(
     ------
     InputError : every mistake of every file at once, with column and row
     """
+    if paths and not isinstance(paths, str | Path):
+        inputs, outputs, time = _chosen(paths[0], inputs, outputs, rate_hz, time)
+    inputs, outputs = inputs or (), outputs or ()
     _refuse_arguments(paths, inputs, outputs, rate_hz, time, input_scale, output_scale)
     records: list[Record] = []
     failures: list[InputError] = []
@@ -74,6 +77,36 @@ def read_records(
     if all_driven:
         _refuse_never_driven(records)
     return tuple(records)
+
+
+def _chosen(
+    path: PathLike,
+    inputs: Sequence[str] | None,
+    outputs: Sequence[str] | None,
+    rate_hz: float | None,
+    time: str | None,
+) -> tuple[Sequence[str], Sequence[str], str | None]:
+    """Columns as they were named; those that were not are told by their units."""
+    if inputs is not None and outputs is not None and (time is not None or rate_hz is not None):
+        return inputs, outputs, time
+    header, mistakes = Header.of(path), []
+    named = {column for columns in (inputs, outputs) for column in columns or ()}
+    found: dict[str, Sequence[str]] = {}
+    asked: tuple[tuple[str, Kind, Sequence[str] | None], ...] = (
+        ("inputs", "voltage", inputs),
+        ("outputs", "displacement", outputs),
+    )
+    for option, kind, given in asked:
+        found[option] = [c for c in header.measuring(kind) if c not in named] if given is None else given
+        if given is None and not found[option]:
+            what = f"no column has a unit of {kind} in its name; name the columns: {header.listed()}"
+            mistakes.append(Mistake(f"{option} (--{option})", what))
+    if mistakes:
+        raise InputError(str(path), mistakes)
+    if time is None and rate_hz is None:
+        times = [column for column in header.measuring("time") if column not in named]
+        time = times[0] if len(times) == 1 else None
+    return found["inputs"], found["outputs"], time
 
 
 def _refuse_arguments(

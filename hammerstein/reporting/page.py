@@ -17,7 +17,7 @@ from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
 from hammerstein.reporting.figures.smooth_path import is_sparse
-from hammerstein.reporting.summary import answer
+from hammerstein.reporting.summary import sentences
 from hammerstein.reporting.tables import number_tables
 from hammerstein.scenario.source import ModelSource
 
@@ -46,7 +46,7 @@ TITLES = {
     "errors": "Errors over time",
     "drift": "Drift",
     "sensitivity": "What the spread is due to",
-    "path": "Path, time and errors",
+    "path": "Path and axes over time",
 }
 CAPTIONS = {
     "sensitivity": "Parts of the variance over the drawn actuators, for each compensator where its 95 % band "
@@ -61,14 +61,17 @@ CAPTIONS = {
     "operators": "The rms error of models that differ by their number of play operators alone.",
     "loops": "One row of panels for each measured axis, one column for each driven one. Each curve is the "
     "mean of the measured cycles.",
-    "errors": "The sensor's reading less what it is compared with. The worst error in the legend is that of "
-    "the whole run, also where a part of it is drawn.",
+    "errors": "The sensor's reading less what it is compared with; of a path also the distance of the true "
+    "position. Where one curve would hide others the scale is logarithmic, of errors with a sign beyond the "
+    "first tick on each side of zero. The worst error in the legend is that of the whole run, also where a "
+    "part of it is drawn.",
     "drift": "The mean error of the true position over each measured cycle, of the axis that is driven.",
-    "path": "(a) the path in the plane, (b) the axes over time, (c) the errors over time: of each axis, the "
-    "distance in the plane, and that of the true position. Where one curve would hide others the scale is "
-    "logarithmic, of errors with a sign beyond the first tick on each side of zero. Thin short dashes are "
+    "path": "(a) the path in the plane, (b) the axes over time. Thin short dashes are "
     "what the path is compared with. The legend gives the worst distance of the whole run.",
 }
+
+IS_TRUE = "True is the actuator's position, without the sensor."
+READS_TRUTH = "The sensor is ideal: it reads the true position."
 
 MOST_STATEMENTS = 15
 
@@ -102,12 +105,14 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
     >>> print(render(run(scenario, "loop")).splitlines()[2])
     **How large is a loop?**
     """
+    statements = gathered(report.statements)
     return markdown_page(
         "report.md.jinja",
         report=report,
         answer=_answer(report),
         figures=[picture_of(name, report) for name in sorted(figures, key=place_of)],
-        statements=report.statements[:MOST_STATEMENTS],
+        statements=statements[:MOST_STATEMENTS],
+        unsaid=len(statements[MOST_STATEMENTS:]),
         tables=list(number_tables(report)),
         setting=list(setting_of(report)),
         sources=[source_of(s) for s in (*report.scenario.compensators, *report.scenario.models)],
@@ -117,11 +122,30 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
     )
 
 
-def _answer(report: Report) -> str:
+def _answer(report: Report) -> list[tuple[str, list[str]]]:
     """The answer with its labels in italics; no text of the scenario is taken for Markdown."""
     opening, closing = "\ue000", "\ue001"
-    text = answer(report, quote=lambda label: opening + re.sub(f"[{opening}{closing}]", "", label) + closing)
-    return re.sub(f"[{opening}{closing}]", "*", markdown(text))
+
+    def quoted(label: str) -> str:
+        return opening + re.sub(f"[{opening}{closing}]", "", label) + closing
+
+    def told(text: str) -> str:
+        return re.sub(f"[{opening}{closing}]", "*", markdown(text))
+
+    return [sentence.map(told) for sentence in sentences(report, quoted)]
+
+
+def gathered(statements: Sequence[str]) -> list[str]:
+    """Statements, what is said of several things but once.
+
+    >>> gathered(["plays: no inverse", "The sensor lags.", "Bouc-Wen: no inverse"])
+    ['plays; Bouc-Wen: no inverse', 'The sensor lags.']
+    """
+    about: dict[str, list[str]] = {}
+    for statement in statements:
+        of, _, said = statement.partition(": ")
+        about.setdefault(said or statement, []).extend([of] if said else [])
+    return ["; ".join(dict.fromkeys(of)) + ": " * bool(of) + said for said, of in about.items()]
 
 
 def _kind(name: str) -> str:
@@ -154,7 +178,7 @@ def picture_of(name: str, report: Report) -> Picture:
         + banded,
         "trials_true": banded,
         "trials": banded,
-        "path": ["True is the actuator's position, without the sensor."] * compared
+        "path": [READS_TRUTH if report.reads_truth else IS_TRUE] * compared
         + ["Dots are the samples, few a turn; smooth curves join them."] * any(map(_sparse, report.traces)),
     }
     caption = " ".join([CAPTIONS.get(kind, ""), *remarks.get(kind, [])])

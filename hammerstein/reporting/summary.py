@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from hammerstein.experiment.report import Band, Report
 from hammerstein.experiment.selection import (
@@ -28,6 +29,22 @@ SENSOR_CUT = "the sensor's range cut"  # those of another
 DIVERGES = "does not converge: slopes"  # the same
 
 Quote = Callable[[str], str]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """A sentence of an answer; what differs from condition to condition are its points."""
+
+    words: str
+    points: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.words} {'; '.join(self.points)}." if self.points else self.words
+
+    def map(self, change: Callable[[str], T]) -> tuple[T, list[T]]:
+        """Words and points, each changed."""
+        return change(self.words), [change(point) for point in self.points]
 
 
 @dataclass(frozen=True)
@@ -46,14 +63,15 @@ def answer(report: Report, quote: Quote = str) -> str:
     report : what was found
     quote : how a label is written, for example in italics
     """
-    return " ".join(sentences(report, quote))
+    return " ".join(map(str, sentences(report, quote)))
 
 
-def sentences(report: Report, quote: Quote = str) -> list[str]:
+def sentences(report: Report, quote: Quote = str) -> list[Sentence]:
     """The sentences of the answer, the figure that the scenario asks for first."""
     compared = any(row.rms_um is not None for row in report.rows)
-    found = (_compared if compared else _loops)(report, quote)
-    return [*_answered(report, quote), *_uncertain(report, quote), *found, *_conduct(report)]
+    found = _compared(report, quote) if compared else map(Sentence, _loops(report))
+    before = [*_answered(report, quote), *_uncertain(report, quote)]
+    return [*map(Sentence, before), *found, *map(Sentence, _conduct(report))]
 
 
 @dataclass(frozen=True)
@@ -137,10 +155,11 @@ def _worst_bands(bands: Sequence[Band], quote: Quote) -> Iterator[str]:
         yield f"{number(worst.median_um)} and {number(worst.p95_um)} um with {quote(label)}"
 
 
-def _compared(report: Report, quote: Quote) -> Iterator[str]:
+def _compared(report: Report, quote: Quote) -> Iterator[Sentence]:
     """Sentences on every merit, of the reading and of the true position.
 
     The true position comes first, or the reading, where that is what the scenario's assessment is about.
+    An ideal sensor leaves one of the two.
     """
     asked = report.scenario.assessment
     reading_first = asked is not None and asked.reading_first
@@ -150,12 +169,13 @@ def _compared(report: Report, quote: Quote) -> Iterator[str]:
         prefix, words = ("euclidean_", "distance") if len(report.axes) > 1 else ("", "error")
         reading = Merit(f"{prefix}max_um", f"worst {words} of the reading from the {target}")
         true = Merit(f"{prefix}max_true_um", f"worst {words} of the true position from the {target}")
-        for merit in (reading, true) if reading_first else (true, reading):
+        merits = (reading, true) if reading_first else (true, reading)
+        for merit in merits[: 1 if report.reads_truth else None]:
             yield from _sentences(report.rows, merit, contest)
         return
     direct = [row for row in report.rows if is_direct(report, row)]
     crossed = [row for row in report.rows if not is_direct(report, row)]
-    if not reading_first:
+    if not reading_first and not report.reads_truth:
         yield from _sentences(
             direct, Merit("rms_true_um", "rms error of the true position (direct transfers)"), contest
         )
@@ -163,7 +183,7 @@ def _compared(report: Report, quote: Quote) -> Iterator[str]:
     yield from _sentences(crossed, Merit("rms_um", "rms error of the cross-couplings"), contest)
 
 
-def _sentences(rows: Sequence[Row], merit: Merit, contest: Contest) -> Iterator[str]:
+def _sentences(rows: Sequence[Row], merit: Merit, contest: Contest) -> Iterator[Sentence]:
     conditions = sorted(conditions_of(rows), key=lambda c: (c.amplitude or 0.0, c.frequency_hz, c.trial or 0))
     values = {c: _values((row for row in rows if Condition.of(row) == c), merit) for c in conditions}
     values = {condition: found for condition, found in values.items() if found}
@@ -173,7 +193,7 @@ def _sentences(rows: Sequence[Row], merit: Merit, contest: Contest) -> Iterator[
         values = {condition: contest.admitted(found) for condition, found in values.items()}
         values = {condition: found for condition, found in values.items() if found}
         if values:
-            yield from _over_frequency(values, merit, contest)
+            yield from map(Sentence, _over_frequency(values, merit, contest))
 
 
 def _values(rows: Iterable[Row], merit: Merit) -> dict[str, float]:
@@ -184,17 +204,19 @@ def _values(rows: Iterable[Row], merit: Merit) -> dict[str, float]:
     return dict(sorted(known, key=lambda item: item[1]))
 
 
-def _one_by_one(values: dict[Condition, dict[str, float]], merit: Merit, contest: Contest) -> str:
+def _one_by_one(values: dict[Condition, dict[str, float]], merit: Merit, contest: Contest) -> Sentence:
     names = told_apart(list(values))
-    clauses = []
+    points = []
     for condition, found in values.items():
         texts = [
             f"{number(v)} um{_share(condition, v, merit)} with {contest.named(n)}" for n, v in found.items()
         ]
         if len(texts) > MOST_LABELS:
             texts = [*texts[: MOST_LABELS - 1], f"at most {texts[-1]}"]
-        clauses.append((f"at {names[condition]}, " if len(values) > 1 else "") + listed(texts))
-    return f"The {merit.words}{' is' if len(clauses) == 1 else ':'} {'; '.join(clauses)}."
+        points.append((f"at {names[condition]}, " if len(values) > 1 else "") + listed(texts))
+    if len(points) == 1:
+        return Sentence(f"The {merit.words} is {points[0]}.")
+    return Sentence(f"The {merit.words}:", tuple(points))
 
 
 def listed(texts: Sequence[str]) -> str:
@@ -262,7 +284,7 @@ def _ranges(names: Sequence[str], winners: Sequence[str], quote: Quote) -> str:
     )
 
 
-def _loops(report: Report, _: Quote) -> Iterator[str]:
+def _loops(report: Report) -> Iterator[str]:
     """Height and width of the loops in the first and in the last run of a sweep."""
     measured = [row for row in report.rows if row.height_um is not None]
     conditions = conditions_of(measured)

@@ -45,8 +45,10 @@ def number_tables(report: Report, frequencies: int = MOST_FREQUENCIES) -> Iterat
     if any(row.rms_um is not None for row in kept):
         target = "reference" if report.scenario.reference is not None else "prediction"
         errors = _path_errors if is_path(report) else _transfer_errors
-        yield errors(report, kept, f"Error of the sensor's reading against the {target}", "", remark)
-        yield errors(report, kept, f"Error of the true position against the {target}", "_true", remark)
+        seen = "position" if report.reads_truth else "sensor's reading"
+        yield errors(report, kept, f"Error of the {seen} against the {target}", "", remark)
+        if not report.reads_truth:
+            yield errors(report, kept, f"Error of the true position against the {target}", "_true", remark)
     loops = [row for row in _once(report, kept) if row.height_um is not None]
     if 0 < len(loops) <= MOST_LOOPS:
         yield _loops(report, loops, remark)

@@ -47,18 +47,19 @@ def clocked(module, name, what):
 
 from hammerstein.experiment import batch, run as experiment
 from hammerstein.reporting import folder
-from hammerstein.reporting.figures import write
+from hammerstein.reporting.figures import drawing, narrow, write
 clocked(experiment, "prepare", "models, kept from the run before, and laws")
 clocked(batch, "run", "run")
 clocked(write, "figures_of", "building the figures")
-clocked(write, "_laid_out", "laying them out")
+clocked(drawing, "drawing_of", "drawing them, layout included")
+clocked(narrow, "narrow_figure", "drawing legends for telephones")
 clocked(write, "_svg", "drawing them as SVG")
 clocked(write, "_png", "drawing them as PNG")
 clocked(folder, "write_report", "write")
 import sys
 for outcome in batch.run_all(batch.load_all([Path(sys.argv[1])]), folder.Writer(Path(sys.argv[2])), 1):
     assert outcome.error is None, outcome.error
-figures = [what for what in spent if what.startswith(("building", "laying", "drawing"))]
+figures = [what for what in spent if what.startswith(("building", "drawing"))]
 run, wrote = spent.pop("run"), spent.pop("write")
 spent["simulation and figures of merit"] = run - spent["models, kept from the run before, and laws"]
 spent["pages and tables"] = wrote - sum(spent[what] for what in figures)

@@ -46,9 +46,9 @@ class Recovery(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """What ``pieces`` works on: the tables (table, input, row, column) and the record of each input."""
+    """What ``pieces`` works on: records of rows (input, row), and of each input (input,)."""
 
-    w: Array
+    w: np.ndarray[Any, Any]
     here: np.ndarray[Any, Any]
 
     def copy(self) -> Tables:
@@ -60,7 +60,7 @@ def tables(m: int, rows: int) -> Tables:
     """Empty tables of m inputs, with room for so many operators, segments, pieces or zones."""
     from hammerstein.compensators.exact import pieces as at
 
-    return Tables(np.zeros((5, m, max(rows, 5), 3 + 2 * m)), np.zeros(m, at.HERE))
+    return Tables(np.zeros((m, rows), at.of_rows(m)), np.zeros(m, at.of_inputs(m)))
 
 
 class StaticInverse(Law[S]):
@@ -164,25 +164,23 @@ class ExactInverseLaw(StaticInverse[ExactState]):
 
     def _new_design(self) -> Tables:
         """Tables of ``pieces`` with the model in them."""
-        from hammerstein.compensators.exact import pieces as at
-
         m, bank, zones = self.n_inputs, self.square.plays.bank, self.square.lines
         operators, ends = bank.r.shape[1], zones.ends.shape[1]
-        table, here = tables(m, operators + ends + 1)
-        table[at.ZONES, :, :ends, at.TOP] = zones.ends
-        table[at.ZONES, :, :ends, at.SLOPE : at.SLOPE + m] = zones.slope
-        table[at.ZONES, :, :ends, at.SLOPE + m : at.SLOPE + 2 * m] = zones.intercept
-        table[at.GRID, :, :operators, at.R] = bank.r
-        table[at.GRID, :, : operators + 1, at.SLOPE : at.SLOPE + m] = bank.slope
-        table[at.GRID, :, : operators + 1, at.SLOPE + m : at.SLOPE + 2 * m] = bank.moment
+        w, here = tables(m, operators + ends + 1)
+        w["zone_end"][:, :ends] = zones.ends
+        w["zone_slope"][:, :ends] = zones.slope
+        w["zone_start"][:, :ends] = zones.intercept
+        w["r"][:, :operators] = bank.r
+        w["slope"][:, : operators + 1] = bank.slope
+        w["moment"][:, : operators + 1] = bank.moment
         here["play"] = self.smallest_v
         low, high = (ends.tolist() for ends in self.range.counted)
         here["low"] = [-_difference(-u, r) for u, r in zip(low, self.smallest_v.tolist(), strict=True)]
         here["high"] = [_difference(u, r) for u, r in zip(high, self.smallest_v.tolist(), strict=True)]
         here["soft"] = np.where(self.smallest_v > 0.0, self.softening_v, 0.0)
         here["still"] = STILL * (1.0 + float(bank.r[np.isfinite(bank.r)].max()))
-        table[at.SQUARE, :, at.GAIN, :m] = np.abs([bank.slope[k, n] for k, n in enumerate(bank.n)])
-        return Tables(table, here)
+        here["gain"] = np.abs([bank.slope[k, n] for k, n in enumerate(bank.n)])
+        return Tables(w, here)
 
     def statement(self) -> str:
         """Say whether there is an inverse, and how far the drive jumps at a reversal."""

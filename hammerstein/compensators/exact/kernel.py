@@ -26,15 +26,14 @@ from __future__ import annotations
 import numpy as np
 
 from hammerstein.compensators.exact.pieces import (
+    BELOW,
     COUNT,
-    GAIN,
-    INVERSE,
-    JACOBIAN,
+    END,
     RAMP,
-    SQUARE,
-    STACK,
     WANTED,
+    D,
     X,
+    axes_of,
     first_piece,
     jacobian,
     next_piece,
@@ -86,7 +85,7 @@ def step_exact(sample, frame, table, about, stack, hand):  # type: ignore[no-unt
     frame : (4, m) origin of the reference, working point, lowest and highest voltage
     table : of the design; stack, hand : the memory; nothing of these is written to
     """
-    m, p = table.shape[1], sample.shape[0]
+    m, p = table.shape[0], sample.shape[0]
     w, here = loaded(table, about, stack, hand)
     reference, drive, sent = np.empty((p, 1)), np.empty((m, 1)), np.empty(m)
     none, away = np.empty((0, 0)), np.empty(0)
@@ -103,21 +102,24 @@ def step_exact(sample, frame, table, about, stack, hand):  # type: ignore[no-unt
 def loaded(table, about, stack, hand):  # type: ignore[no-untyped-def]
     """Copies of the tables of a design with the memory in them."""
     w, here = table.copy(), about.copy()
-    for k in range(w.shape[1]):
+    for k in range(axes_of(here)):
         for s in range(stack.shape[1]):
-            for c in range(stack.shape[2]):
-                w[STACK, k, s, c] = stack[k, s, c]
-        here[k].count, here[k].wanted, here[k].ramp = hand[k, COUNT], hand[k, WANTED], hand[k, RAMP]
+            w[k, s].end, w[k, s].x, w[k, s].d = int(stack[k, s, END]), stack[k, s, X], stack[k, s, D]
+            for o in range(axes_of(here)):
+                w[k, s].below[o] = stack[k, s, BELOW + o]
+        here[k].count = int(hand[k, COUNT])
+        here[k].wanted, here[k].ramp = hand[k, WANTED], hand[k, RAMP]
     return w, here
 
 
 @compiled(error_model="numpy")
 def unloaded(w, here, stack, hand):  # type: ignore[no-untyped-def]
     """Put the memory of the tables of a run into stack and hand."""
-    for k in range(w.shape[1]):
+    for k in range(axes_of(here)):
         for s in range(stack.shape[1]):
-            for c in range(stack.shape[2]):
-                stack[k, s, c] = w[STACK, k, s, c]
+            stack[k, s, END], stack[k, s, X], stack[k, s, D] = w[k, s].end, w[k, s].x, w[k, s].d
+            for o in range(axes_of(here)):
+                stack[k, s, BELOW + o] = w[k, s].below[o]
         hand[k, COUNT], hand[k, WANTED], hand[k, RAMP] = here[k].count, here[k].wanted, here[k].ramp
 
 
@@ -142,24 +144,24 @@ def drift(reference, t, a, b, x, new, w, here):  # type: ignore[no-untyped-def]
 def prepare(w, here):  # type: ignore[no-untyped-def]
     """Put the walk where the memory is; True where ``stay`` may start from there."""
     ready = True
-    for k in range(w.shape[1]):
-        here[k].fixed = -1.0
+    for k in range(axes_of(here)):
+        here[k].fixed = -1
         here[k].u = here[k].wanted + here[k].ramp * here[k].play
         ready = first_piece(w, here, k, 0.0) and ready
         if here[k].soft > 0.0 and here[k].ramp != here[k].sigma:
             ready = False
-    jacobian(w, here)
-    return ready and here[0].quality == 2.0
+    jacobian(here)
+    return ready and here[0].quality == 2
 
 
 @compiled(error_model="numpy", forceinline=True)
 def stay(w, here):  # type: ignore[no-untyped-def]
     """Solve within the pieces of the last sample; False, and no memory changed, where they do not hold q."""
-    m = w.shape[1]
+    m = axes_of(here)
     for k in range(m):
         q = 0.0
         for o in range(m):
-            q += w[SQUARE, k, INVERSE, o] * (here[o].y - here[o].total)
+            q += here[k].inverse[o] * (here[o].y - here[o].total)
         here[k].aim = q
         d = here[k].sigma
         if d * (q - here[k].q) < -here[k].still or d * (q - here[k].reach) > 0.0:
@@ -170,7 +172,7 @@ def stay(w, here):  # type: ignore[no-untyped-def]
             here[k].q = q
             here[k].near = q
             here[k].u = q + d * here[k].play
-            w[STACK, k, int(here[k].count) - 1, X] = q
+            w[k, here[k].count - 1].x = q
             here[k].wanted = q
         here[k].missed = 0.0
     return True
@@ -182,13 +184,13 @@ def walk(ready, virtual, w, here):  # type: ignore[no-untyped-def]
 
     ready : whether the walk stands at the memory already. Returns what ``prepare`` does.
     """
-    m = w.shape[1]
+    m = axes_of(here)
     exact = True
     while True:
         if not ready:
             for k in range(m):
                 first_piece(w, here, k, 0.0)
-            jacobian(w, here)
+            jacobian(here)
         exact = _to_target(w, here) and exact
         if not _fix_one(virtual, w, here):
             break
@@ -202,8 +204,9 @@ def walk(ready, virtual, w, here):  # type: ignore[no-untyped-def]
         # The pieces of the walk are those of the memory now, and so are the Jacobian and its inverse.
         for k in range(m):
             here[k].near = here[k].q
-            here[k].depth = here[k].missed = 0.0
-        return here[0].quality == 2.0
+            here[k].missed = 0.0
+            here[k].depth = 0
+        return here[0].quality == 2
     ready = prepare(w, here)
     for o in range(m):
         here[o].missed = 0.0 if exact else output(w, here, o) - here[o].y
@@ -213,36 +216,36 @@ def walk(ready, virtual, w, here):  # type: ignore[no-untyped-def]
 @compiled(error_model="numpy", forceinline=True)
 def _aim(w, here):  # type: ignore[no-untyped-def]
     """Aim of the present pieces, J^-1 (y - c), corrected once against a poorly conditioned J."""
-    m = w.shape[1]
+    m = axes_of(here)
     for k in range(m):
         aim = 0.0
         for o in range(m):
-            aim += w[SQUARE, k, INVERSE, o] * (here[o].y - here[o].total)
+            aim += here[k].inverse[o] * (here[o].y - here[o].total)
         here[k].aim = aim
     for o in range(m):
         left = here[o].y - here[o].total
         for k in range(m):
-            left -= w[SQUARE, o, JACOBIAN, k] * here[k].aim
+            left -= here[o].jacobian[k] * here[k].aim
         here[o].left = left
     for k in range(m):
         more = 0.0
         for o in range(m):
-            more += w[SQUARE, k, INVERSE, o] * here[o].left
+            more += here[k].inverse[o] * here[o].left
         here[k].aim += more
 
 
 @compiled()
 def most_pieces(w):  # type: ignore[no-untyped-def]
     """Pieces after which a walk is given up; one in a model with an inverse ends far sooner."""
-    return 64 + 8 * w.shape[1] * w.shape[2]
+    return 64 + 8 * w.shape[0] * w.shape[1]
 
 
 @compiled(error_model="numpy", forceinline=True)
 def _to_target(w, here):  # type: ignore[no-untyped-def]
     """Walk to the target from the first pieces; False where the model lets no walk get there."""
-    m = w.shape[1]
+    m = axes_of(here)
     for _ in range(most_pieces(w)):
-        if here[0].quality == 0.0:
+        if here[0].quality == 0:
             return False
         _aim(w, here)
         first, share = _first_to_leave(w, here)
@@ -258,15 +261,15 @@ def _to_target(w, here):  # type: ignore[no-untyped-def]
             next_piece(w, here, first)
         else:
             previous_piece(w, here, first)
-        jacobian(w, here)
+        jacobian(here)
     return False
 
 
 @compiled(error_model="numpy", forceinline=True)
 def _first_to_leave(w, here):  # type: ignore[no-untyped-def]
     """Input that leaves its piece first on the way to the aim, or m if none, and the share until then."""
-    first, share = w.shape[1], 1.0
-    for k in range(w.shape[1]):
+    first, share = axes_of(here), 1.0
+    for k in range(axes_of(here)):
         sigma, q = here[k].sigma, here[k].q
         along = sigma * (here[k].aim - q)
         room = sigma * (here[k].far - q if along > 0.0 else q - here[k].near)
@@ -282,18 +285,18 @@ def _fix_one(virtual, w, here):  # type: ignore[no-untyped-def]
 
     It takes one row with it: a row without an output if there is one, else the output it moves most.
     """
-    m = w.shape[1]
+    m = axes_of(here)
     worst, excess = -1, 0.0
     for k in range(m):
         low, high = _ends(w, here, k)
         outside = max(here[k].q - high, low - here[k].q)
-        if here[k].fixed < 0.0 and outside > max(excess, here[k].still):
+        if here[k].fixed < 0 and outside > max(excess, here[k].still):
             worst, excess = k, outside
     if worst < 0:
         return False
     row, most = -1, -1.0
     for o in range(m):
-        gain = w[SQUARE, worst, GAIN, o]
+        gain = here[worst].gain[o]
         size = gain + (1e12 if o >= m - virtual and gain > 0.0 else 0.0)
         taken = False
         for k in range(m):
@@ -310,7 +313,7 @@ def _fix_one(virtual, w, here):  # type: ignore[no-untyped-def]
 def _ends(w, here, k):  # type: ignore[no-untyped-def]
     """Least and largest q that input k can get to from its memory."""
     at = here[k]
-    last = w[STACK, k, int(at.count) - 1, X]
+    last = w[k, at.count - 1].x
     return min(at.low, last), max(at.high, last)
 
 
@@ -321,7 +324,7 @@ def _commit(w, here, k):  # type: ignore[no-untyped-def]
     Returns whether the input moved, and whether its smallest play lags behind a soft jump.
     """
     at = here[k]
-    last = w[STACK, k, int(at.count) - 1, X]
+    last = w[k, at.count - 1].x
     q, (low, high) = at.q, _ends(w, here, k)
     if q > high - at.still:
         q = high
@@ -346,7 +349,7 @@ def _commit(w, here, k):  # type: ignore[no-untyped-def]
             at.ramp = at.sigma
             at.wanted = q
     beyond = last < at.low or last > at.high
-    if beyond and at.fixed >= 0.0 and not moved:
+    if beyond and at.fixed >= 0 and not moved:
         # It cannot move that way from where it started: the voltage goes to the end of the range.
         end = at.low - at.play
         if last > at.high:

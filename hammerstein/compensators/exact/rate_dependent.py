@@ -69,16 +69,14 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
 
     def _new_design(self) -> Tables:
         """Tables of ``pieces``: one play of threshold and weight 0, room for the zones of a sample."""
-        from hammerstein.compensators.exact import pieces as at
-
         m, bank = self.n_inputs, self.hysteresis.bank
         w, here = tables(m, 2 * bank.r.shape[1] + 4)
         here["low"], here["high"] = self.range.counted
         here["still"] = STILL * (1.0 + float(bank.r.max()))
-        here["fixed"] = -1.0
-        here["count"] = here["ramp"] = 1.0
-        w[at.SQUARE, :, at.GAIN, :m] = np.abs(bank.w.sum(axis=1))
-        w[at.STACK, :, 0, at.END] = w[at.STACK, :, 0, at.D] = 1.0
+        here["fixed"] = -1
+        here["count"] = here["ramp"] = 1
+        here["gain"] = np.abs(bank.w.sum(axis=1))
+        w["end"][:, 0] = w["d"][:, 0] = 1
         return Tables(w, here)
 
     def statement(self) -> str:
@@ -100,14 +98,13 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         self, v_um: Array, start: RateInverseState, away: Array, recovery: Recovery | None = None
     ) -> tuple[Array, RateInverseState, Array]:
         """Drive (m, N) for outputs (p, N) of the static block; see ``StaticInverse.solve``."""
-        from hammerstein.compensators.exact import pieces as at
         from hammerstein.compensators.exact.rate_kernel import respond_exact_rate
         from hammerstein.compiled import spans
 
         p, drive, bank = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1])), self.hysteresis.bank
         back = recovery or Recovery(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((p, 0)))
         (w, here), left = self.design_tables(), away.copy()
-        w[at.STACK, :, 0, at.X] = start.drive_v
+        w["x"][:, 0] = start.drive_v
         own = start.model
         state = RateState(own.plays_v.copy(), own.last_v.copy(), own.rate_v_per_s.copy())
         grid = (self.hysteresis.grid_s, self.hysteresis.poles)
@@ -116,4 +113,4 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         wanted, work = np.ascontiguousarray(v_um), 64 * bank.w.size
         for first, stop in spans(wanted.shape[1], work):
             respond_exact_rate(wanted, *back, left, w, here, *grid, *plays, *memory, first, stop, drive)
-        return drive, RateInverseState(state, w[at.STACK, :, 0, at.X].copy()), left
+        return drive, RateInverseState(state, w["x"][:, 0].copy()), left

@@ -10,13 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from hammerstein.compensators.exact.kernel import drift, walk
-from hammerstein.compensators.exact.pieces import (
-    SLOPE,
-    STACK,
-    TOP,
-    ZONES,
-    X,
-)
 from hammerstein.compiled import compiled
 from hammerstein.hysteresis.rate_dependent_kernels import next_rate, threshold
 
@@ -62,7 +55,7 @@ def respond_exact_rate(  # type: ignore[no-untyped-def]
             for i in range(n[k]):
                 reach[k, i] = threshold(k, i, r, grow, lam, rate)
             _zones_of(w, k, n[k], plays, reach, weights, events, owner, bend)
-            here[k].wanted = w[STACK, k, 0, X]
+            here[k].wanted = w[k, 0].x
         for o in range(p):
             here[o].y = reference[o, t]
             if away:
@@ -97,12 +90,12 @@ def _zones_of(w, k, n, plays, reach, weights, events, owner, bend):  # type: ign
         for i in range(n):
             slope += weights[k, i, o]
             begin += weights[k, i, o] * reach[k, i]
-        w[ZONES, k, 0, SLOPE + o], w[ZONES, k, 0, SLOPE + rows + o] = slope, begin
+        w[k, 0].zone_slope[o], w[k, 0].zone_start[o] = slope, begin
     for z in range(count):
         event, i = events[order[z]], owner[order[z]]
-        w[ZONES, k, z, TOP] = event
+        w[k, z].zone_end = event
         for o in range(rows):
             change = bend[order[z]] * weights[k, i, o]
-            w[ZONES, k, z + 1, SLOPE + o] = w[ZONES, k, z, SLOPE + o] + change
-            w[ZONES, k, z + 1, SLOPE + rows + o] = w[ZONES, k, z, SLOPE + rows + o] - change * event
-    w[ZONES, k, count, TOP] = np.inf
+            w[k, z + 1].zone_slope[o] = w[k, z].zone_slope[o] + change
+            w[k, z + 1].zone_start[o] = w[k, z].zone_start[o] - change * event
+    w[k, count].zone_end = np.inf

@@ -61,7 +61,7 @@ def step_path(  # type: ignore[no-untyped-def]
     inverse : a, b, c, taps, ahead of ``run_inverse``; recovery : a, b, gain of ``respond_exact``
     table, about : of the exact inverse; the others are the memory; nothing of these is written to
     """
-    m, p = table.shape[1], sample.shape[0]
+    m, p = table.shape[0], sample.shape[0]
     references, path = np.empty((p, raw.shape[1] + 1)), np.empty((p, known.shape[1] + 1))
     v, drive, sent = np.empty((p, 1)), np.empty((m, 1)), np.empty(m)
     references[:, : raw.shape[1]], path[:, : known.shape[1]] = raw, known

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
 MOST_LOOPS = 4  # frequencies of a run that are drawn as loops; more make a curve over frequency
 DRIFT = "drift_true_um"
-SHOWN_CYCLES = 2  # of a path that repeats
 
 
 def figures_of(report: Report) -> dict[str, Figure]:
@@ -151,7 +150,7 @@ def _sweeps(report: Report, over: Over) -> dict[str, Figure]:
     wanted = [(over.figure, "rms_um", "rms error [µm]", seen)]
     if volts and all(row.rms_um is None for row in report.rows):
         wanted = [(over.figure, "gain", "gain [µm/V]", "Gain of the first harmonic")]
-    if not volts:
+    if not volts and not report.reads_truth:
         wanted.append((f"{over.figure}_true", "rms_true_um", "rms error [µm]", "Error of the true position"))
     figures = {}
     for name, merit, quantity, title in wanted:
@@ -262,7 +261,7 @@ def _paths(report: Report) -> dict[str, Figure]:
     what = "predictions of the models" if volts and compared else "sensor's reading"
     target = "sensor's reading" if volts else "reference"
     figures = {"path": path_figure(runs, report.axes, target, f"{kind}: {what}")}
-    if len({run.group for run in runs}) > 1 and compared:
+    if compared:
         figures["errors"] = path_errors_figure(runs, report.axes, f"{kind}: {what} less {target}")
     return figures
 
@@ -273,11 +272,11 @@ def path_runs_of(report: Report, trace: Trace) -> Iterator[PathRun]:
     group = swept_label(trace, report.scenario.sweep)
     length = float(np.ptp(time_s))
     period = signal.period_s if signal.repeats else length
-    shown = min(length, SHOWN_CYCLES * period)
     lap = 1.0 / signal.highest_frequency_hz if signal.smooth else 0.0
-    drawn: dict[str, Any] = {"shown_s": shown, "period_s": period, "closes": signal.repeats, "lap_s": lap}
+    drawn: dict[str, Any] = {"period_s": period, "closes": signal.repeats, "lap_s": lap}
     if response.reference_um is not None:
-        target, reading, true = response.reference_um, response.reading_um, response.position_um
+        target, reading = response.reference_um, response.reading_um
+        true = None if report.reads_truth else response.position_um
         yield PathRun(trace.label, group, time_s, target, reading, true, **drawn)
         return
     for p in trace.predictions:

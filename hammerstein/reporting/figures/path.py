@@ -1,9 +1,10 @@
-"""Paths: the plane, the axes over time, and the errors over time."""
+"""Paths: the plane and the axes over time; and the errors over time."""
 
 from __future__ import annotations
 
 import itertools
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -61,8 +62,8 @@ class PathRun:
     target_um : (axis, sample) where the path should go; None: nothing to compare with
     output_um : (axis, sample) where it goes
     true_um : (axis, sample) where it truly goes, if ``output_um`` is a sensor's reading
-    shown_s : length of time that is drawn [s]; the errors in the legend are those of the whole run
-    period_s : length of time after which the path closes [s]; of one that does not, its whole length
+    period_s : length of time that is drawn [s]: that after which the path closes, or the whole of one that
+        does not; the errors in the legend are those of the whole run
     closes : whether the path repeats after that time
     lap_s : time of one turn of a path without corners [s]; 0 of any other
     """
@@ -73,19 +74,20 @@ class PathRun:
     target_um: Array | None
     output_um: Array
     true_um: Array | None
-    shown_s: float
     period_s: float
     closes: bool = False
     lap_s: float = 0.0
 
-    def first(self, seconds: float) -> slice:
-        """Samples of the first part of the run."""
-        return slice(0, int(np.searchsorted(self.time_s, self.time_s[0] + seconds * (1.0 + 1e-9), "right")))
+    @property
+    def shown(self) -> slice:
+        """Samples of one period."""
+        end_s = self.time_s[0] + self.period_s * (1.0 + 1e-9)
+        return slice(0, int(np.searchsorted(self.time_s, end_s, "right")))
 
     def plane_of(self, path_um: Array) -> Array:
         """Points (axis, point) of one period of a path; few samples of a smooth one are joined smoothly."""
         if not is_sparse(self.time_s, self.lap_s):
-            return path_um[:, self.first(self.period_s)]
+            return path_um[:, self.shown]
         return smooth_path(self.time_s, path_um, self.period_s, self.lap_s, self.closes)
 
     def errors(self) -> list[tuple[str, Array]]:
@@ -99,17 +101,25 @@ class PathRun:
             rows.append((TRULY, np.linalg.norm(self.true_um - self.target_um, axis=0)))
         return rows
 
+    def drawn_errors(self) -> list[tuple[str, Array]]:
+        """Errors that tell something new: beside the true distance, that of the reading repeats its axes."""
+        rows = self.errors()
+        truly = rows[-1][0] == TRULY
+        return [(name, error) for name, error in rows if not (truly and name == DISTANCE)]
+
 
 DISTANCE = "distance"
 TRULY = "true distance"
 LABELS = {DISTANCE: "distance\n[µm]", TRULY: "true\ndistance\n[µm]"}  # as long as a low panel is high
+MOST_LETTERS = 18
+"""Of a line beside such a panel."""
 
 
 def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str, title: str = "") -> Figure:
-    """Path in the plane (a), axes over time (b) and errors over time (c), as in the paper's Figs. 10 to 13.
+    """Path in the plane (a) and axes over time (b), as in the paper's Figs. 10 to 13.
 
-    All groups share the plane; (b) and (c) show the group with the largest target. The plane is left out
-    unless there are two axes, the errors unless there is a target. The legend gives the worst distance.
+    All groups share the plane; (b) shows the group with the largest target. The plane is left out unless
+    there are two axes. The legend gives the worst distance.
 
     Parameters
     ----------
@@ -121,10 +131,9 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
     with styled():
         group = _largest_group(runs)
         largest = [run for run in runs if run.group == group]
-        n_errors = 0 if largest[0].target_um is None else len(largest[0].errors())
-        figure, plane, traces, errors = _layout(len(axes_names), n_errors)
+        figure, plane, traces = _layout(len(axes_names))
         pens = _pens(runs)
-        curves = 3 * len(runs) + len(largest) * (len(axes_names) + n_errors) + len(axes_names)
+        curves = 3 * len(runs) + len(largest) * len(axes_names) + len(axes_names)
         most = MOST_POINTS // curves  # a path in the plane is longer and gets three times as many
         if plane is not None:
             told_apart = _of_different_sizes(runs)
@@ -132,19 +141,20 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
             letter(plane, 0, "" if told_apart else group)
         entries = _draw_traces(traces, largest, pens, axes_names, target, most)
         letter(traces[0], 1 if plane else 0, group)
-        if errors:
-            _draw_errors(errors, largest, pens, axes_names, most)
-            letter(errors[0], 2 if plane else 1, group)
         legend_above(figure, entries, title)
     return figure
 
 
 def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title: str = "") -> Figure:
-    """Errors over time, a column for each group; every run has a target."""
+    """Errors over time, a column a group; every run has a target.
+
+    Those of a single group go on with the letters of ``path_figure``: (c) of the paper's Figs. 10 to 13.
+    """
     groups = list(dict.fromkeys(run.group for run in runs))
-    rows = len(runs[0].errors())
+    rows = len(runs[0].drawn_errors())
+    first = 0 if len(groups) > 1 else _panels_of_path(len(axes_names))
     with styled():
-        figure = new_figure(0.8 + 1.4 * rows)
+        figure = new_figure(0.8 + 1.15 * rows)
         panels = figure.subplots(rows, len(groups), squeeze=False, sharey="row", sharex="col")
         entries: dict[str, Artist] = {}
         most = MOST_POINTS // (len(runs) * rows)
@@ -152,10 +162,10 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
             inside = [run for run in runs if run.group == group]
             lines = _draw_errors(list(panels[:, column]), inside, _pens(runs), axes_names, most)
             entries |= {_entry(label, runs): line for label, line in lines.items()}
-            letter(panels[0, column], column, group)
+            letter(panels[0, column], first + column, group)
             for axes in panels[:, column] if column else []:
                 axes.set_ylabel("")
-        for name, axes in zip([name for name, _ in runs[0].errors()], panels[:, 0], strict=True):
+        for name, axes in zip([name for name, _ in runs[0].drawn_errors()], panels[:, 0], strict=True):
             _scale_distance(axes, name, runs)
         legend_above(figure, entries, title)
     return figure
@@ -187,20 +197,19 @@ def _of_different_sizes(runs: Sequence[PathRun]) -> bool:
     return all(b > APART * a for a, b in itertools.pairwise(ordered))
 
 
-def _layout(n_axes: int, n_errors: int) -> tuple[Figure, Axes | None, list[Axes], list[Axes]]:
-    """Empty panels: plane (of two axes only), traces, errors."""
+def _panels_of_path(n_axes: int) -> int:
+    """Lettered panels of ``path_figure``: the plane, of two axes only, and the axes over time."""
+    return 2 if n_axes == 2 else 1
+
+
+def _layout(n_axes: int) -> tuple[Figure, Axes | None, list[Axes]]:
+    """Empty panels: plane (of two axes only), traces."""
     has_plane = n_axes == 2
     top_in = 0.46 * WIDTH_IN if has_plane else 1.4 * n_axes
-    figure = new_figure(0.7 + top_in + 1.15 * n_errors)
-    heights = [top_in, 1.15 * n_errors] if n_errors else [top_in]
-    grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
-    top = grid[0].subgridspec(n_axes, 1 + has_plane)
-    plane = figure.add_subplot(top[:, 0]) if has_plane else None
-    traces = _stack(figure, [top[row, int(has_plane)] for row in range(n_axes)])
-    if not n_errors:
-        return figure, plane, traces, []
-    below = grid[1].subgridspec(n_errors, 1)
-    return figure, plane, traces, _stack(figure, [below[row] for row in range(n_errors)])
+    figure = new_figure(0.7 + top_in)
+    grid = figure.add_gridspec(n_axes, 1 + has_plane)
+    plane = figure.add_subplot(grid[:, 0]) if has_plane else None
+    return figure, plane, _stack(figure, [grid[row, int(has_plane)] for row in range(n_axes)])
 
 
 def _stack(figure: Figure, places: Sequence[Any]) -> list[Axes]:
@@ -221,8 +230,7 @@ def _draw_plane(
         x, y = thin_path(list(run.plane_of(run.output_um)), _points(run, most))
         axes.plot(x, y, **pens[run.label])
         if is_sparse(run.time_s, run.lap_s):  # the samples themselves
-            part = run.first(run.period_s)
-            axes.plot(*run.output_um[:, part], ".", color=pens[run.label]["color"], markersize=4.5)
+            axes.plot(*run.output_um[:, run.shown], ".", color=pens[run.label]["color"], markersize=4.5)
     for run in {run.group: run for run in runs if run.target_um is not None}.values():
         assert run.target_um is not None
         x, y = thin_path(list(run.plane_of(run.target_um)), _points(run, most))
@@ -231,6 +239,11 @@ def _draw_plane(
     few_ticks(axes)
     axes.set_xlabel(f"{symbol(names[0], 'reading')} [µm]")
     axes.set_ylabel(f"{symbol(names[1], 'reading')} [µm]")
+
+
+def _upright(label: str) -> str:
+    """Label in lines that are no longer than a panel is high."""
+    return "\n".join(textwrap.wrap(label, MOST_LETTERS))
 
 
 def _points(run: PathRun, most: int) -> int:
@@ -248,8 +261,8 @@ def _draw_traces(
 ) -> dict[str, Artist]:
     """Axes over time; gives the entries of the legend, with the worst distance of each curve."""
     entries: dict[str, Artist] = {}
-    shown = runs[0].first(runs[0].shown_s)
-    factor, time_label = time_axis(runs[0].shown_s)
+    shown = runs[0].shown
+    factor, time_label = time_axis(runs[0].period_s)
     for axis, axes in enumerate(traces):
         for run in runs:
             time, values = thin_trace(run.time_s[shown] * factor, run.output_um[axis, shown], most)
@@ -259,7 +272,7 @@ def _draw_traces(
             time, values = thin_trace(runs[0].time_s[shown] * factor, runs[0].target_um[axis, shown], most)
             (entries[target],) = axes.plot(time, values, **TARGET)
         few_ticks(axes)
-        axes.set_ylabel(f"{symbol(names[axis], 'reading')} [µm]")
+        axes.set_ylabel(_upright(f"{symbol(names[axis], 'reading')} [µm]"))
         axes.margins(x=0.0)
     traces[-1].set_xlabel(time_label)
     return entries
@@ -289,17 +302,16 @@ def _draw_errors(
 ) -> dict[str, Artist]:
     """Errors over time, a panel each; gives the line of each label."""
     entries: dict[str, Artist] = {}
-    factor, time_label = time_axis(runs[0].shown_s)
+    factor, time_label = time_axis(runs[0].period_s)
     for run in runs:
-        shown = run.first(run.shown_s)
-        for axes, (_, error) in zip(panels, run.errors(), strict=True):
-            time, values = thin_trace(run.time_s[shown] * factor, error[shown], most)
+        for axes, (_, error) in zip(panels, run.drawn_errors(), strict=True):
+            time, values = thin_trace(run.time_s[run.shown] * factor, error[run.shown], most)
             (line,) = axes.plot(time, values, **pens[run.label])
             entries[run.label] = line
-    for i, (name, _) in enumerate(runs[0].errors()):
+    for i, (name, _) in enumerate(runs[0].drawn_errors()):
         panels[i].margins(x=0.0)
         few_ticks(panels[i])
-        panels[i].set_ylabel(LABELS.get(name) or f"{symbol(names[i], 'error')} [µm]")
+        panels[i].set_ylabel(LABELS.get(name) or _upright(f"{symbol(names[i], 'error')} [µm]"))
         _scale_distance(panels[i], name, runs)
     panels[-1].set_xlabel(time_label)
     return entries

@@ -47,6 +47,7 @@ LINES: tuple[tuple[Any, str], ...] = (
 )
 DARK = "#222222"
 PALE = "#9a9a9a"
+GRID = "#e4e4e4"
 OVERLAYS: tuple[Any, ...] = ((0, (4, 2)), (0, (1, 1.5)), (0, (7, 2, 1, 2)), (0, (2, 1)))
 
 STYLE: dict[str, Any] = {
@@ -70,7 +71,7 @@ STYLE: dict[str, Any] = {
     "ytick.labelcolor": DARK,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "grid.color": "#e4e4e4",
+    "grid.color": GRID,
     "grid.linewidth": 0.7,
     "lines.linewidth": 1.4,
     "lines.markersize": 4.0,

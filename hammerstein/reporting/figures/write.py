@@ -7,18 +7,18 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hammerstein.experiment.report import Report
 from hammerstein.reporting.figures.choice import figures_of
-from hammerstein.reporting.figures.narrow import make_narrow
+from hammerstein.reporting.figures.palette import in_few_colours
+from hammerstein.reporting.figures.png import png_of
 from hammerstein.reporting.figures.style import PNG_DPI, styled
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import Stage, staged
 
-PNG_COMPRESSION = 6
-FEW_COLOURS = 64
 KINDS = ("svg", "png", "narrow")
 """What is drawn of each figure; the last one, a PNG for a narrow screen, lies in a page alone."""
-SHADES = [min(255, round(round(v / 25.5) * 25.5)) for v in range(256)]  # eleven of each colour
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -72,33 +72,21 @@ def files_of(figures: Mapping[str, Figure]) -> Iterator[tuple[str, bytes]]:
 
 def images(figure: Figure) -> dict[str, bytes]:
     """Give the bytes of a figure, by ``KINDS``, without date or version."""
+    from hammerstein.reporting.figures.drawing import drawing_of
+    from hammerstein.reporting.figures.narrow import narrow_figure
+
     with styled():
-        _laid_out(figure)
-        png, svg = _png(figure), _svg(figure)
-        make_narrow(figure)
-        _laid_out(figure)
-        return dict(zip(KINDS, (svg, png, _png(figure, FEW_COLOURS)), strict=True))
+        drawing = drawing_of(figure)
+        wide, narrow = drawing.painted(), narrow_figure(figure, drawing)
+        return dict(zip(KINDS, (_svg(wide), _png(wide), _png(narrow)), strict=True))
 
 
 def png(figure: Figure) -> bytes:
     """Give the bytes of a figure as PNG alone."""
+    from hammerstein.reporting.figures.drawing import drawing_of
+
     with styled():
-        _laid_out(figure)
-        return _png(figure)
-
-
-def _laid_out(figure: Figure) -> None:
-    """Find the layout once; it holds for both files, and what it measures serves the PNG again."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    FigureCanvasAgg(figure)
-    for axes in figure.axes:
-        for spine in axes.spines.values():
-            spine.set_in_layout(False)  # it stands on the edge of its panel: nothing to measure
-    layout = figure.get_layout_engine()
-    if layout is not None:
-        layout.execute(figure)
-        figure.set_layout_engine(None)
+        return _png(drawing_of(figure).painted())
 
 
 def _svg(figure: Figure) -> bytes:
@@ -107,19 +95,12 @@ def _svg(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def _png(figure: Figure, colours: int = 256) -> bytes:
+def _png(figure: Figure) -> bytes:
     """With a palette and without transparency: a line drawing has few colours."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
 
     canvas = figure.canvas
-    assert isinstance(canvas, FigureCanvasAgg)  # given when it was laid out
+    assert isinstance(canvas, FigureCanvasAgg)  # given with the drawing
     canvas.draw()  # type: ignore[no-untyped-call]
-    buffer = io.BytesIO()
-    pixels = canvas.buffer_rgba()  # type: ignore[no-untyped-call]
-    picture = Image.frombuffer("RGBA", canvas.get_width_height(), pixels, "raw", "RGBA", 0, 1).convert("RGB")
-    # Coarse shades first: few colours are left, and the palette then keeps pale ones, bands and grids.
-    picture = picture.point(SHADES * 3)
-    picture = picture.quantize(colours, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    picture.save(buffer, format="png", dpi=(PNG_DPI, PNG_DPI), compress_level=PNG_COMPRESSION)
-    return buffer.getvalue()
+    palette, numbers = in_few_colours(np.asarray(canvas.buffer_rgba()))  # type: ignore[no-untyped-call]
+    return png_of(palette, numbers, PNG_DPI)

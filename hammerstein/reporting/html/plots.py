@@ -150,7 +150,7 @@ def _sweeps(report: Report) -> list[tuple[list[SweepCurve], list[list[str]], str
         return []
     wanted = [
         ("rms_um", "Error of the reading", "rms error [µm]"),
-        ("rms_true_um", "Error of the true position", "rms error [µm]"),
+        *[("rms_true_um", "Error of the true position", "rms error [µm]")] * (not report.reads_truth),
     ]
     if all(row.rms_um is None for row in report.rows):
         wanted = [("gain", "Gain", "gain [µm/V]")]
@@ -303,7 +303,7 @@ def _path_curves(report: Report, trace: Trace) -> Iterator[Curve]:
 
 
 def _path(report: Report, run: PathRun) -> Iterator[Curve]:
-    shown = run.first(run.shown_s)
+    shown = run.shown
     time_ms = 1e3 * run.time_s[shown]
     if len(report.axes) == 2:
         panel = f"Path\n{report.axes[0]} [µm]\n{report.axes[1]} [µm]"

@@ -14,6 +14,7 @@ from hammerstein.reporting.html.markup import MOST_DRAWING_BYTES, link_to, rende
 from hammerstein.reporting.html.vector import Drawn, pictures
 from hammerstein.reporting.page import (
     MOST_STATEMENTS,
+    gathered,
     glossary_of,
     picture_of,
     place_of,
@@ -38,7 +39,7 @@ def run_page(report: Report, files: Mapping[str, bytes], interactive: Interactiv
     interactive : plots to zoom into, if they were asked for
     """
     figures = list(_figures(report, files, MOST_DRAWING_BYTES // (2 if interactive else 1)))
-    statements = report.statements[:MOST_STATEMENTS]
+    statements = gathered(report.statements)
     asked = report.scenario.assessment
     here = {
         "Explore": bool(interactive),
@@ -52,13 +53,14 @@ def run_page(report: Report, files: Mapping[str, bytes], interactive: Interactiv
     return rendered(
         "report.html.jinja",
         report=report,
-        answer=[_told(sentence) for sentence in sentences(report, _quoted)],
+        answer=[sentence.map(_told) for sentence in sentences(report, _quoted)],
         facts=list(_facts(report)),
         met=sum(verdict.agrees for verdict in report.verdicts),
         parts=[name for name, there in here.items() if there],
         asked=asked,
         figures=figures,
-        statements=statements,
+        statements=statements[:MOST_STATEMENTS],
+        unsaid=len(statements[MOST_STATEMENTS:]),
         tables=_tables(report),
         setting=list(setting_of(report)),
         sources=[source_of(source) for source in (*report.scenario.compensators, *report.scenario.models)],
