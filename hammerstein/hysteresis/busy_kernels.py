@@ -40,19 +40,6 @@ COLUMNS = 6
 
 
 @compiled()
-def often(turns, samples, n):  # type: ignore[no-untyped-def]
-    """Whether so many turns in so many samples cost more than n operators in all of them."""
-    return turns * TURN > n * samples
-
-
-@compiled()
-def begin_busy(window, last):  # type: ignore[no-untyped-def]
-    """Begin the busy form after an input that counts as still."""
-    window[:] = 0.0
-    window[BUSY], window[LAST], window[BEFORE] = 1.0, last, last
-
-
-@compiled()
 def respond_busy(u, start, stop, r, w, n, plays, window, kept, y, outputs):  # type: ignore[no-untyped-def]
     """Add to y what one input contributes from start to the end of its window or to stop; returns where.
 
@@ -67,8 +54,7 @@ def respond_busy(u, start, stop, r, w, n, plays, window, kept, y, outputs):  # t
         for o in range(len(outputs)):
             _add_group(start, stop, w, i, n, o, kept, y)
     if window[SEEN] == WINDOW:
-        if not often(window[TURNS], WINDOW, n):
-            window[BUSY] = 0.0
+        window[BUSY] = 1.0 if window[TURNS] * TURN > n * WINDOW else 0.0
         window[SEEN], window[TURNS] = 0.0, 0.0
     return stop
 

@@ -40,14 +40,15 @@ from numpy.typing import NDArray
 
 from hammerstein.compiled import compiled
 from hammerstein.hysteresis.busy_kernels import (
+    BEFORE,
     BUSY,
     GROUP,
+    LAST,
     RESTED,
     SEEN,
+    TURN,
     TURNS,
     WINDOW,
-    begin_busy,
-    often,
     respond_busy,
 )
 
@@ -352,8 +353,9 @@ def _respond_branches(  # type: ignore[no-untyped-def]
             turns += 1
             rested = 0.0
             if t + seen >= WINDOW:
-                if often(turns, t + seen, end[0]):
-                    begin_busy(window, x[at(top)])
+                if turns * TURN > end[0] * (t + seen):
+                    window[:] = 0.0
+                    window[BUSY], window[LAST], window[BEFORE] = 1.0, x[at(top)], x[at(top)]
                     return t, top
                 seen, turns = -t, 0
         base, k = _base(u[at(t)], direction, r, top, end, x, d)
