@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import io
 import os
 import pickle
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -16,7 +17,8 @@ from numba.core import caching
 
 from hammerstein.errors import Notice
 
-FunctionCache: Any = caching.FunctionCache  # numba has no types
+types: Any = numba.types  # numba has no types
+FunctionCache: Any = caching.FunctionCache
 NullCache: Any = caching.NullCache
 IndexDataCacheFile: Any = caching.IndexDataCacheFile
 
@@ -31,16 +33,20 @@ MARK = b"hammerstein sha256"
 """Stands at the end of each file, before the digest of what is above it."""
 
 
-def compiled(**options: Any) -> Callable[[Loop], Loop]:
+def compiled(reads: str = "", **options: Any) -> Callable[[Loop], Loop]:
     """Compile a loop when it is first used; other threads run meanwhile.
 
     Parameters
     ----------
+    reads : names of arrays that may be frozen or not: the loop is compiled once, as one that cannot write
+        to them. Of an array that is not named here, numba makes one loop for each.
     options : what ``numba.njit`` is told besides
     """
 
     def decorate(loop: Loop) -> Loop:
         dispatcher = numba.njit(nogil=True, **options)(loop)
+        places = list(inspect.signature(loop).parameters)
+        dispatcher.compile = _OnceFor(dispatcher, [places.index(name) for name in reads.split()])
         try:
             dispatcher._cache = _Cache(loop)
         except RuntimeError:  # as numba says that no folder can be written
@@ -48,6 +54,28 @@ def compiled(**options: Any) -> Callable[[Loop], Loop]:
         return dispatcher  # type: ignore[no-any-return]  # numba has no types
 
     return decorate
+
+
+class _OnceFor:
+    """Compiles a loop for types of its arguments, or finds what is compiled for others that stand for them.
+
+    A number that its caller knows is a number, and an array that is only read is one that cannot be written.
+    """
+
+    def __init__(self, dispatcher: Any, reads: Sequence[int]) -> None:
+        self.dispatcher, self.reads = dispatcher, reads
+        self.compile = dispatcher.compile
+
+    def __call__(self, given: Sequence[Any]) -> Any:
+        """Give the compiled loop for these types."""
+        plain = [types.unliteral(one) for one in given]
+        for i in self.reads:
+            if isinstance(plain[i], types.Array):
+                plain[i] = plain[i].copy(readonly=True)
+        entry = self.compile(tuple(plain))
+        if plain != list(given):
+            self.dispatcher._insert([one._code for one in given], entry, False)
+        return entry
 
 
 def spans(samples: int, products: int = LEAST) -> Iterator[tuple[int, int]]:

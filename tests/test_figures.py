@@ -379,6 +379,13 @@ def test_a_line_drawing_is_a_small_file_in_the_hues_of_its_inks() -> None:
         assert len(shown) <= 2 * len(hued) + 6
 
 
+def test_the_pictures_of_this_repository_are_small() -> None:
+    reports = Path(__file__).parents[1] / "reports"
+    pictures = [path for kept in ("paper", "measured") for path in (reports / kept).rglob("*.png")]
+    assert len(pictures) > 50
+    assert [path.name for path in pictures if path.stat().st_size > LARGEST_PNG_BYTES] == []
+
+
 def test_a_pale_band_keeps_its_colour_beside_others() -> None:
     """Bands of two inks, where they overlap a third colour: in a palette of the inks alone all turn grey."""
     figure = new_figure(2.0)

@@ -8,7 +8,7 @@ from hammerstein.compiled import compiled
 from hammerstein.hysteresis.play_kernels import BLOCK, at
 
 
-@compiled()
+@compiled(reads="u")
 def add_dead_zones(  # type: ignore[no-untyped-def]
     u, r, held, ends, slope, intercept, y, outputs
 ):

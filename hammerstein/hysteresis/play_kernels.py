@@ -60,7 +60,7 @@ at = np.uint64
 BLOCK = 2048  # samples of all inputs and outputs that stay in the processor's cache together
 
 
-@compiled()
+@compiled(reads="u r")
 def play_bank(u, r, plays, first, stop, p):  # type: ignore[no-untyped-def]
     """Outputs of every play: u (N,), r (n,), plays (n,) updated, p (n, N) overwritten from first to stop."""
     for i in range(r.shape[0]):
@@ -204,7 +204,7 @@ def _base(u, direction, r, top, end, x, d):  # type: ignore[no-untyped-def]
     return s, k
 
 
-@compiled()
+@compiled(reads="u")
 def respond_turning_points(  # type: ignore[no-untyped-def]
     u, r, guide, scale, n, lines, w, count, end, x, d, below, window, begin, finish, y, outputs
 ):

@@ -14,6 +14,7 @@ from hammerstein.experiment.report import Report
 from hammerstein.model import HammersteinModel, packaged_actuators
 from hammerstein.paper.assessment import Paper
 from hammerstein.paper.verdicts import Answer, ClaimVerdict
+from hammerstein.reporting.page import place_of
 from hammerstein.runtime.storage.manifest import Manifest, Owner
 from hammerstein.runtime.storage.staging import Stage, staged
 
@@ -96,7 +97,8 @@ def _in_order(report: Report) -> tuple[bool, list[int], str]:
 def _copied(report: Report, out: Path, stage: Stage) -> list[str]:
     """Copy the figures of a report beside the page; give their names."""
     folder = out / report.name
-    figures = sorted(name for name in Manifest.read(folder).files if name.endswith(".png"))
+    drawn = [name for name in Manifest.read(folder).files if name.endswith(".png")]
+    figures = sorted(drawn, key=place_of)
     for figure in figures:
         stage.write(f"{report.name}-{figure}", (folder / figure).read_bytes())
     return [f"{report.name}-{figure}" for figure in figures]

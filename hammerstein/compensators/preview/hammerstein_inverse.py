@@ -245,6 +245,7 @@ class HammersteinInverseLaw(Law[PathState]):
 
         if len(self.taps) == 1:
             return raw
+        raw = np.ascontiguousarray(raw)
         out = np.empty((raw.shape[0], raw.shape[1] - len(self.taps) + 1))
         for first, stop in spans(out.shape[1], self.taps.size * len(out)):
             filtered(self.taps, raw, first, stop, out)

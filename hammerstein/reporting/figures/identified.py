@@ -28,6 +28,7 @@ from hammerstein.reporting.figures.style import (
     WIDTH_IN,
     axis_label,
     column_words,
+    extremes,
     legend_above,
     letter,
     line_style,
@@ -47,6 +48,8 @@ if TYPE_CHECKING:
 
 LINES = 160
 """Points of a spectrum, spread evenly over the logarithm of the frequency."""
+BANDS = 120
+"""Parts of a noisy trace of many samples, of each of which the lowest and highest sample are drawn."""
 LEAST = 1e-12
 PHASES = 1024
 """Samples of the sine with which a static block's describing function is found."""
@@ -172,12 +175,15 @@ def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
 
 
 def _draw_residual(row: Sequence[Axes], error: Array, sample_time_s: float, number: int, most: int) -> Artist:
-    """One curve over time and one over frequency."""
+    """One curve over time, of many samples the band that they fill, and one over frequency."""
     factor, _ = time_axis(sample_time_s * len(error))
     style = line_style(number) | {"linewidth": 1.0, "marker": ""}
-    time_s = np.asarray(factor * sample_time_s * np.arange(len(error)))
-    time, values = thin_trace(time_s, error, most)
-    row[0].plot(time, values, zorder=2 + number, **style)
+    time = np.asarray(factor * sample_time_s * np.arange(len(error)))
+    if len(error) <= most:
+        row[0].plot(time, error, zorder=2 + number, **style)
+    else:
+        edges, low, high = extremes(time, error, BANDS)
+        row[0].fill_between(edges, low, high, zorder=2 + number, color=style["color"], linewidth=1.0)
     frequency_hz, amplitude_um = spectrum(error, sample_time_s)
     (line,) = row[1].plot(frequency_hz, amplitude_um, zorder=2 + number, **style)
     return line

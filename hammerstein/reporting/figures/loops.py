@@ -95,7 +95,7 @@ def loops_figure(
     'displacement [um]'
     """
     with styled():
-        figure, panels = _panels(runs, len(output_labels), height=0.75)
+        figure, panels = _panels(runs, len(output_labels), height=0.65)
         numbers = _numbers([run.label for run in runs])
         models = _numbers([label for run in runs for label, _ in run.predictions_um])
         most = MOST_POINTS // (len(runs) * len(output_labels) * (1 + len(models)))

@@ -1,0 +1,44 @@
+"""A loop is compiled once for arguments that are one to it."""
+
+import numpy as np
+import pytest
+from numba.core.errors import TypingError
+
+from hammerstein.compiled import compiled
+
+
+@compiled(reads="values")
+def add_up(values, first, total):
+    for value in values[first:]:
+        total[0] += value
+
+
+@compiled()
+def from_the_first_and_the_second(values, total):
+    add_up(values, 0, total)
+    add_up(values, 1, total)
+
+
+@compiled(reads="values")
+def wipe(values):
+    values[0] = 0.0
+
+
+@pytest.mark.parametrize("caller", [False, True])
+def test_frozen_arrays_and_known_numbers_need_no_loop_of_their_own(caller):
+    values, total = np.arange(4.0), np.zeros(1)
+    frozen = values.copy()
+    frozen.flags.writeable = False
+    for given in (values, frozen, values):
+        if caller:
+            from_the_first_and_the_second(given, total)
+        else:
+            add_up(given, 0, total)
+            add_up(given, 1, total)
+    assert total[0] == 3 * 2 * values.sum()
+    assert len(add_up.overloads) == 1
+
+
+def test_a_loop_cannot_write_to_what_it_only_reads():
+    with pytest.raises(TypingError, match="readonly"):
+        wipe(np.ones(1))
