@@ -147,7 +147,7 @@ def table(measured: dict[str, Any]) -> str:
 
 
 def beside(measured: dict[str, Any]) -> str:
-    """What is beside the table: how it compares where a voltage always turns, and what a run costs beside its steps."""
+    """What is beside the table: the textbook loop on a grid, and what a run costs beside its steps."""
     ratios = {
         signal: [Line("", BEST, f"{n} operators, {signal}").row(measured)["ratio"] for n in OPERATORS]
         for signal in ("noise", "walk", "sines")
@@ -158,8 +158,8 @@ def beside(measured: dict[str, Any]) -> str:
     )
     return (
         f"At {listed(map(str, OPERATORS))} operators the kernel has {noise} times the speed of the best "
-        f"strict textbook loop on white noise, {walk} times on a random walk, {sines} times on sines. A run costs "
-        f"{' to '.join(steps)} times its steps one by one, figures of merit included."
+        f"strict textbook loop on white noise, {walk} times on a random walk, {sines} times on sines. A run "
+        f"costs {' to '.join(steps)} times its steps one by one, figures of merit included."
     )
 
 
