@@ -6,6 +6,7 @@ and puts the user's own style back.
 
 from __future__ import annotations
 
+import gc
 import itertools
 import math
 import textwrap
@@ -87,13 +88,28 @@ _LOCK = threading.RLock()
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Draw in this style, whatever the user's own; one thread at a time."""
+    """Draw in this style, whatever the user's own; one thread at a time.
+
+    A figure is thousands of small objects that live until it is done: to search them for garbage meanwhile
+    takes a sixth of the time.
+    """
     import matplotlib as mpl
 
-    with _LOCK, mpl.rc_context():
+    with _LOCK, _uncollected(), mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(cast("Any", STYLE))
         yield
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 def new_figure(height_in: float) -> Figure:
