@@ -185,10 +185,6 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
             [[pair.amplitude(size) for pair, size in zip(row, sizes, strict=True)] for row in self.pairs]
         )
 
-    def loop_area(self, amplitude_v: float) -> Array:
-        """Areas of the settled loops (output, input) [um V] for a voltage amplitude [V]."""
-        return np.array([[pair.loop_area(amplitude_v) for pair in row] for row in self.pairs])
-
     def slope_columns(self, k: int) -> Array:
         """Slopes (operator, output) [um/V] while the first 1, 2, ... operators of input k move."""
         return self.bank.slope[k, 1 : self.bank.n[k] + 1]
