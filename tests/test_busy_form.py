@@ -11,7 +11,7 @@ from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
 from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
 from hammerstein.compensators.feedback.tuning import Gains
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.hysteresis.busy_kernels import BUSY, TURN, WINDOW
+from hammerstein.hysteresis.busy_kernels import BUSY, LOOK, TURN, WINDOW
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import WIRES, Plant
 
@@ -125,11 +125,12 @@ def test_outputs_and_plays_are_those_of_equation_1(n, smallest, signal):
 @pytest.mark.parametrize("shape", [(1, 1), (3, 2), (2, 3)])
 @pytest.mark.parametrize(("n", "smallest"), [(1, 0.0), (5, 0.0), (7, 0.07), (16, 0.25)])
 def test_no_cut_changes_a_bit(n, smallest, shape, signal):
-    """Samples one by one in two places, then pieces of any length; states go through JSON between them."""
+    """Samples one by one in three places, then pieces of any length; states go through JSON between them."""
     model, u = model_of(n, smallest, shape), of_shape(shape, signal)
     v, state = model.respond(u)
     rng = np.random.default_rng(n)
-    singles = [*range(WINDOW - 20, WINDOW + 40), *range(3 * WINDOW - 20, 3 * WINDOW + 40)]
+    windows = (LOOK, LOOK + WINDOW, 3 * WINDOW)
+    singles = [t for window in windows for t in range(window - 20, window + 40)]
     cuts = np.unique([*singles, *rng.integers(0, SAMPLES, 40)])
     cut, forms, last = in_pieces(model, u, cuts)
     np.testing.assert_array_equal(cut, v)

@@ -119,9 +119,10 @@ def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
         sizes=(
             Size("GROUP", busy_kernels.GROUP, "operators whose weighted outputs are added up at once"),
             Size("GROUPS", groups, "of them"),
-            Size("WINDOW", busy_kernels.WINDOW, "samples after which turns are looked at"),
+            Size("LOOK", busy_kernels.LOOK, "samples after which turns are looked at"),
+            Size("WINDOW", busy_kernels.WINDOW, "the same while an input is busy"),
             Size("TURN", busy_kernels.TURN, "operators that cost as much as a turn"),
-            Size("LONGEST", (busy_kernels.WINDOW + 1) * busy_kernels.TURN, "samples that are counted"),
+            Size("LONGEST", (busy_kernels.LOOK + 1) * busy_kernels.TURN, "samples that are counted"),
         ),
         tables=(Table("weight", weight, "Weights [um/V]: input, operator, output; filled up with zeros."),),
         indices=(Table("operators", bank.n, "Operators of each input."),),

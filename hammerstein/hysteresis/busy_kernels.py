@@ -9,10 +9,9 @@ for groups of operators whose plays stay in registers through a piece of the sig
 for all samples of the piece at once, each sample's always in the same order.
 
 Which form an input is in is a part of its memory, and follows from its own past alone, never from how the
-signal is cut. A window of the signal is busy if it has more turns than
-``samples n / TURN``, n operators:
+signal is cut. With n operators a window of it is busy if more than one sample in ``TURN / n`` turns:
 
-- Turning-point form: the first turn after ``WINDOW`` samples closes the window, and begins the busy form if
+- Turning-point form: the first turn after ``LOOK`` samples closes the window, and begins the busy form if
   that window was busy. What rested in the dead zone of the smallest threshold and moves on counts as a turn,
   for it costs as much.
 - Busy form: windows are ``WINDOW`` samples long. The first that was not busy ends it.
@@ -26,8 +25,9 @@ from hammerstein.compiled import compiled
 
 at = np.uint64  # see ``play_kernels``
 
-WINDOW = 512
-"""Samples after which turns are looked at: as few as make the number of turns certain to a tenth."""
+LOOK, WINDOW = 64, 512
+"""Samples after which turns are looked at: few in the turning-point form, for there much is lost where all of
+them turn; more in the busy form, where every window has its own overhead."""
 TURN = 50
 """What a turn costs, in updates of one operator."""
 GROUP = 5

@@ -44,6 +44,7 @@ from hammerstein.hysteresis.busy_kernels import (
     BUSY,
     GROUP,
     LAST,
+    LOOK,
     RESTED,
     SEEN,
     TURN,
@@ -352,7 +353,7 @@ def _respond_branches(  # type: ignore[no-untyped-def]
         if direction != d[at(top)] or rested != 0.0:
             turns += 1
             rested = 0.0
-            if t + seen >= WINDOW:
+            if t + seen >= LOOK:
                 if turns * TURN > end[0] * (t + seen):
                     window[:] = 0.0
                     window[BUSY], window[LAST], window[BEFORE] = 1.0, x[at(top)], x[at(top)]

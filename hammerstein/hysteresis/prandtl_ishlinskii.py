@@ -117,6 +117,10 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
 
     def rest(self) -> PlayState:
         """State of a model that was never driven: all plays at zero."""
+        return self._rest
+
+    @cached_property
+    def _rest(self) -> PlayState:
         return self.state_of([np.zeros(n) for n in self.bank.n], at_rest=True)
 
     def state_of(self, plays_v: Sequence[ArrayLike], *, at_rest: bool = False) -> PlayState:
