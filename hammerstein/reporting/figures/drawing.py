@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any, cast
 
 from matplotlib.artist import Artist
 from matplotlib.backend_bases import FigureCanvasBase, GraphicsContextBase, RendererBase
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
 from matplotlib.figure import Figure
 from matplotlib.transforms import Affine2D, Affine2DBase, Bbox, TransformedPath
 
@@ -114,7 +115,7 @@ class Drawing:
 
 def drawing_of(figure: Figure) -> Drawing:
     """Lay a figure out and draw it once; the layout asks for the same measures of text."""
-    recorder = _Recorder(cast("Any", FigureCanvasAgg(figure)).get_renderer())
+    recorder = _Recorder(figure)
     _Canvas(figure).renderer = recorder
     for axes in figure.axes:
         for spine in axes.spines.values():
@@ -126,7 +127,7 @@ def drawing_of(figure: Figure) -> Drawing:
     figure.set_frameon(False)  # every figure that this is painted on has its own
     figure.draw(recorder)
     width, height = figure.get_size_inches()
-    return Drawing((width, height), figure.dpi, recorder.measures, recorder.strokes, recorder.panels)
+    return Drawing((width, height), figure.dpi, recorder, recorder.strokes, recorder.panels)
 
 
 def empty(size_in: tuple[float, float], dpi: float) -> Figure:
@@ -154,6 +155,7 @@ class Painting(Artist):
         figure = self.get_figure(root=True)
         assert figure is not None
         size = figure.dpi / self.dpi
+        _know_formulas(renderer)
         for stroke, move in self.strokes:
             stroke.paint(renderer, Affine2D(move.get_matrix()).scale(size), size)
 
@@ -168,11 +170,11 @@ class _Canvas(FigureCanvasBase):
 
 
 class _Recorder(RendererBase):
-    """Keeps what it is told to draw."""
+    """Keeps what it is told to draw; pixels and text are measured as where pixels are painted."""
 
-    def __init__(self, measures: Any) -> None:
+    def __init__(self, figure: Figure) -> None:
         super().__init__()
-        self.measures = measures
+        self.dpi, self.width, self.height = figure.dpi, figure.bbox.width, figure.bbox.height
         self.strokes: list[Stroke] = []
         self.panels: list[list[Stroke]] = []
         self.inside = False
@@ -210,24 +212,41 @@ class _Recorder(RendererBase):
         ismath: Any = False,
         mtext: Text | None = None,
     ) -> None:
-        self._keep(Words(_copied(gc), x, self.measures.height - y, s, prop, angle, ismath, mtext))
+        self._keep(Words(_copied(gc), x, self.height - y, s, prop, angle, ismath, mtext))
 
     def get_text_width_height_descent(
         self, s: str, prop: FontProperties, ismath: Any
     ) -> tuple[float, float, float]:
-        width, height, descent = self.measures.get_text_width_height_descent(s, prop, ismath)
-        return width, height, descent
+        return _measured(s, prop.copy(), ismath, self.dpi)
 
     def get_canvas_width_height(self) -> tuple[float, float]:
-        return self.measures.width, self.measures.height
+        return self.width, self.height
 
     def points_to_pixels(self, points: Any) -> Any:
-        return self.measures.points_to_pixels(points)
+        return points * self.dpi / 72.0
 
     def _keep(self, stroke: Stroke) -> None:
         self.strokes.append(stroke)
         if self.inside:
             self.panels[-1].append(stroke)
+
+
+@lru_cache(4096)
+def _measured(text: str, font: FontProperties, formula: Any, dpi: float) -> tuple[float, float, float]:
+    """Width, height and depth of a text [pixel]: the figures of a run say the same again and again."""
+    width, height, depth = _ruler(dpi).get_text_width_height_descent(text, font, formula)
+    return width, height, depth
+
+
+@cache
+def _ruler(dpi: float) -> Any:
+    return cast("Any", RendererAgg)(1, 1, dpi)
+
+
+def _know_formulas(renderer: RendererBase) -> None:
+    """Let a renderer of pixels know the formulas of those before it: to read one takes long."""
+    if isinstance(renderer, RendererAgg):
+        renderer.mathtext_parser = _ruler(72.0).mathtext_parser
 
 
 def _copied(pen: Pen) -> Pen:

@@ -6,6 +6,7 @@ and puts the user's own style back.
 
 from __future__ import annotations
 
+import gc
 import itertools
 import math
 import textwrap
@@ -87,13 +88,28 @@ _LOCK = threading.RLock()
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Draw in this style, whatever the user's own; one thread at a time."""
+    """Draw in this style, whatever the user's own; one thread at a time.
+
+    A figure is thousands of small objects that live until it is done: to search them for garbage meanwhile
+    takes a sixth of the time.
+    """
     import matplotlib as mpl
 
-    with _LOCK, mpl.rc_context():
+    with _LOCK, _uncollected(), mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(cast("Any", STYLE))
         yield
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 def new_figure(height_in: float) -> Figure:
@@ -253,8 +269,8 @@ def thin_trace(time: Array, values: Array, most: int) -> tuple[Array, Array]:
     if samples <= most:
         return time, values
     starts = np.linspace(0, samples, max(1, most // 2) + 1).astype(int)
-    stretches = itertools.pairwise(starts)
-    extremes = [a + pick(values[a:b]) for a, b in stretches if b > a for pick in _EXTREMES]
+    parts = itertools.pairwise(starts)
+    extremes = [a + pick(values[a:b]) for a, b in parts if b > a for pick in _EXTREMES]
     kept = np.unique(extremes)
     return time[kept], values[kept]
 

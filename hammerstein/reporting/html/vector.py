@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 from markupsafe import Markup
 
 _SVG = "{http://www.w3.org/2000/svg}"
-_NUMBER = re.compile(r"-?\d+\.\d{3,}")
-_GAPS = re.compile(r"\s*([A-Za-z])\s*")
+_BEYOND = re.compile(r"(?<=\.\d\d)\d+")
+_GAPS = re.compile(r"\s+(?=[A-Za-z]|$)|(?<=[A-Za-z])\s+")
 _REFERENCE = re.compile(r"#([\w.-]+)")
 _LENGTHS = frozenset({"x", "y", "width", "height"})
 
@@ -62,8 +62,8 @@ def pictures(files: Mapping[str, bytes], titles: Mapping[str, str], most_bytes: 
 def inlined(svg: bytes, prefix: str, title: str) -> Markup:
     """SVG of matplotlib as an element of a page.
 
-    Ids get the prefix, since all drawings of a page share their names; numbers keep a hundredth of a point,
-    which no screen shows; what draws nothing is left out.
+    Ids get the prefix, since all drawings of a page share their names; numbers are cut after a hundredth of
+    a point, which no screen shows; what draws nothing is left out.
     """
     root = ElementTree.fromstring(svg)
     used = set(_REFERENCE.findall(svg.decode("utf-8")))
@@ -97,15 +97,11 @@ def _attributes(attributes: Mapping[str, str], prefix: str, used: set[str]) -> I
         elif name == "href":
             yield name, f"#{prefix}-{value[1:]}"
         elif name == "d":
-            yield name, _GAPS.sub(r"\1", _rounded(value)).strip()
+            yield name, _GAPS.sub("", _BEYOND.sub("", value))
         elif name in _LENGTHS:
-            yield name, _rounded(value)
+            yield name, _BEYOND.sub("", value)
         else:
             yield name, value.replace("url(#", f"url(#{prefix}-")
-
-
-def _rounded(text: str) -> str:
-    return _NUMBER.sub(lambda found: f"{float(found[0]):.2f}".rstrip("0").rstrip("."), text)
 
 
 def embedded(png: bytes, title: str, kind: str) -> Markup:
