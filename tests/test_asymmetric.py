@@ -108,7 +108,7 @@ def test_settled_loop_about_any_middle_has_its_closed_form():
 
 
 @pytest.mark.parametrize("smallest", [0.0, 0.6])
-def test_amplitude_and_area_are_those_of_the_simulated_loop(smallest):
+def test_amplitude_is_that_of_the_simulated_loop(smallest):
     generator = np.random.default_rng(SEED)
     model = random_model(generator, 2, 2, smallest)
     tips = 7.0 * np.concatenate([np.linspace(0, 1, 400), np.linspace(1, -1, 8001), np.linspace(-1, 1, 8001)])
@@ -117,9 +117,6 @@ def test_amplitude_and_area_are_those_of_the_simulated_loop(smallest):
         u[k] = tips
         loop = model.respond(u)[0][:, -16002:]
         np.testing.assert_allclose(model.amplitude(7.0)[:, k], 0.5 * (loop[:, -1] - loop[:, 8000]), atol=1e-9)
-        x, rise, fall = tips[-8001:], loop[:, -8001:], loop[:, 8000::-1]
-        signed = np.trapezoid(fall - rise, x, axis=1)
-        np.testing.assert_allclose(model.loop_area(7.0)[:, k], signed, rtol=2e-3, atol=2e-2)
 
 
 def test_a_larger_swing_wipes_out_what_it_covers():

@@ -17,6 +17,7 @@ from hammerstein.export.compiling import FLAGS, compiler
 from hammerstein.export.folder import REQUEST_FILE, check_export, files_of, write_export
 from hammerstein.export.operations import Code
 from hammerstein.export.worst import dearest
+from hammerstein.hysteresis.busy_kernels import WINDOW
 
 MILLION = 1_000_000
 
@@ -39,6 +40,17 @@ def _same_bits(a, b):
 def test_every_bit_is_that_of_python(name):
     code, library = compiled(name)
     signal = code.adverse(12_000)
+    assert _same_bits(library.respond(signal)[0], code.block.respond(signal)[0])
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["model", "three inputs model", "decoupled_inverse"])
+def test_code_that_turns_all_the_time_and_then_does_not_keeps_every_bit(name):
+    """Two samples of three turn, then none for a while: to the form of ``busy_kernels`` and back."""
+    code, library = compiled(name)
+    slow = np.sin(np.arange(3 * WINDOW) / 150.0) * np.ones((code.adverse(1).shape[0], 1))
+    loud = np.random.default_rng(4).uniform(-1.0, 1.0, slow.shape)
+    signal = 5.0 * np.hstack([slow, loud, slow, loud, slow])
     assert _same_bits(library.respond(signal)[0], code.block.respond(signal)[0])
 
 

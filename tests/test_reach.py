@@ -103,9 +103,8 @@ def test_shortfall_names_samples_and_axes():
         theory.prandtl_ishlinskii(drive, [[theory.R_V] * 2] * 2, theory.W_UM_PER_V),
         atol=1e-9,
     )
-    assert (found.missed() == (np.abs(found.predicted_um - path) > 1e-6)).all()
-    assert found.missed()[0].any()
-    assert not found.missed()[1].any()
+    np.testing.assert_allclose(found.error_um, found.predicted_um - path, atol=1e-12)
+    assert (np.abs(found.error_um).max(axis=1) > 1e-6).tolist() == [True, False]
     first, number = int(np.argmax(found.at_range[0])), int(found.at_range[0].sum())
     with pytest.raises(
         SimulationError, match=f"u stands at its range in {number} of 800 samples, first at sample {first} "

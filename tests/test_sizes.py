@@ -2,12 +2,12 @@
 
 import pytest
 
-from hammerstein.arrays import PAGE, room
 from hammerstein.commands import cli, watch
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.plan import jobs_that_fit, plan_of
 from hammerstein.experiment.run import run, simulate
 from hammerstein.runtime import memory
+from hammerstein.runtime.room import PAGE, room
 from hammerstein.scenario import Scenario
 
 

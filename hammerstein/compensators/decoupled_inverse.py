@@ -96,15 +96,15 @@ class DecoupledInverseLaw(Law[InverseState]):
 
         b = self.inverse.bank
         return step_decoupled, (
-            *(self._frame, self._limits, b.r, b.guide, b.scale, b.n, b.lines),
+            *(self._frame, self._limits, b.r, b.guide, b.scale, b.n, b.lines, b.w),
             (0,) * self.n_outputs,
         )
 
     def _step(self, sample_um: Array, state: InverseState) -> tuple[Array, InverseState] | None:
         step, design = self._compiled_step
         plays = state.plays
-        memory = (plays.count, plays.end, plays.x, plays.d, plays.below, state.last_v, state.direction)
-        drive, stack, last, direction, sound = step(sample_um, *design, *memory)
+        stack = (plays.count, plays.end, plays.x, plays.d, plays.below, plays.window)
+        drive, stack, last, direction, sound = step(sample_um, *design, *stack, state.last_v, state.direction)
         return (drive, InverseState(PlayState(*stack), last, direction)) if sound else None
 
     def _at_start(self, hysteresis: PrandtlIshlinskii) -> tuple[InverseState, Array]:

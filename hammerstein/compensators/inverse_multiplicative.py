@@ -148,7 +148,7 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
             *(bank.r, bank.slope, bank.moment),
             *(plays.count, plays.end, plays.x, plays.d, plays.below, state.memory_v),
         )
-        return (drive, FeedbackState(PlayState(*stack), memory)) if sound else None
+        return (drive, FeedbackState(PlayState(*(*stack, plays.window)), memory)) if sound else None
 
     def _at_start(self) -> tuple[FeedbackState, Array]:
         """State where the actuator stands, whose next pass gives the start voltage, and the position."""

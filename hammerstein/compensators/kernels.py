@@ -184,7 +184,7 @@ def step_inverse_multiplicative(  # type: ignore[no-untyped-def]
 
 @compiled()
 def step_decoupled(  # type: ignore[no-untyped-def]
-    sample, frame, limits, r, guide, scale, n, lines, outputs, count, end, x, d, below, last, sign
+    sample, frame, limits, r, guide, scale, n, lines, w, outputs, count, end, x, d, below, window, last, sign
 ):
     """Voltages as they are sent (m,), the memory after one sample (m,), and whether all is finite.
 
@@ -193,11 +193,11 @@ def step_decoupled(  # type: ignore[no-untyped-def]
     """
     m = sample.shape[0]
     reference, v, drive = np.empty((m, 1)), np.empty((m, 1)), np.empty((m, 1))
-    plays = (count.copy(), end.copy(), x.copy(), d.copy(), below.copy())
+    plays = (count.copy(), end.copy(), x.copy(), d.copy(), below.copy(), window.copy())
     turned, way, sent = last.copy(), sign.copy(), np.empty(m)
     sound = from_rest(sample, frame, reference)
     if sound:
-        respond_turning_points(reference, r, guide, scale, n, lines, *plays, 0, 1, v, outputs)
+        respond_turning_points(reference, r, guide, scale, n, lines, w, *plays, 0, 1, v, outputs)
         respond_inverse_play(v, limits[0], limits[1], limits[2], turned, way, 0, 1, drive)
         sound = to_sent(drive, frame, sent)
     return sent, plays, turned, way, sound

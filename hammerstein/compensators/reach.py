@@ -160,10 +160,6 @@ class Shortfall:
     sample_time_s: float
     turn: tuple[int, int]
 
-    def missed(self, tolerance_um: float = MISSED_UM) -> Flags:
-        """Samples (p, N) whose predicted error is larger than a tolerance."""
-        return np.abs(self.error_um) > tolerance_um
-
     @property
     def complete(self) -> bool:
         """True if the drive never stands at its range."""

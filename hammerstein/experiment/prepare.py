@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, room
+from hammerstein.arrays import Array
 from hammerstein.blocks import Controller, Law, Learner
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Instruments
@@ -26,6 +26,7 @@ from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import BLOCK, Driven, Plant, Response
 from hammerstein.runtime.fanning import Jobs, on_workers
 from hammerstein.runtime.memory import refuse_too_long
+from hammerstein.runtime.room import room
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ModelSource
 from hammerstein.scenario.tested import TestedCompensator

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import (
@@ -21,6 +22,7 @@ from hammerstein.hysteresis import (
     RateDependent,
     RateState,
     bouc_wen_kernels,
+    busy_kernels,
     rate_dependent_kernels,
 )
 
@@ -96,20 +98,48 @@ def _no_code(hysteresis: object) -> InputError:
 
 @c_block_of.register
 def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
-    """Stack of segments on a floor at rest, with the output at each tip."""
-    bank = hysteresis.bank
+    """Stack of segments on a floor at rest, with the output at each tip; the plays while an input is busy."""
+    bank, m = hysteresis.bank, hysteresis.n_inputs
+    groups = -(-bank.r.shape[1] // busy_kernels.GROUP)
+    width = groups * busy_kernels.GROUP
+    padded, weight = np.zeros((m, width)), np.zeros((m, width, hysteresis.n_outputs))
+    weight[:, : bank.w.shape[1]] = bank.w
     segments = bank.r.shape[1] + 2
     floor = {"end": 0, "x": 0.0, "d": 0.0, "tip": np.zeros(hysteresis.n_outputs)}
     plays = []
-    for k, n in enumerate(bank.n):
+    for k, (n, now) in enumerate(zip(bank.n, hysteresis.plays_of(state), strict=True)):
+        padded[k, :n] = now
         held: list[dict[str, Any]] = [floor | {"end": int(n)}]
         for s in range(int(state.count[k])):
             held.append(_segment_above(held[-1], hysteresis, state, k, s))
         held += [floor] * (segments - len(held))
-        plays.append({"count": int(state.count[k]), "stack": held})
-    own = Table("operators", bank.n, "Operators of each input.")
-    values = {"hysteresis": "plays", "helpers": ("most",)}
-    return _grid(hysteresis, segments) + CPart(indices=(own,), start={"plays": plays}, values=values)
+        window = _window(state.window[k])
+        plays.append({"count": int(state.count[k]), **window, "play": padded[k], "stack": held})
+    return _grid(hysteresis, segments) + CPart(
+        sizes=(
+            Size("GROUP", busy_kernels.GROUP, "operators whose weighted outputs are added up at once"),
+            Size("GROUPS", groups, "of them"),
+            Size("WINDOW", busy_kernels.WINDOW, "samples after which turns are looked at"),
+            Size("TURN", busy_kernels.TURN, "operators that cost as much as a turn"),
+            Size("LONGEST", (busy_kernels.WINDOW + 1) * busy_kernels.TURN, "samples that are counted"),
+        ),
+        tables=(Table("weight", weight, "Weights [um/V]: input, operator, output; filled up with zeros."),),
+        indices=(Table("operators", bank.n, "Operators of each input."),),
+        start={"plays": plays},
+        values={"hysteresis": "plays", "helpers": ("least", "most"), "n_padded": width},
+    )
+
+
+def _window(row: Array) -> dict[str, Any]:
+    """How often an input turned lately, as its memory in C counts it."""
+    counts = {
+        "busy": busy_kernels.BUSY,
+        "seen": busy_kernels.SEEN,
+        "turns": busy_kernels.TURNS,
+        "rested": busy_kernels.RESTED,
+    }
+    voltages = {"last": busy_kernels.LAST, "before": busy_kernels.BEFORE}
+    return {name: int(row[i]) for name, i in counts.items()} | {name: row[i] for name, i in voltages.items()}
 
 
 @c_block_of.register

@@ -254,18 +254,6 @@ class Asymmetric(Hysteresis[AsymmetricState]):
             halves[:, k] += 0.5 * (ends[:, 1] - ends[:, 0])
         return halves
 
-    def loop_area(self, amplitude_v: float) -> Array:
-        """Areas of the settled loops about the working point (output, input) [um V].
-
-        Dead-zones have no memory; behind a smallest threshold r both branches of theirs lie 2 r apart.
-        """
-        areas = self.plays.loop_area(amplitude_v)
-        for k, r in enumerate(self.smallest_v):
-            reach = max(amplitude_v - r, 0.0)
-            ends = self.lines.values(k, [-reach, reach])
-            areas[:, k] += 2.0 * r * (ends[:, 1] - ends[:, 0])
-        return areas
-
     def slope_columns(self, k: int) -> Array:
         """Slopes (choice, output) [um/V] of input k with 1, 2, ... operators engaged, zone after zone."""
         steps = self.plays.slope_columns(k) if self.plays.bank.n[k] else np.zeros((1, self.n_outputs))

@@ -19,6 +19,7 @@ class PlayState(Memory):
     Made by ``PrandtlIshlinskii.rest``, ``.state_of`` or by a run; its arrays are not written to.
 
     count : (m,) height of each stack; end, x, d : (m, operator+1); below : (m, operator+1, p)
+    window : (m, columns) which form each input is in, and how often it turned lately (see ``busy_kernels``)
     """
 
     count: Indices
@@ -26,6 +27,7 @@ class PlayState(Memory):
     x: Array
     d: Array
     below: Array
+    window: Array
 
 
 @dataclass(frozen=True, eq=False)

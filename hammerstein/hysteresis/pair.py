@@ -152,17 +152,6 @@ class Pair:
         r, w = self.thresholds_v, self.weights_um_per_v
         return float(w @ np.maximum(amplitude_v - r, 0.0))
 
-    def loop_area(self, amplitude_v: float) -> float:
-        """Area of the settled loop [um V]: 4 sum of w r (A - r) over the thresholds below A."""
-        r, w = self.thresholds_v, self.weights_um_per_v
-        return float(4.0 * (w * r) @ np.maximum(amplitude_v - r, 0.0))
-
-    def rising_branch(self, u_v: ArrayLike, amplitude_v: float) -> Array:
-        """Rise above the lower tip of the settled loop [um]: sum of w max(0, u + A - 2 r)."""
-        r, w = self.thresholds_v, self.weights_um_per_v
-        rise = np.subtract.outer(np.asarray(u_v) + amplitude_v, 2.0 * r)
-        return np.asarray(np.maximum(rise, 0.0) @ w)
-
 
 def weighted_mistakes(name: str, places_v: Array, w: Array, errors: Array | None) -> Iterable[Mistake]:
     """What is wrong with weights, and their errors, of operators at some places; ``name`` says of which."""

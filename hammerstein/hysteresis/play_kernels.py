@@ -27,6 +27,9 @@ So a sample costs one line, an engagement one search in the grid and one new lin
 few pops; no reversal touches all operators. The tips follow from the stack alone, from the bottom upwards:
 that is why a signal cut in pieces gives the same numbers to the last bit.
 
+An input of few operators that turns all the time goes over to the textbook loop while it does so: see
+``busy_kernels``. Between two calls its memory is a stack all the same, one segment an operator with d = 0.
+
 Source: Brokate and Sprekels, Hysteresis and Phase Transitions (1996), chapter 2 (play operator, memory).
 """
 
@@ -36,6 +39,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.compiled import compiled
+from hammerstein.hysteresis.busy_kernels import (
+    BEFORE,
+    BUSY,
+    GROUP,
+    LAST,
+    RESTED,
+    SEEN,
+    TURN,
+    TURNS,
+    WINDOW,
+    respond_busy,
+)
 
 # Two habits that these loops owe half of their speed to. An index of unsigned type is not tested for Python's
 # counting from the end; no index is negative here. And helpers use every array on each way through them, and
@@ -191,22 +206,25 @@ def _base(u, direction, r, top, end, x, d):  # type: ignore[no-untyped-def]
 
 @compiled(reads="u")
 def respond_turning_points(  # type: ignore[no-untyped-def]
-    u, r, guide, scale, n, lines, count, end, x, d, below, begin, finish, y, outputs
+    u, r, guide, scale, n, lines, w, count, end, x, d, below, window, begin, finish, y, outputs
 ):
-    """Turning-point form: the same outputs as the textbook loop; the stack is updated in place.
+    """Turning-point form: the same outputs as the textbook loop; the memory is updated in place.
 
     u : (m, N), from sample begin up to finish; r : (m, n_max); guide, scale : see ``search_guide``; n : (m,)
-    lines : (m, n_max+1, 2 p) W of each output, then R of each output
-    count : (m,); end, x, d : (m, n_max+1); below : (m, n_max+1, p), see ``move``; y : (p, N), overwritten
+    lines : (m, n_max+1, 2 p) W of each output, then R of each output; w : (m, n_max, p) weights
+    count : (m,); end, x, d : (m, n_max+1); below : (m, n_max+1, p), see ``move``
+    window : (m, columns), see ``busy_kernels``; y : (p, N), overwritten
     outputs : p zeros in a tuple: a number of outputs that the compiler knows, for it unrolls their loops
 
     Returns finish, or the first sample of the block in which it met an input that is not finite.
     """
     m, height = u.shape[0], r.shape[1] + 2
     ends, xs, ds = np.empty((m, height), np.int64), np.empty((m, height)), np.empty((m, height))
-    tips = np.empty((m, height, len(outputs)))
+    tips, plays = np.empty((m, height, len(outputs))), np.empty((m, height))
+    kept = np.empty((GROUP, min(WINDOW, finish - begin)))
     for k in range(m):
         load(n[k], lines[k], count[k], end[k], x[k], d[k], ends[k], xs[k], ds[k], tips[k], outputs)
+        plays_of(r[k], count[k], ends[k], xs[k], ds[k], plays[k])
     for start in range(begin, finish, BLOCK):
         stop = min(start + BLOCK, finish)
         y[:, start:stop] = 0.0
@@ -215,10 +233,12 @@ def respond_turning_points(  # type: ignore[no-untyped-def]
                 return start
             if n[k] > 0:
                 count[k] = respond_block(
-                    u[k], start, stop, r[k], guide[k], scale[k], lines[k],
-                    count[k], ends[k], xs[k], ds[k], tips[k], y, outputs,
+                    u[k], start, stop, r[k], guide[k], scale[k], lines[k], w[k], count[k],
+                    ends[k], xs[k], ds[k], tips[k], plays[k], window[k], kept, y, outputs,
                 )  # fmt: skip
     for k in range(m):
+        if window[k, BUSY]:
+            count[k] = stack_of(plays[k], lines[k], ends[k], xs[k], ds[k], tips[k], outputs)
         _save(lines[k], count[k], ends[k], xs[k], ds[k], end[k], x[k], d[k], below[k])
     return finish
 
@@ -233,6 +253,27 @@ def load(n, lines, count, end, x, d, ends, xs, ds, tips, outputs):  # type: igno
         way, turn = xs[s + 1] - xs[s], ds[s + 1] - ds[s]
         for o in range(len(outputs)):
             tips[s + 1, o] = _line(way, turn, end[s], o, s, lines, tips, outputs)
+
+
+@compiled()
+def plays_of(r, top, end, x, d, plays):  # type: ignore[no-untyped-def]
+    """Outputs of all operators of a stack, from its top down to its floor."""
+    first = 0
+    for s in range(top, -1, -1):
+        for i in range(first, end[s]):
+            plays[i] = x[s] - d[s] * r[i]
+        first = end[s]
+
+
+@compiled()
+def stack_of(plays, lines, end, x, d, tip, outputs):  # type: ignore[no-untyped-def]
+    """Stack of plays on its floor, one segment an operator; returns its top."""
+    n = end[0]
+    for s in range(n):
+        end[s + 1], x[s + 1], d[s + 1] = n - s, plays[n - 1 - s], 0.0
+        for o in range(len(outputs)):
+            tip[s + 1, o] = _line(x[s + 1] - x[s], 0.0, n - s, o, s, lines, tip, outputs)
+    return n
 
 
 @compiled()
@@ -271,21 +312,52 @@ def _sum(u, start, stop):  # type: ignore[no-untyped-def]
 
 @compiled()
 def respond_block(  # type: ignore[no-untyped-def]
-    u, start, stop, r, guide, scale, lines, top, end, x, d, tip, y, outputs
+    u, start, stop, r, guide, scale, lines, w, top, end, x, d, tip, plays, window, kept, y, outputs
 ):
-    """Add to y what one input contributes from start to stop; returns the new top of its stack.
+    """Add to y what one input contributes from start to stop, in the form it is in; returns its top."""
+    t = start
+    while t < stop:
+        if window[BUSY]:
+            t = respond_busy(u, t, stop, r, w, end[0], plays, window, kept, y, outputs)
+            if not window[BUSY]:
+                top = stack_of(plays, lines, end, x, d, tip, outputs)
+        else:
+            t, top = _respond_branches(
+                u, t, stop, r, guide, scale, lines, top, end, x, d, tip, window, y, outputs
+            )
+            if window[BUSY]:
+                plays_of(r, top, end, x, d, plays)
+    return top
+
+
+@compiled()
+def _respond_branches(  # type: ignore[no-untyped-def]
+    u, start, stop, r, guide, scale, lines, top, end, x, d, tip, window, y, outputs
+):
+    """Add to y from start to stop, or to the turn that begins the busy form; returns where, and the top.
 
     Each turn of the outer loop is one branch, each turn of the inner one a line of it or one sample that
     engages operators. ``level`` is the threshold that a sample reaches on its branch.
     """
-    t = start
+    t, seen, turns, rested = start, int(window[SEEN]) - start, int(window[TURNS]), window[RESTED]
     while t < stop:
         direction, rests = _direction(u[at(t)], r, x, d, top)
         if rests:
+            if u[at(t)] != x[at(top)]:  # a voltage that stays is no turn, and no matter where it is cut
+                rested = 1.0
             for o in range(len(outputs)):
                 y[at(o), at(t)] += tip[at(top), at(o)]
             t += 1
             continue
+        if direction != d[at(top)] or rested != 0.0:
+            turns += 1
+            rested = 0.0
+            if t + seen >= WINDOW:
+                if turns * TURN > end[0] * (t + seen):
+                    window[:] = 0.0
+                    window[BUSY], window[LAST], window[BEFORE] = 1.0, x[at(top)], x[at(top)]
+                    return t, top
+                seen, turns = -t, 0
         base, k = _base(u[at(t)], direction, r, top, end, x, d)
         x0, turn, unit, reach = _branch(direction, base, r, end, x, d)
         top = base + 1
@@ -332,7 +404,8 @@ def respond_block(  # type: ignore[no-untyped-def]
         if t > turned + 1:
             for o in range(len(outputs)):
                 tip[at(top), at(o)] = _line(x[at(top)] - x0, turn, k, o, base, lines, tip, outputs)
-    return top
+    window[SEEN], window[TURNS], window[RESTED] = stop + seen, turns, rested
+    return stop, top
 
 
 @compiled()

@@ -125,6 +125,8 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
         Raises InputError where no history of the input leads to them: neighbours may differ by no more
         than their thresholds do.
         """
+        from hammerstein.hysteresis.busy_kernels import COLUMNS
+
         bank = self.bank
         m, width, p = bank.n.size, bank.r.shape[1] + 1, self.n_outputs
         count, end = np.zeros(m, np.int64), np.zeros((m, width), np.int64)
@@ -139,7 +141,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
             end[k, : len(plays)] = np.arange(len(plays), 0, -1)
             x[k, : len(plays)] = plays[::-1]
             below[k, 1 : len(plays)] = np.cumsum((bank.w[k, : len(plays)] * plays[:, None])[:0:-1], axis=0)
-        return PlayState(count, end, x, d, below)
+        return PlayState(count, end, x, d, below, np.zeros((m, COLUMNS)))
 
     def after(self, path_v: Array) -> PlayState:
         """Memory after a path; see ``Hysteresis.after``."""
@@ -164,8 +166,8 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
         from hammerstein.hysteresis.play_kernels import respond_turning_points
 
         y, b, s = np.empty((self.n_outputs, u_v.shape[1])), self.bank, start.copy()
-        bank = (b.r, b.guide, b.scale, b.n, b.lines)
-        stack = (s.count, s.end, s.x, s.d, s.below)
+        bank = (b.r, b.guide, b.scale, b.n, b.lines, b.w)
+        stack = (s.count, s.end, s.x, s.d, s.below, s.window)
         for first, stop in spans(u_v.shape[1]):
             done = respond_turning_points(u_v, *bank, *stack, first, stop, y, (0,) * self.n_outputs)
             if done < stop:
@@ -178,10 +180,6 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
         return np.array(
             [[pair.amplitude(size) for pair, size in zip(row, sizes, strict=True)] for row in self.pairs]
         )
-
-    def loop_area(self, amplitude_v: float) -> Array:
-        """Areas of the settled loops (output, input) [um V] for a voltage amplitude [V]."""
-        return np.array([[pair.loop_area(amplitude_v) for pair in row] for row in self.pairs])
 
     def slope_columns(self, k: int) -> Array:
         """Slopes (operator, output) [um/V] while the first 1, 2, ... operators of input k move."""

@@ -43,7 +43,7 @@ class Judgement(NamedTuple):
     judged: dict[Kind, Score]
     held: tuple[Record, ...]
     held_starts: tuple[Start, ...]
-    answer: Array
+    response: Array
     trials: tuple[Trial, ...]
 
 
@@ -64,7 +64,7 @@ def account(
     voltages: Voltages,
 ) -> Fit:
     """Everything that is said about the model."""
-    fitted, judged, held, held_starts, answer, trials = errors
+    fitted, judged, held, held_starts, response, trials = errors
     record, settings, best = task.records[0], task.settings, built.best.candidate
     named = faults_left(best, task.records, task.starts)
     flags = _flags(task, built, named)
@@ -93,7 +93,7 @@ def account(
         trials=trials,
         order=len(best.dynamics.A) if isinstance(best.dynamics, StateSpaceDynamics) else None,
         error_curve=curve,
-        not_identifiable=tuple(_unknown(task, built, answer)),
+        not_identifiable=tuple(_unknown(task, built, response)),
         flags=tuple(flags),
         notes=(*_left_out([*task.records, *held]), *built.notes, *_bounds(task, built, named)),
         invertible=invertible,
@@ -143,7 +143,7 @@ def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
     return flags
 
 
-def _unknown(task: Task, built: Built, answer: Array) -> list[str]:
+def _unknown(task: Task, built: Built, response: Array) -> list[str]:
     """What the excitation cannot tell."""
     record = task.records[0]
     sums = [
@@ -151,7 +151,7 @@ def _unknown(task: Task, built: Built, answer: Array) -> list[str]:
         for o, k in built.best.blocks.chosen.open
     ]
     axes = axis_statements(record.outputs, built.axes) if built.axes else []
-    return [*axes, *sums, *_open_places(task, built), *excitation_statements(task.records, answer)]
+    return [*axes, *sums, *_open_places(task, built), *excitation_statements(task.records, response)]
 
 
 def _open_places(task: Task, built: Built) -> list[str]:

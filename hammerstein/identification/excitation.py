@@ -1,4 +1,4 @@
-"""What the records tell of each input: whether an output answers to it at all, and whether it ever turned."""
+"""What the records tell of each input: whether an output responds to it, and whether it ever turned."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from hammerstein.records.noise import noise_rms, quantum
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import turning_points
 
-ANSWERED = 1.0
-"""Answer of an output to an input, in parts of what the fit leaves, below which there is none."""
+RESPONDED = 1.0
+"""Response of an output to an input, in parts of what the fit leaves, below which there is none."""
 TOLD = 10.0
 """The same, below which the single weights of an input are guesses, where it was driven but little."""
 SMALL = 0.1
@@ -26,8 +26,8 @@ ROUGH = 1.3
 """Standard deviation of a signal, in parts of the rms noise found in it, up to which it is noise alone."""
 
 
-def answers(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
-    """Largest rms answer of an output to each input alone (input,), in parts of what the model leaves.
+def responses(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
+    """Largest rms response of an output to each input alone (input,), in parts of what the model leaves.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ def answers(candidate: Candidate, records: Sequence[Record], starts: Sequence[St
     for record, start in zip(records, starts, strict=True):
         left += (candidate.residual(record, start) ** 2).sum(axis=1)
         for k in range(len(power)):
-            answer = candidate.predict(_alone(record, k), start)[:, start.first :]
-            power[k] += answer.var(axis=1) * answer.shape[1]
+            response = candidate.predict(_alone(record, k), start)[:, start.first :]
+            power[k] += response.var(axis=1) * response.shape[1]
     return np.asarray(np.sqrt((power / np.maximum(left, np.finfo(float).tiny)).max(axis=1)))
 
 
@@ -51,15 +51,15 @@ def _alone(record: Record, k: int) -> Record:
     return replace(record, u_v=u, verified=True)
 
 
-def refuse_noise(records: Sequence[Record], answer: Array) -> None:
+def refuse_noise(records: Sequence[Record], response: Array) -> None:
     """Refuse outputs that are all noise, and inputs that carry nothing else.
 
-    A record that the model cannot represent, such as a butterfly, is no noise, though nothing answers.
+    A record that the model cannot represent, such as a butterfly, is no noise, though nothing responds.
 
     Parameters
     ----------
     records : what was fitted
-    answer : what ``answers`` gave
+    response : what ``responses`` gave
 
     Raises
     ------
@@ -70,13 +70,13 @@ def refuse_noise(records: Sequence[Record], answer: Array) -> None:
             "no output follows a voltage: the readings are noise; check the columns, the wiring and the "
             "sensor"
         )
-    silent = answer < ANSWERED
+    silent = response < RESPONDED
     names, swing = records[0].inputs, half_swing(records)
     for k in np.flatnonzero(silent & (swing < SMALL * swing.max())):
         if all(_is_noise(record.u_v[k]) for record in records):
             raise IdentificationError(
                 f"input {names[k]} is never driven: it moves by {2.0 * swing[k]:.3g} V of noise, and no "
-                "output answers; drive it in a record of its own, or leave it out of the inputs"
+                "output responds; drive it in a record of its own, or leave it out of the inputs"
             )
 
 
@@ -99,14 +99,14 @@ def refuse_one_way(records: Sequence[Record]) -> None:
         )
 
 
-def excitation_statements(records: Sequence[Record], answer: Array) -> list[str]:
+def excitation_statements(records: Sequence[Record], response: Array) -> list[str]:
     """What the voltages could not tell, because they were too small or never turned."""
     names, swing = records[0].inputs, half_swing(records)
     found = [
-        f"single weights of {names[k]}: its {2.0 * swing[k]:.3g} V move the outputs by {answer[k]:.2g} times "
-        "what the model leaves; drive it by more"
+        f"single weights of {names[k]}: its {2.0 * swing[k]:.3g} V move the outputs by {response[k]:.2g} "
+        "times what the model leaves; drive it by more"
         for k in range(len(names))
-        if answer[k] < TOLD and swing[k] < SMALL * swing.max()
+        if response[k] < TOLD and swing[k] < SMALL * swing.max()
     ]
     return found + [
         f"hysteresis of {name}: its voltage never turns, so that lag and curvature are the same; record a "

@@ -14,7 +14,7 @@ from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.account import Judgement, account, model_of
 from hammerstein.identification.axes_candidates import build_axes
 from hammerstein.identification.choice import Trial, chosen, crossed_squares, judged_squares, parameters_of
-from hammerstein.identification.excitation import answers, refuse_noise, refuse_one_way
+from hammerstein.identification.excitation import refuse_noise, refuse_one_way, responses
 from hammerstein.identification.first_look import first_task, settle_s_of, start_mode
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.kinds import with_hysteresis
@@ -116,8 +116,8 @@ def identify(
     task, guesses, curve = first_task(ready, settings, tell)
     built = _build(task, guesses)
     largest = built.best.candidate
-    answer = answers(largest, ready, task.starts)
-    refuse_noise(ready, answer)
+    response = responses(largest, ready, task.starts)
+    refuse_noise(ready, response)
     held_starts = _starts_of_held(held, built, settle_s_of(guesses), settings)
     tell("judging the models")
     built, trials = _kept(task, built, held, held_starts)
@@ -126,7 +126,7 @@ def identify(
         held_starts = _starts_of_held(held, built, settle_s_of(guesses), settings)
     fitted = {kind: score(c, ready, task.starts) for kind, c in built.candidates.items()}
     judged = {kind: score(c, held, held_starts) for kind, c in built.candidates.items()} if held else {}
-    errors = Judgement(fitted, judged, held, held_starts, answer, trials)
+    errors = Judgement(fitted, judged, held, held_starts, response, trials)
     fit = account(task, built, curve, errors, voltages_of(records, ready, task.starts))
     return model_of(task, fit, built.best.candidate, name, instruments), fit
 

@@ -104,7 +104,6 @@ def error_curve(
     partition: Partition = "time",
     delay_samples: int = 0,
     through: Sequence[LinearBlock] = (),
-    counts: Sequence[int] = COUNTS,
 ) -> tuple[CurvePoint, ...]:
     """Error on held-out parts of the records against the number of operators.
 
@@ -116,12 +115,11 @@ def error_curve(
     partition : how thresholds are placed
     delay_samples : whole samples by which the outputs come late
     through : linear block of each record, if there is one
-    counts : numbers of operators to try
     """
     few, begun = shortened(records, starts, CURVE_SAMPLES)
     span = ranges(few, begun)
     points = []
-    for n in counts:
+    for n in COUNTS:
         grids = input_grids(few, n, partition)
         columns = sum(map(len, grids))
         squares = np.zeros(len(span))

@@ -356,5 +356,5 @@ def invertibility_of(
         return static_ok, sentence
     return False, (
         f"{sentence} The linear block has no usable inverse at {frequency_hz[weakest]:.4g} Hz: one direction "
-        f"of the outputs answers with {singular[weakest, -1] / singular[0, 0]:.1e} of the static gain only."
+        f"of the outputs responds with {singular[weakest, -1] / singular[0, 0]:.1e} of the static gain only."
     )

@@ -9,7 +9,6 @@ from hammerstein.metrics.arrays import (
     drift,
     euclidean,
     loop_figures,
-    radial,
     rms,
     worst,
 )
@@ -30,7 +29,6 @@ __all__ = [
     "loop_figures",
     "metric",
     "metrics_of",
-    "radial",
     "rms",
     "worst",
 ]

@@ -29,11 +29,6 @@ def euclidean(error: Array) -> Array:
     return np.asarray(np.linalg.norm(error, axis=0))
 
 
-def radial(reference: Array, position: Array) -> Array:
-    """Error of the radius (sample,): how far a path is outside (+) or inside (-) its reference."""
-    return np.asarray(np.linalg.norm(position, axis=0) - np.linalg.norm(reference, axis=0))
-
-
 def drift(error: Array, samples_a_cycle: int) -> Array:
     """Mean error of the last cycle minus that of the first (axis,), from the error (axis, sample).
 

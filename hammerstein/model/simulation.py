@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.arrays import Array, room
+from hammerstein.arrays import Array
 from hammerstein.blocks import Controller
 from hammerstein.blocks.axis_names import column
 from hammerstein.blocks.driving import DriveRange
@@ -22,6 +22,7 @@ from hammerstein.hysteresis.kind import refuse_not_finite
 from hammerstein.model import HammersteinModel
 from hammerstein.pictured import Pictured
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V, Range
+from hammerstein.runtime.room import room
 
 if TYPE_CHECKING:
     import control
@@ -210,7 +211,7 @@ class Response(Pictured):
 
 
 class Driven(NamedTuple):
-    """A stretch of voltage (input, sample): asked for [V], given [V], and where the drive's range cut it.
+    """A part of the voltage (input, sample): asked for [V], given [V], and where the drive's range cut it.
 
     left : (m,) which inputs have left the working point by then
     """
@@ -290,9 +291,9 @@ class Plant:
     def carry_on(
         self, requested_v: Array, start: PlantState, reference_um: Array | None = None
     ) -> tuple[Response, PlantState]:
-        """Response to a stretch of voltage, and the state after it.
+        """Response to a part of the voltage, and the state after it.
 
-        A run cut in stretches gives the same numbers as in one piece, to the last bit. The generator of the
+        A run cut in parts gives the same numbers as in one piece, to the last bit. The generator of the
         noise is moved on, not copied.
 
         Parameters

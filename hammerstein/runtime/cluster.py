@@ -68,7 +68,7 @@ class Cluster(Executor):
                 raise self._lost()
             self._open.add(future)
         try:
-            inner = self._inner.submit(_answer, self._expected, task)
+            inner = self._inner.submit(_done, self._expected, task)
         except Exception as error:  # closed since we looked
             raise self._lost() from error
         inner.add_done_callback(partial(self._hand_over, future))
@@ -265,7 +265,7 @@ def _prepared() -> dict[str, str]:
     return {**computes_with(), "processor": processor()}
 
 
-def _answer(expected: Mapping[str, str], task: bytes) -> Any:
+def _done(expected: Mapping[str, str], task: bytes) -> Any:
     """Do a task on a worker; one that has joined since the start may have other versions."""
     if unlike := _unlike(expected, _prepared()):
         raise InputError(OPTION, f"the numbers of a worker that has joined would not be ours: {unlike}")

@@ -7,10 +7,10 @@ import platform
 import sys
 import tempfile
 import traceback
-from importlib import metadata
 from pathlib import Path
 
 from hammerstein.errors import HammersteinError, InputError, InternalError, SimulationError
+from hammerstein.runtime.provenance import version_of
 
 DISTRIBUTION = "hammerstein-control"
 LIBRARIES = ("control", "numba", "numpy", "pandas", "pydantic", "scipy", "typer")
@@ -38,7 +38,7 @@ def as_error(error: Exception) -> HammersteinError:
 def _write_details(error: Exception) -> Path | None:
     """File with what is needed to find the fault; nothing where none can be written."""
     lines = "".join(traceback.format_exception(error))
-    versions = ", ".join(f"{name} {_version(name)}" for name in (DISTRIBUTION, *LIBRARIES))
+    versions = ", ".join(f"{name} {version_of(name)}" for name in (DISTRIBUTION, *LIBRARIES))
     text = f"{versions}\nPython {sys.version}\n{platform.platform()}\n{sys.argv}\n\n{lines}"
     digest = hashlib.sha256(lines.encode(errors="replace")).hexdigest()[:8]
     path = Path(tempfile.gettempdir()) / f"hammerstein_fault_{digest}.txt"
@@ -47,10 +47,3 @@ def _write_details(error: Exception) -> Path | None:
     except OSError:
         return None
     return path
-
-
-def _version(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return "?"

@@ -33,14 +33,14 @@ def computed_by() -> str:
     Where another package plugs in, every installed version counts, and the sources of that package.
     """
     words = [sys.version, sys.platform, processor(), sources()]
-    words += [f"{name} {_version(name)}" for name in LIBRARIES]
+    words += [f"{name} {version_of(name)}" for name in LIBRARIES]
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
 
 def computes_with() -> dict[str, str]:
     """Versions of all that two machines must have alike to give the same numbers, by name."""
-    versions = {name: _version(name) for name in NUMERICAL}
-    own = {"hammerstein": _version("hammerstein-control"), "sources of hammerstein": sources()[:12]}
+    versions = {name: version_of(name) for name in NUMERICAL}
+    own = {"hammerstein": version_of("hammerstein-control"), "sources of hammerstein": sources()[:12]}
     return {"python": platform.python_version(), **versions, **own}
 
 
@@ -55,7 +55,8 @@ def sources() -> str:
     return digest.hexdigest()
 
 
-def _version(name: str) -> str:
+def version_of(name: str) -> str:
+    """Version of an installed package, or ``?``."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:

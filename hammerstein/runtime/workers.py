@@ -153,7 +153,7 @@ class Processes(_Crew):
             if worker is None:
                 break
             try:
-                done, result = worker.answer(task)
+                done, result = worker.outcome_of(task)
             except EOFError:
                 self._free(worker)
                 how, worker = worker.end(), None
@@ -217,7 +217,7 @@ class _Worker:
         self.process.start()
         theirs.close()
 
-    def answer(self, task: Callable[[], Any]) -> tuple[bool, Any]:
+    def outcome_of(self, task: Callable[[], Any]) -> tuple[bool, Any]:
         """Whether a task was done, and its result, or its error; EOFError if the process has died."""
         try:
             self.connection.send(task)
@@ -254,10 +254,10 @@ def _work(connection: Connection) -> None:
             task = connection.recv()
         except EOFError:
             return
-        connection.send(_answer(task))
+        connection.send(_outcome_of(task))
 
 
-def _answer(task: Callable[[], Any]) -> tuple[bool, Any]:
+def _outcome_of(task: Callable[[], Any]) -> tuple[bool, Any]:
     try:
         return True, task()
     except Exception as error:

@@ -147,7 +147,7 @@ def table(measured: dict[str, Any]) -> str:
 
 
 def beside(measured: dict[str, Any]) -> str:
-    """What is beside the table: where the textbook loop is quicker, and what a run costs beside its steps."""
+    """What is beside the table: the textbook loop on a grid, and what a run costs beside its steps."""
     ratios = {
         signal: [Line("", BEST, f"{n} operators, {signal}").row(measured)["ratio"] for n in OPERATORS]
         for signal in ("noise", "walk", "sines")
@@ -157,10 +157,9 @@ def beside(measured: dict[str, Any]) -> str:
         {_digits(Line("", STEPS, law, "reference, law").row(measured)["ratio"]) for law in RUN_LAWS}
     )
     return (
-        "Few operators and a voltage that always turns are the textbook loop's own field: at "
-        f"{listed(map(str, OPERATORS))} operators the kernel here has {noise} times the speed of the best "
-        f"strict one on white noise, {walk} times on a random walk, {sines} times on sines. A run costs "
-        f"{' to '.join(steps)} times its steps one by one, figures of merit included."
+        f"At {listed(map(str, OPERATORS))} operators the kernel has {noise} times the speed of the best "
+        f"strict textbook loop on white noise, {walk} times on a random walk, {sines} times on sines. A run "
+        f"costs {' to '.join(steps)} times its steps one by one, figures of merit included."
     )
 
 

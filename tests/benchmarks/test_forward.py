@@ -41,7 +41,7 @@ def test_sines_against_the_textbook_loop(bench, n, required):
     against_textbook(bench, SINES, n, sines(bench.samples), required)
 
 
-@pytest.mark.parametrize(("n", "required"), [(15, 0.5), (60, 1.0), (1500, None)])
+@pytest.mark.parametrize(("n", "required"), [(15, 1.0 / 1.1), (60, 1.0), (1500, None)])
 def test_noise_against_the_textbook_loop(bench, n, required):
     against_textbook(bench, NOISE, n, noise(bench.samples), required)
 
@@ -49,12 +49,11 @@ def test_noise_against_the_textbook_loop(bench, n, required):
 @pytest.mark.parametrize("n", [5, 15, 30, 60, 200])
 @pytest.mark.parametrize("signal", [sines, walk, noise])
 def test_grid_of_operators_and_signals(bench, signal, n):
-    """Few operators and a reversal at every other sample are the textbook loop's own field: shown there."""
+    """Never slower than 1.1 times the textbook loop, in its own field too: few operators, many reversals."""
     model, u = with_operators(n), signal(bench.fewer(200_000))
     name, textbook = best_textbook(model, u, strict=True)
-    required = None if n < {sines: 0, walk: 30, noise: 60}[signal] else 1.0 / 1.1
     ours, what = forward(model, u), f"{n} operators, {signal.__name__}"
-    assert bench.compare(GRID, what, f"textbook loop, {name}", ours, textbook, ">=", required).acceptable
+    assert bench.compare(GRID, what, f"textbook loop, {name}", ours, textbook, ">=", 1.0 / 1.1).acceptable
 
 
 def test_sines_against_a_memory_copy(bench, published):

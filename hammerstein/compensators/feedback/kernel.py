@@ -6,7 +6,8 @@ import numpy as np
 
 from hammerstein.blocks.instrument_kernels import converted
 from hammerstein.compiled import compiled
-from hammerstein.hysteresis.play_kernels import load, respond_block
+from hammerstein.hysteresis.busy_kernels import BUSY, GROUP
+from hammerstein.hysteresis.play_kernels import load, plays_of, respond_block, stack_of
 
 # Columns of the controller's memory, a row an output: the last reference, what the sensor should read, the
 # integral, the last error, and the correction for the next sample.
@@ -74,16 +75,17 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
     out : requested and drive (m, N); hysteresis, position, reading (p, N), overwritten from first up to stop
     """
     settings, inverse_gain, gain, limits, memory = controller
-    r, guide, scale, n, lines = bank
-    count, end, x, d = plays
+    r, guide, scale, n, lines, w = bank
+    count, end, x, d, window = plays
     rows, state = linear
     requested, drive, hysteresis, position, reading = out
     m, p = drive.shape[0], reading.shape[0]
     tall = r.shape[1] + 2
     ends, xs, ds = np.empty((m, tall), np.int64), np.empty((m, tall)), np.empty((m, tall))
-    tips = np.empty((m, tall, p))
+    tips, positions, kept = np.empty((m, tall, p)), np.empty((m, tall)), np.empty((GROUP, 1))
     for k in range(m):
         load(n[k], lines[k], count[k], end[k], x[k], d[k], ends[k], xs[k], ds[k], tips[k], outputs)
+        plays_of(r[k], count[k], ends[k], xs[k], ds[k], positions[k])
     counted, v = np.empty((m, 1)), np.empty((p, 1))
     asked, both, now, read = np.empty(m), np.empty(2 * p), np.empty(p), np.empty(p)
     z, new = np.empty(state.shape[0] + p), np.empty(state.shape[0])
@@ -96,8 +98,8 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
             counted[k, 0] = drive[k, t] - rest[k]
             if n[k] > 0:
                 count[k] = respond_block(
-                    counted[k], 0, 1, r[k], guide[k], scale[k], lines[k],
-                    count[k], ends[k], xs[k], ds[k], tips[k], v, outputs,
+                    counted[k], 0, 1, r[k], guide[k], scale[k], lines[k], w[k], count[k],
+                    ends[k], xs[k], ds[k], tips[k], positions[k], window[k], kept, v, outputs,
                 )  # fmt: skip
         _linear_step(rows, state, v[:, 0], z, new, both)
         for o in range(p):
@@ -107,6 +109,8 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
             reading[o, t], now[o] = read[o], reference[o, t]
         correct(now, read, settings, memory)
     for k in range(m):
+        if window[k, BUSY]:
+            count[k] = stack_of(positions[k], lines[k], ends[k], xs[k], ds[k], tips[k], outputs)
         for s in range(count[k]):
             end[k, s], x[k, s], d[k, s] = ends[k, s + 1], xs[k, s + 1], ds[k, s + 1]
 

@@ -245,8 +245,8 @@ def _compiled_loop(
     controller = (law._settings, law.inverse_gain_v_per_um, law.gain_um_per_v, law._limits, law.rest().memory)
     instruments = (np.array(effects), drive.steps(m), np.array(plant.model.recorded.working_point_v))
     actuator = (
-        (bank.r, bank.guide, bank.scale, bank.n, bank.lines),
-        (plays.count, plays.end, plays.x, plays.d),
+        (bank.r, bank.guide, bank.scale, bank.n, bank.lines, bank.w),
+        (plays.count, plays.end, plays.x, plays.d, plays.window),
         (plant.block.rows, plant.block.rest()),
     )
     out = (*voltages.values(), *positions.values())

@@ -101,20 +101,20 @@ def lesson(
     noise = spread[:, None] * np.sqrt(samples) / np.abs(lag)
     delta = (unsure or Unsure()).relative(model, frequency, time_s).T
     share = Unsure.share(delta)
-    heard = (np.abs(error) > SIGNIFICANT * noise) & (share > 0.0)
+    above_noise = (np.abs(error) > SIGNIFICANT * noise) & (share > 0.0)
     drive = drive_v
-    if heard.any():
+    if above_noise.any():
         now, _ = played(model, law.range, drive_v, time_s)
-        change = np.fft.irfft(np.where(heard, share * error, 0.0), samples, axis=1)
+        change = np.fft.irfft(np.where(above_noise, share * error, 0.0), samples, axis=1)
         drive = centred(law, model, now + change)
-    slowest = float((1.0 - share[heard] * (1.0 - delta[heard])).max(initial=0.0))
+    slowest = float((1.0 - share[above_noise] * (1.0 - delta[above_noise])).max(initial=0.0))
     unsure_at = frequency[(share == 0.0).any(axis=0)]
     return Lesson(
         drive,
         np.fft.irfft(error, samples, axis=1),
         rms(spread),
         _lifted(samples, time_s, sensor_bandwidth_hz),
-        int(heard.sum()),
+        int(above_noise.sum()),
         slowest,
         float(unsure_at.min(initial=np.inf)),
     )

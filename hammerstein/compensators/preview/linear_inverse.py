@@ -160,14 +160,14 @@ def _first_reaction(block: LinearBlock) -> tuple[Indices, Array, Array]:
         row = row @ block.A
     sizes = np.abs(np.array(reactions)).max(axis=2)
     for i in range(p):
-        heard = np.flatnonzero(sizes[:, i] > NEGLIGIBLE * max(float(sizes[:, i].max()), 1e-300))
-        if len(heard) == 0:
+        moving = np.flatnonzero(sizes[:, i] > NEGLIGIBLE * max(float(sizes[:, i].max()), 1e-300))
+        if len(moving) == 0:
             raise SimulationError(
                 f"Output {i + 1} of the linear block does not react to any input: no inverse."
             )
-        ahead[i] = heard[0]
-        first[i] = reactions[heard[0]][i]
-        free[i] = block.C[i] @ np.linalg.matrix_power(block.A, int(heard[0]))
+        ahead[i] = moving[0]
+        first[i] = reactions[moving[0]][i]
+        free[i] = block.C[i] @ np.linalg.matrix_power(block.A, int(moving[0]))
     scaled = first / np.abs(first).max(axis=1, keepdims=True)
     if np.linalg.cond(scaled) > 1.0 / NEGLIGIBLE:
         delays = ", ".join(str(d) for d in ahead)

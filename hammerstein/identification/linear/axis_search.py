@@ -81,7 +81,6 @@ def search_axes(
     *,
     grids: Sequence[Array] | None = None,
     delay_samples: int | None = 0,
-    most_delay: int = MOST_DELAY,
     sensor_bandwidth_hz: float | None = None,
     lag: bool = False,
     resonance: bool = True,
@@ -94,7 +93,7 @@ def search_axes(
     records : all with the same axes
     starts : what went before each record
     grids : thresholds of each input [V]; uniform in voltage if not given
-    delay_samples : whole samples by which the outputs come late; None: found, up to ``most_delay``, if all
+    delay_samples : whole samples by which the outputs come late; None: found, if all
         records have one sample time
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; none if not given
     lag, resonance : what each axis consists of
@@ -117,7 +116,7 @@ def search_axes(
     if delay_samples is not None or len({record.sample_time_s for record in records}) > 1:
         return FirstGuess(shapes, tuple(begins), delay_samples or 0, np.empty((0, len(tasks))))
     tell("searching the delay")
-    points = _delay_search(tasks, begins, most_delay)
+    points = _delay_search(tasks, begins)
     rms = np.array([[point.rms for point in row] for row in points])
     found = shortest_delay(rms)
     return FirstGuess(shapes, tuple(point.x for point in points[found]), found, rms)
@@ -147,11 +146,11 @@ def thinning(records: Sequence[Record]) -> int:
     return max(sum(record.samples for record in records) // COUNTED_SAMPLES, 1)
 
 
-def _delay_search(tasks: Sequence[AxisTask], begins: Sequence[Array], most_delay: int) -> list[list[Point]]:
+def _delay_search(tasks: Sequence[AxisTask], begins: Sequence[Array]) -> list[list[Point]]:
     """Axes fitted anew for each delay, until two longer ones in a row are worse than the best."""
     points: list[list[Point]] = []
     errors: list[float] = []
-    for d in range(most_delay + 1):
+    for d in range(MOST_DELAY + 1):
         points.append(
             [refine(replace(task, delay_samples=d), x) for task, x in zip(tasks, begins, strict=True)]
         )

@@ -18,7 +18,7 @@ def fit_creep(v_um: Array, y_um: Array, sample_time_s: float, modes: int) -> tup
 
         y = a0 v + sum over i of a_i f_i + offset,   f_i = v / (1 + T_i s),   g_i = a_i / a0
 
-    with v one sample late: the actuator answers a held voltage within a sample, but not at its first instant.
+    with v one sample late: the actuator responds to a held voltage within a sample, not at its first instant.
 
     The weights a are linear once the time constants are fixed (variable projection: Golub and Pereyra,
     Inverse Problems 19 (2003) R1); v is held over each sample, so that f is exact on the grid.

@@ -50,7 +50,6 @@ def static_delay(
     records: Sequence[Record],
     thresholds_v: Thresholds,
     starts: Sequence[Start],
-    most_delay: int = MOST_DELAY,
     through: Sequence[LinearBlock] | None = None,
 ) -> tuple[int, Array]:
     """Delay under which a static block explains the records best, and the errors (delay, output) [um].
@@ -63,6 +62,6 @@ def static_delay(
         fit_static(
             records, thresholds_v, method="least_squares", starts=starts, delay_samples=d, through=through
         ).rms_um
-        for d in range(most_delay + 1)
+        for d in range(MOST_DELAY + 1)
     ]
     return shortest_delay(np.array(rms)), np.array(rms)

@@ -269,8 +269,8 @@ def thin_trace(time: Array, values: Array, most: int) -> tuple[Array, Array]:
     if samples <= most:
         return time, values
     starts = np.linspace(0, samples, max(1, most // 2) + 1).astype(int)
-    stretches = itertools.pairwise(starts)
-    extremes = [a + pick(values[a:b]) for a, b in stretches if b > a for pick in _EXTREMES]
+    parts = itertools.pairwise(starts)
+    extremes = [a + pick(values[a:b]) for a, b in parts if b > a for pick in _EXTREMES]
     kept = np.unique(extremes)
     return time[kept], values[kept]
 
