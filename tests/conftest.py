@@ -3,9 +3,13 @@ import signal
 from importlib.metadata import entry_points
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
 from record_cases import TIME, U, X, table_text
+
+hypothesis.settings.register_profile("untimed", deadline=None)  # a loop may have to be compiled first
+hypothesis.settings.load_profile("untimed")
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -141,7 +141,7 @@ def test_no_signal_costs_more_than_the_bound(name, record_property):
     worst = [0]
     with code.library(counting=True) as library:
 
-        @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+        @settings(max_examples=150, suppress_health_check=list(HealthCheck))
         @given(st.lists(st.tuples(*[st.integers(-50, 50)] * len(scale)), min_size=1, max_size=60))
         def search(levels):
             signal = scale[:, None] * np.array(levels, dtype=float).T / 40.0

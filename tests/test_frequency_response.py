@@ -39,7 +39,7 @@ def orthogonal(rng: np.random.Generator, m: int, period: int, experiments: int) 
     return [np.tile(np.fft.irfft(spectrum, period), 3) for spectrum in spectra]
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(m=st.integers(1, 4), p=st.integers(1, 4), spare=st.integers(0, 2), seed=st.integers(0, 999))
 def test_steady_periods_give_the_response_exactly(m: int, p: int, spare: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

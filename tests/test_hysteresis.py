@@ -83,7 +83,7 @@ def test_play_is_the_backlash_of_python_control(r):
     np.testing.assert_array_equal(play(u, [r])[0], [backlash(v) for v in u])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(models_and_inputs())
 def test_response_is_equation_4_for_every_shape(case):
     model, u = case
@@ -168,7 +168,7 @@ def test_slopes_and_amplitude_of_a_pair():
 # ---- state ----
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(models_and_inputs())
 def test_step_equals_respond_to_the_last_bit(case):
     model, u = case
@@ -182,7 +182,7 @@ def test_step_equals_respond_to_the_last_bit(case):
         np.testing.assert_array_equal(a, b)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(models_and_inputs(), st.data())
 def test_a_signal_cut_in_two_gives_the_same_bits_through_json(case, data):
     model, u = case
@@ -194,7 +194,7 @@ def test_a_signal_cut_in_two_gives_the_same_bits_through_json(case, data):
     np.testing.assert_array_equal(np.concatenate([first, second], axis=1), whole)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.data())
 def test_step_equals_respond_where_rounding_decides(data):
     """Voltages a few last bits apart: whether the input turned must not depend on how it is asked."""
@@ -236,7 +236,7 @@ def test_the_start_state_is_not_written_to():
     assert json.dumps(state.as_dict()) == before
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(models_and_inputs(), signals)
 def test_a_state_is_its_plays(case, more):
     """The plays of a state are those of equation 1, and a state made of them goes on alike."""
@@ -263,7 +263,7 @@ def test_rest_is_all_plays_at_zero():
 # ---- what makes a Prandtl-Ishlinskii model ----
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(models(n_inputs=1), signals, signals, st.floats(6.0, 12.0))
 def test_a_larger_swing_wipes_out_what_it_covers(model, past, other_past, peak):
     """After -M and +M beyond every earlier extreme, nothing of the past is left."""
@@ -274,7 +274,7 @@ def test_a_larger_swing_wipes_out_what_it_covers(model, past, other_past, peak):
     np.testing.assert_allclose(a[:, -3:], b[:, -3:], rtol=0, atol=1e-12 * 3 * size(model))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(models(n_inputs=1), signals, signals, coarse, coarse)
 def test_minor_loops_between_the_same_voltages_are_congruent(model, past, other_past, low, high):
     low, high = min(low, high), max(low, high)
@@ -286,7 +286,7 @@ def test_minor_loops_between_the_same_voltages_are_congruent(model, past, other_
     np.testing.assert_allclose(shapes[0], shapes[1], rtol=0, atol=1e-12 * 2 * size(model))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(models(n_inputs=1), signals, st.integers(1, 7))
 def test_the_output_does_not_depend_on_the_rate(model, corners, finer):
     """More samples on the way between the same corners change nothing at the corners."""
@@ -299,7 +299,7 @@ def test_the_output_does_not_depend_on_the_rate(model, corners, finer):
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(models(n_inputs=1), signals)
 def test_an_odd_law_answers_an_inverted_signal_inverted(model, u):
     np.testing.assert_allclose(

@@ -120,7 +120,7 @@ def test_ragged_thresholds_and_several_inputs_equal_the_textbook_loop():
     assert_equal_to_textbook(model, u)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.data())
 def test_any_small_case_equals_the_textbook_loop(data):
     """Thresholds and voltages on one coarse grid meet each other exactly, all the time."""
@@ -131,7 +131,7 @@ def test_any_small_case_equals_the_textbook_loop(data):
     assert_equal_to_textbook(PrandtlIshlinskii([[Pair(r, w)]]), np.array([u]))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.integers(1, 60))
 def test_states_convert_both_ways(seed, before, after):
     """Turning points to plays, on with the textbook loop; its plays to turning points, and on."""

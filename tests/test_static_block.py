@@ -56,7 +56,7 @@ def worst(hysteresis, weights):
 
 
 @pytest.mark.parametrize(("inputs", "outputs"), SHAPES)
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_noise_free_records_return_their_weights(inputs, outputs, seed):
     generator = np.random.default_rng(seed)
