@@ -4,7 +4,7 @@ import pytest
 
 from hammerstein.commands import cli, watch
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.experiment.plan import jobs_that_fit, plan_of
+from hammerstein.experiment.plan import jobs_that_fit, plan_of, slowness
 from hammerstein.experiment.run import run, simulate
 from hammerstein.runtime import memory
 from hammerstein.runtime.room import PAGE, room
@@ -62,9 +62,19 @@ def test_the_plan_follows_what_is_asked():
     base = plan_of(_scenario())
     assert plan_of(_scenario(sweep={"frequency_hz": [50.0, 50.5, 51.0]})).bytes > 1.5 * base.bytes
     assert plan_of(_scenario(options={"iterations": 1000})).seconds > 20 * base.seconds
-    assert plan_of(_scenario(uncertainty={"draws": 100})).seconds > 50 * base.seconds
+    assert plan_of(_scenario(uncertainty={"draws": 1000})).seconds > 200 * base.seconds
     assert plan_of(_scenario(measure={"settle_cycles": 2000})).bytes > 50 * base.bytes
     assert plan_of(_scenario("hammerstein_inverse", {"filter_hz": 2.0})).seconds > 5 * base.seconds
+
+
+def test_a_slower_processor_takes_longer(monkeypatch):
+    def planned(trial_s):
+        slowness.cache_clear()
+        monkeypatch.setattr("hammerstein.experiment.plan._trial_s", lambda: trial_s)
+        return plan_of(_scenario(uncertainty={"draws": 10})).seconds
+
+    assert planned(3e-3) == pytest.approx(3.0 * planned(1e-3))
+    slowness.cache_clear()
 
 
 def test_memory_that_a_run_takes_is_what_the_plan_says():

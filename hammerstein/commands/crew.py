@@ -21,7 +21,7 @@ Address = Annotated[
     ),
 ]
 
-WORTH_PROCESSES_S = 30.0
+WORTH_PROCESSES_S = 4.0
 """Time of many short runs, as planned, from which they are worth the start of processes."""
 
 

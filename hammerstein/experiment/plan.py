@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 from hammerstein.compensators import (
     Compensator,
@@ -25,13 +27,19 @@ from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec
 from hammerstein.scenario.uncertainty import Uncertainty
 
-# Of a two-axis actuator on a processor of 2.5 GHz, rounded up; they only have to tell minutes from hours.
-SECONDS_A_SAMPLE = 1e-6
-SECONDS_A_CASE = 5e-3
-SECONDS_A_PASS = 8e-8
-SECONDS_A_TAP = 2e-9
-SECONDS_A_LEARNT_SAMPLE = 5e-6
-SECONDS_OF_A_FIT, SECONDS_A_FITTED_SAMPLE = 5.0, 4e-5
+# Of a two-axis actuator, on a processor that takes REFERENCE_S for what ``slowness`` lets it do.
+REFERENCE_S = 6.3e-4
+SECONDS_A_SAMPLE = 8e-8
+SECONDS_A_PREDICTED_SAMPLE = 3e-8
+SECONDS_A_CASE = 1e-3
+SECONDS_A_PASS = 4e-8
+SECONDS_A_TAP = 2e-10
+SECONDS_A_LOOKED_AHEAD_SAMPLE = 5e-8
+SECONDS_A_FED_BACK_SAMPLE = 3.5e-7
+SECONDS_A_LEARNT_SAMPLE = 3e-6
+SECONDS_OF_A_FIT, SECONDS_A_FITTED_SAMPLE = 1.5, 4e-5
+# Of a drawn actuator: to make it, and each run, whose voltages are known
+SECONDS_A_DRAW, SECONDS_A_DRAWN_CASE, SECONDS_A_DRAWN_SAMPLE = 5e-4, 1.3e-4, 4.3e-8
 BYTES_A_ROW = 3_000
 BYTES_OF_DRAWN_FIGURES = 200
 RESAMPLED_BYTES = 50_000
@@ -119,7 +127,21 @@ def jobs_that_fit(plans: Sequence[Plan], jobs: int) -> int:
 def plan_of(scenario: Scenario, jobs: int = 1) -> Plan:
     """What a run of a scenario needs; InputError where its files are wrong."""
     plant = plant_of(scenario)
-    return Plan((*identification_parts(scenario, plant), *_runs(scenario, plant, jobs)))
+    parts, factor = (*identification_parts(scenario, plant), *_runs(scenario, plant, jobs)), slowness()
+    return Plan(tuple(replace(part, seconds=factor * part.seconds) for part in parts))
+
+
+@cache
+def slowness() -> float:
+    """How many times as long this processor takes as the one that the times above are of: a quick trial."""
+    return min(_trial_s() for _ in range(3)) / REFERENCE_S
+
+
+def _trial_s() -> float:
+    """Time of some work of Python itself, in which all short runs spend most of theirs."""
+    begun = time.process_time()
+    sum(i * i for i in range(20_000))
+    return time.process_time() - begun
 
 
 def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
@@ -159,15 +181,18 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
     m, p = plant.model.hysteresis.n_inputs, plant.model.hysteresis.n_outputs
     axes = len(driven_axes(scenario, len(scenario_axes(scenario, plant.model))))
     others = scenario.sweep.others("frequency_hz")
-    cases = samples = work = longest = 0.0
+    cases = samples = work = reading = longest = 0.0
     for signal in scenario.signals(only="frequency_hz"):
         total = float(Window.of(scenario, signal, plant.sample_time_s).total)
         tested = [c for c in scenario.compensators if c.is_tested_at(signal.highest_frequency_hz)]
         runs = others * axes * (1 if scenario.drive is not None else len(tested))
         cases, samples, longest = cases + runs, samples + runs * total, max(longest, total)
-        work += others * axes * total * sum(_work(c, plant.sample_time_s) for c in tested)
+        done = [(c, others * axes * total * _work(c, plant.sample_time_s)) for c in tested]
+        work += sum(seconds for _, seconds in done)
+        reading += sum(seconds for c, seconds in done if isinstance(c, Feedback | Learned))
     models = len(scenario.models)
-    seconds = samples * SECONDS_A_SAMPLE * (1 + models) + cases * SECONDS_A_CASE + work
+    seconds = samples * (SECONDS_A_SAMPLE + models * SECONDS_A_PREDICTED_SAMPLE)
+    seconds += cases * SECONDS_A_CASE + work
     seconds *= 1 + (0 if scenario.assessment is None else scenario.assessment.runs)
     every = scenario.measure.record_every or 1
     whole = any(isinstance(c, HammersteinInverse | Feedback | Learned) for c in scenario.compensators)
@@ -184,13 +209,18 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
     yield Part(words, kept + cases * p * BYTES_A_ROW, seconds, keys)
     rows = cases * p * max(1, models)
     if scenario.uncertainty is not None:
-        yield from _on_drawn(scenario.uncertainty, plant, rows, cases, seconds)
+        one = SECONDS_A_DRAW + cases * SECONDS_A_DRAWN_CASE
+        one += samples * (SECONDS_A_DRAWN_SAMPLE + models * SECONDS_A_PREDICTED_SAMPLE)
+        yield from _on_drawn(scenario.uncertainty, plant, rows, cases, one + reading)
 
 
 def _on_drawn(
     uncertainty: Uncertainty, plant: Plant, rows: float, cases: float, seconds: float
 ) -> Iterator[Part]:
-    """All runs once more on every drawn actuator; of those only the figures stay."""
+    """All runs once more on every drawn actuator; of those only the figures stay.
+
+    seconds : of all runs on one of them
+    """
     draws = uncertainty.draws
     yield Part(
         f"{draws:.3g} drawn actuators in {cases:.3g} runs each",
@@ -214,8 +244,11 @@ def _work(compensator: Compensator, sample_time_s: float) -> float:
     """Time [s] a sample of a law that works more on each than others."""
     if isinstance(compensator, InverseMultiplicative):
         return SECONDS_A_PASS * compensator.iterations
-    if isinstance(compensator, HammersteinInverse) and compensator.filter_hz:
-        return SECONDS_A_TAP * TAPS * 0.5 / (sample_time_s * compensator.filter_hz)
+    if isinstance(compensator, HammersteinInverse):
+        taps = TAPS * 0.5 / (sample_time_s * compensator.filter_hz) if compensator.filter_hz else 0.0
+        return SECONDS_A_LOOKED_AHEAD_SAMPLE + SECONDS_A_TAP * taps
+    if isinstance(compensator, Feedback):
+        return SECONDS_A_FED_BACK_SAMPLE
     if isinstance(compensator, Learned):
         return SECONDS_A_LEARNT_SAMPLE
     return 0.0

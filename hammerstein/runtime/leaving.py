@@ -91,7 +91,7 @@ def ended_in_time(say: Callable[[], None]) -> Iterator[None]:
     import threading
 
     if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread hears of signals
+        yield  # only the main thread gets signals
         return
     reader, writer = socket.socketpair()  # no pipe: Windows writes to sockets alone
     with writer:

@@ -66,7 +66,7 @@ def loaded_beforehand(names: Sequence[str] = LOADED_ONCE) -> list[str]:
 
 @contextmanager
 def _ignored_interrupts() -> Iterator[None]:
-    """A process begun here never hears of Ctrl-C: it ends with this one, without a traceback of its own."""
+    """A process begun here never notices Ctrl-C: it ends with this one, without a traceback of its own."""
     if threading.current_thread() is not threading.main_thread():  # others may not touch the handlers
         yield
         return
