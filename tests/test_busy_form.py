@@ -10,6 +10,7 @@ from hammerstein.blocks.instruments import Instruments, Sensor
 from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
 from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
 from hammerstein.compensators.feedback.tuning import Gains
+from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.hysteresis.busy_kernels import BUSY, LOOK, TURN, WINDOW
 from hammerstein.model import HammersteinModel
@@ -180,3 +181,11 @@ def test_steps_of_a_law_that_holds_plays_are_its_run():
         u, state = law.step(reference[:, t], state)
         np.testing.assert_array_equal(u, drive[:, t])
     assert_same_memory(law.inverse, state.plays, end.plays)
+
+
+def test_a_memory_of_another_version_is_refused_by_name():
+    block = PrandtlIshlinskii([[Pair([0.5], [2.0])]])
+    kept = block.rest().as_dict()
+    del kept["window"]
+    with pytest.raises(InputError, match=r"has no window: .* begin at rest"):
+        block.restore(kept)

@@ -8,6 +8,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from hammerstein.errors import InputError
+
 
 @dataclass(frozen=True, eq=False)
 class Memory:
@@ -31,7 +33,14 @@ class Memory:
         return {item.name: _plain(getattr(self, item.name)) for item in fields(self)}
 
     def restored(self, data: dict[str, Any]) -> Self:
-        """Memory of the same shape as this one from what its ``as_dict`` gave."""
+        """Memory of the same shape as this one from what its ``as_dict`` gave.
+
+        Raises InputError for what lacks a part of it.
+        """
+        missing = [item.name for item in fields(self) if item.name not in data]
+        if missing:
+            what = f"has no {', '.join(missing)}: it is that of another block, or of another version"
+            raise InputError("memory", f"{what}; begin at rest")
         return self._with(lambda name, own: _shaped(own, data[name]))
 
     def copy(self) -> Self:
