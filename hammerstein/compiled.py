@@ -65,6 +65,8 @@ class _OnceFor:
     def __init__(self, dispatcher: Any, reads: Sequence[int]) -> None:
         self.dispatcher, self.reads = dispatcher, reads
         self.compile = dispatcher.compile
+        # What numba is told twice it finds ambiguous, and asks again at every call.
+        self.known: set[tuple[Any, ...]] = set()
 
     def __call__(self, given: Sequence[Any]) -> Any:
         """Give the compiled loop for these types."""
@@ -73,7 +75,8 @@ class _OnceFor:
             if isinstance(plain[i], types.Array):
                 plain[i] = plain[i].copy(readonly=True)
         entry = self.compile(tuple(plain))
-        if plain != list(given):
+        if plain != list(given) and tuple(given) not in self.known:
+            self.known.add(tuple(given))
             self.dispatcher._insert([one._code for one in given], entry, False)
         return entry
 

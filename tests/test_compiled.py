@@ -39,6 +39,29 @@ def test_frozen_arrays_and_known_numbers_need_no_loop_of_their_own(caller):
     assert len(add_up.overloads) == 1
 
 
+def test_a_loop_that_two_others_call_is_found_at_once():
+    """Types that are told to numba twice are ambiguous: it would ask for the loop at every call."""
+
+    @compiled(reads="values")
+    def first_of(values):
+        return values[0]
+
+    @compiled()
+    def doubled(values):
+        return 2.0 * first_of(values)
+
+    @compiled()
+    def trebled(values):
+        return 3.0 * first_of(values)
+
+    values, asked = np.ones(3), []
+    assert (first_of(values), doubled(values), trebled(values)) == (1.0, 2.0, 3.0)
+    ask = first_of.compile
+    first_of.compile = lambda given: asked.append(given) or ask(given)
+    assert first_of(values) == 1.0
+    assert asked == []
+
+
 def test_a_loop_cannot_write_to_what_it_only_reads():
     with pytest.raises(TypingError, match="readonly"):
         wipe(np.ones(1))
