@@ -2,6 +2,7 @@
 
 import errno
 import itertools
+import re
 import tracemalloc
 
 import numpy as np
@@ -200,7 +201,12 @@ def test_a_dry_run_says_how_much_it_is(tmp_path, capsys):
     assert "65536 runs of sobol values" in capsys.readouterr().err
     (tmp_path / "s.toml").write_text(TEXT.partition("how")[0] + f'values = {{ "{CYCLES}" = [1, 1000000] }}')
     assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--dry-run") == 0
-    assert "2 runs of product values, about 2 minutes" in capsys.readouterr().err  # 1e8 samples of 1.2 us
+    words = r"2 runs of product values, about ([\d.]+) (\w+) .* ([\d.]+) GB"
+    said = re.search(words, capsys.readouterr().err)
+    assert said is not None
+    seconds = float(said[1]) * {"seconds": 1.0, "minutes": 60.0}[said[2]]
+    assert 1e8 * 2e-8 < seconds < 1e8 * 2e-6  # 1e8 samples on whatever processor this is
+    assert float(said[3]) > 1e8 * 8 * 8 / 1e9  # at least a number for each of its eight wires
     assert not (tmp_path / "o.csv").exists()
 
 
