@@ -113,6 +113,18 @@ def test_search_needs_no_starting_values(axes):
         assert axis.axis.damping_ratio == pytest.approx(damping, rel=1e-2)
 
 
+def test_a_resonance_is_found_that_shows_only_late_in_long_records():
+    slow, generator, records = 40_000, np.random.default_rng(4), []
+    for k in range(2):
+        u = np.zeros((2, slow + 4000))
+        u[k, :slow] = 10.0 * np.sin(2.0 * np.pi * 1.5 * T * np.arange(slow))
+        u[k, slow:] = generator.uniform(-2.0, 2.0, 500).repeat(8)
+        records.append(record_of(u, 0.3, generator, axes=((700.0, 0.025), (740.0, 0.025))))
+    guess = search_axes(records, [Start("rest")] * 2, sensor_bandwidth_hz=SENSOR_HZ)
+    for x, resonance_hz in zip(guess.parameters, (700.0, 740.0), strict=True):
+        assert np.exp(x) == pytest.approx([resonance_hz, 0.025], rel=0.1)
+
+
 def test_delay_is_told_from_the_lag_of_the_axes():
     fit = fitted(campaign(delay=2), delay_samples=None)
     assert fit.delay_samples == 2

@@ -26,6 +26,21 @@ def test_a_beginning_that_is_explained_is_kept():
     assert start.first == 0
 
 
+def test_of_models_that_explain_a_beginning_the_better_one_says_how_it_was():
+    n = np.arange(U.size)
+    bump, wobble = np.where(n < 60, 2.0, 0.0), np.where(n > 500, np.cos(n), 0.0)
+
+    def better(record: Record, start: Start) -> np.ndarray:
+        came_from_above = start.turn_v == ((0.0, U.max()),)
+        return straight(record, start) + came_from_above * 0.5 * bump - (start.kind == "rest") * bump
+
+    def simpler(record: Record, start: Start) -> np.ndarray:
+        return straight(record, start) + (start.kind == "rest") * bump + wobble
+
+    (start,) = judged_starts([Record([U], [5.0 * U + bump], 1e-3)], better, 0.0, simpler=[simpler])
+    assert (start.first, start.turn_v) == (0, ((0.0, U.max()),))
+
+
 def test_of_two_records_one_alone_may_have_begun_otherwise():
     bump = np.where(np.arange(U.size) < 500, 8.0, 0.0)
 

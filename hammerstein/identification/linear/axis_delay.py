@@ -13,7 +13,7 @@ from hammerstein.identification.linear.axis_search import GUESS_SAMPLES, TINY, F
 from hammerstein.identification.linear.axis_steps import Point, refine
 from hammerstein.identification.linear.axis_task import AxisTask
 from hammerstein.identification.linear.delay import MOST_DELAY
-from hammerstein.identification.static.history import shortened
+from hammerstein.identification.static.history import liveliest
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 
@@ -49,7 +49,7 @@ def checked_delay(
     """
     if not len(guess.delay_rms_um):
         return guess
-    quick, begun = shortened(records, starts, GUESS_SAMPLES)
+    quick, begun = liveliest(records, starts, GUESS_SAMPLES)
     every = thinning(quick)
 
     def points(delay: float, begins: Sequence[Array]) -> list[Point]:

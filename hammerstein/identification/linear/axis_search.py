@@ -14,7 +14,7 @@ from hammerstein.dynamics import AxesDynamics
 from hammerstein.identification.linear.axis_steps import Point, alone, refine, residuals, rms_behind
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, duration_s
 from hammerstein.identification.linear.delay import MOST_DELAY, shortest_delay
-from hammerstein.identification.static.history import shortened
+from hammerstein.identification.static.history import liveliest
 from hammerstein.identification.static.partition import thresholds_uniform_in_voltage
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import half_swing
@@ -101,7 +101,7 @@ def search_axes(
     """
     tell = progress or (lambda _: None)
 
-    quick, begun = shortened(records, starts, GUESS_SAMPLES)
+    quick, begun = liveliest(records, starts, GUESS_SAMPLES)
     every = thinning(quick)
     plays = uniform_grids(quick, GUESS_OPERATORS) if grids is None else tuple(grids)
     tasks, begins = [], []

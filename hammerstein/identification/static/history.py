@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -21,6 +22,8 @@ KEPT_SHARE = 0.5
 """Part of a record that must remain for the rest to be spent on forgetting."""
 CAUTION = 0.25
 """Part of the remaining record that is left out as well until the dynamics are known."""
+FASTER = 1.2
+"""Ratio of the power of a motion's differences from which one part of a record counts as faster."""
 FEWEST = 500
 """Samples of a record that are always kept."""
 WORTH = 0.02
@@ -72,7 +75,8 @@ def judged_starts(
     """Start of each record, with a model at hand: the one that leaves the least error.
 
     A beginning that no start explains is left out. Where one of the ``simpler`` models explains it as well as
-    the model explains the rest, it stays: it is the model that is wrong there.
+    the model explains the rest, it stays: it is the model that is wrong there. The record then begins as
+    the one of them that leaves the least of it says.
 
     Parameters
     ----------
@@ -109,11 +113,14 @@ def _judged(
     allowed = ALIKE * after + ALIKE_FLOOR * np.ptp(record.y_um, axis=1)
     if short or bool((before <= allowed).all()):
         return best
+    told = [(predict, best)]
     for other in simpler:
         start = _least(record, other)
         before, _ = _around(record.y_um - other(record, start), begun, forgotten.first)
         if (before <= allowed).all():
-            return start
+            told.append((other, start))
+    if len(told) > 1:
+        return min(told, key=lambda one: _left(record, *one))[1]
     return forgotten
 
 
@@ -128,12 +135,7 @@ def _around(error: Array, begun: int, first: int) -> tuple[Array, Array]:
 
 def _least(record: Record, predict: Callable[[Record, Start], Array]) -> Start:
     """Of all that may have gone before, what leaves the least error; a simpler past is preferred."""
-    span = np.maximum(np.ptp(record.y_um, axis=1), np.finfo(float).tiny)
-
-    def left(start: Start) -> float:
-        error = (record.y_um - predict(record, start)) / span[:, None]
-        return float(np.mean(error.var(axis=1)))
-
+    left = partial(_left, record, predict)
     order = ("stepped", "rest", "virgin") if moves_while_held(record) else ("rest", "virgin", "stepped")
     choices = [_of_kind(kind, record) for kind in order]
     if closed(record):
@@ -143,6 +145,13 @@ def _least(record: Record, predict: Callable[[Record, Start], Array]) -> Start:
     least, start = errors[best], choices[best]
     turned, error = _turned(record, left)
     return turned if error < (1.0 - TURN_WORTH) * least else start
+
+
+def _left(record: Record, predict: Callable[[Record, Start], Array], start: Start) -> float:
+    """Mean squared error of a whole record in parts of its ranges, whatever the start leaves out."""
+    span = np.maximum(np.ptp(record.y_um, axis=1), np.finfo(float).tiny)
+    error = (record.y_um - predict(record, start)) / span[:, None]
+    return float(np.mean(error.var(axis=1)))
 
 
 def _turned(record: Record, left: Callable[[Start], float]) -> tuple[Start, float]:
@@ -271,11 +280,7 @@ def _whole_error(
     records: Sequence[Record], starts: Sequence[Start], predict: Callable[[Record, Start], Array]
 ) -> float:
     """Mean squared error of whole records in parts of their ranges, whatever the starts leave out."""
-    parts = []
-    for record, start in zip(records, starts, strict=True):
-        span = np.maximum(np.ptp(record.y_um, axis=1), np.finfo(float).tiny)
-        error = (record.y_um - predict(record, start)) / span[:, None]
-        parts.append(float(np.mean(error.var(axis=1))))
+    parts = [_left(record, predict, start) for record, start in zip(records, starts, strict=True)]
     return float(np.mean(parts))
 
 
@@ -288,10 +293,39 @@ def shortened(
     return tuple(record for record, _ in pairs), tuple(start for _, start in pairs)
 
 
-def _cut(record: Record, start: Start, most: int) -> tuple[Record, Start]:
+def liveliest(
+    records: Sequence[Record], starts: Sequence[Start], samples: int
+) -> tuple[tuple[Record, ...], tuple[Start, ...]]:
+    """Parts of the records, with a given number of samples in all, that show most of the dynamics.
+
+    The part of each in which the outputs move fastest, where that is clearly faster than its beginning: slow
+    cycles tell nothing of a resonance that a multisine behind them excites.
+    """
+    most = max(samples // len(records), FEWEST)
+    pairs = [
+        _cut(record, start, most, _liveliest(record, most))
+        for record, start in zip(records, starts, strict=True)
+    ]
+    return tuple(record for record, _ in pairs), tuple(start for _, start in pairs)
+
+
+def _liveliest(record: Record, most: int) -> int:
+    """First of so many samples in which the outputs move fastest."""
+    if record.samples <= most or record.period_samples is not None:
+        return 0
+    y = record.y_um
+    steps = np.sum(np.diff(y, axis=1, prepend=y[:, :1]) ** 2, axis=0)
+    until = np.concatenate([[0.0], np.cumsum(steps)])
+    power = until[most:] - until[:-most]
+    fastest = int(np.argmax(power))
+    return fastest if power[fastest] > FASTER * power[0] else 0
+
+
+def _cut(record: Record, start: Start, most: int, first: int = 0) -> tuple[Record, Start]:
+    """So many samples of a record from a given one on; a later part begins as if it were repeated."""
     if record.samples <= most:
         return record, start
-    part = record.part(0, most)
-    if start.kind != "repeated":
+    part = record.part(first, first + most)
+    if not first and start.kind != "repeated":
         return part, start
     return part, Start("repeated", min(run_in(part), most // 2))
