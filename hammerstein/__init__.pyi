@@ -65,7 +65,7 @@ from .records.record import Record as Record
 from .records.time_responses import records_of_time_response as records_of_time_response
 from .regression.check import check as check
 from .scenario import Scenario as Scenario, load_scenario as load_scenario
-from .scenario.assessment import Assessment as Assessment, Verdict as Verdict
+from .scenario.assessment import Assessment as Assessment, Judgement as Judgement
 from .signals import (
     Circle as Circle,
     FromFile as FromFile,

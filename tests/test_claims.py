@@ -12,8 +12,8 @@ from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.paper.causes import variations
 from hammerstein.paper.claims import Agreement, Claim, Quantity
+from hammerstein.paper.judgements import Change, judgements
 from hammerstein.paper.page import write_page
-from hammerstein.paper.verdicts import Change, verdicts
 from hammerstein.scenario import Scenario
 
 
@@ -106,45 +106,45 @@ def test_the_cause_is_the_factor_that_brings_agreement_with_both_numbers():
         ("passes", "with 16 passes", 7.5), ("dynamics", "without dynamics", 1.5), ("sensor", "ideal", 1.9)
     )
     rows = {"plant": (_row(8.0, 200, true=7.0),), "still": (_row(1.5, 200, true=1.2),)}
-    (verdict,) = verdicts([claim], rows, changes)
-    assert not verdict.agrees
-    assert verdict.ratio == 2.0
-    assert [a.value for a in verdict.answers] == [8.0, 1.5]
-    assert verdict.cause == "the dynamics"
-    assert verdict.reason == (
+    (judgement,) = judgements([claim], rows, changes)
+    assert not judgement.agrees
+    assert judgement.ratio == 2.0
+    assert [a.value for a in judgement.simulated] == [8.0, 1.5]
+    assert judgement.cause == "the dynamics"
+    assert judgement.reason == (
         "the dynamics: 8, without dynamics 1.5 (one at a time: ideal 1.9; with 16 passes 7.5)"
     )
 
 
 def test_a_factor_that_is_not_enough_and_none_at_all():
     claim, rows = _claim({"at_least": 1.0, "at_most": 2.0}), {"plant": (_row(8.0, 200),)}
-    (half,) = verdicts([claim], rows, _changed(("sensor", "ideal", 4.0), ("passes", "more", math.nan)))
+    (half,) = judgements([claim], rows, _changed(("sensor", "ideal", 4.0), ("passes", "more", math.nan)))
     assert half.reason.endswith("not enough alone: 8, ideal 4")
-    (none,) = verdicts([claim], rows, _changed(("sensor", "ideal", 7.9)))
+    (none,) = judgements([claim], rows, _changed(("sensor", "ideal", 7.9)))
     assert none.reason == "no single factor: 8; ideal 7.9"
     assert none.cause == ""
-    (below,) = verdicts([claim], {"plant": (_row(0.2, 200),)}, _changed(("sensor", "ideal", 0.9)))
+    (below,) = judgements([claim], {"plant": (_row(0.2, 200),)}, _changed(("sensor", "ideal", 0.9)))
     assert below.reason.startswith("the sensor")
-    assert verdicts([claim.model_copy(update={"calibrated": True})], rows, _changed())[0].changes == ()
+    assert judgements([claim.model_copy(update={"calibrated": True})], rows, _changed())[0].changes == ()
 
 
-def test_the_first_actuator_answers():
+def test_the_first_actuator_judges():
     claim = _claim({"at_most": 4.0}, paper=4.0)
-    (verdict,) = verdicts([claim], {"own": ROWS, "other": (_row(2.0, 200),)})
-    assert [answer.agrees for answer in verdict.answers] == [False, True]
-    assert not verdict.agrees
-    assert verdict.ratio == 2.0
-    assert verdict.as_dict()["verdict"] == "not met"
+    (judgement,) = judgements([claim], {"own": ROWS, "other": (_row(2.0, 200),)})
+    assert [one.agrees for one in judgement.simulated] == [False, True]
+    assert not judgement.agrees
+    assert judgement.ratio == 2.0
+    assert judgement.word == "not met"
 
 
 def test_cut_voltages_are_told_beside_the_claim():
     row = Row("a", "x", "x", 200.0, figures={"rms_um": 1.0, "saturated_samples": 12})
-    (verdict,) = verdicts([_claim({"at_most": 2.0})], {"plant": (row,)})
-    assert verdict.agrees
+    (judgement,) = judgements([_claim({"at_most": 2.0})], {"plant": (row,)})
+    assert judgement.agrees
     cut = "the reference exceeds the range: the drive cut 12 samples"
-    assert verdict.reason == cut
+    assert judgement.reason == cut
     changes = _changed(("sensor", "ideal", 0.2))
-    (unmet,) = verdicts([_claim({"at_most": 0.5})], {"plant": (row,)}, changes)
+    (unmet,) = judgements([_claim({"at_most": 0.5})], {"plant": (row,)}, changes)
     assert unmet.reason == f"{cut}. The sensor, in identification and judgement: 1, ideal 0.2"
 
 
@@ -182,15 +182,15 @@ def test_the_cause_of_a_lagging_sensor_is_found_on_the_chain_itself():
             ],
         },
     }
-    (verdict,) = run(content).verdicts
+    (judgement,) = run(content).judgements
     half_a_hold = np.exp(-1j * np.pi * 100.0 * 50e-6)
     lag = 1.0 - theory_linear.first_order(100.0, 500.0) * half_a_hold
-    assert verdict.answers[0].value == pytest.approx(abs(lag) * 20 / np.sqrt(2), rel=0.02)
-    changed = {change.factor: change.value for change in verdict.changes}
+    assert judgement.simulated[0].value == pytest.approx(abs(lag) * 20 / np.sqrt(2), rel=0.02)
+    changed = {change.factor: change.value for change in judgement.changes}
     assert changed["sensor"] < 1e-3
-    assert changed["dynamics"] == pytest.approx(verdict.answers[0].value, rel=1e-9)
+    assert changed["dynamics"] == pytest.approx(judgement.simulated[0].value, rel=1e-9)
     assert "passes" not in changed  # the law has none
-    assert verdict.reason.startswith("the sensor, in identification and judgement: 3, with an ideal sensor")
+    assert judgement.reason.startswith("the sensor, in identification and judgement: 3, with an ideal sensor")
 
 
 @pytest.mark.parametrize("octaves", [{}, {"of": "octaves_above", "found_hz": 50}])
@@ -214,16 +214,16 @@ def test_a_claim_that_counts_from_where_it_was_found_is_not_asked_what_finding_i
 
 
 def test_met_claims_need_no_reason():
-    (verdict,) = verdicts([_claim({"at_most": 9.0})], {"plant": ROWS})
-    assert verdict.agrees
-    assert verdict.reason == ""
-    assert verdict.as_dict()["verdict"] == "met"
+    (judgement,) = judgements([_claim({"at_most": 9.0})], {"plant": ROWS})
+    assert judgement.agrees
+    assert judgement.reason == ""
+    assert judgement.word == "met"
 
 
 def test_a_claim_that_selects_nothing_is_a_mistake():
     claim = _claim({"at_most": 1}, quantity={"metric": "rms_um", "compensator": "c"})
     with pytest.raises(InputError, match="selects no row"):
-        verdicts([claim], {"plant": ROWS})
+        judgements([claim], {"plant": ROWS})
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from hammerstein.commands.cli import main
 from hammerstein.comparison.fitting import KINDS
 from hammerstein.comparison.inverting import SETTLING
 from hammerstein.errors import IdentificationError
-from hammerstein.identification.identify import prepared
+from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 
@@ -98,7 +98,7 @@ def test_a_compensator_is_played_on_another_kind_and_leaves_what_theory_says(
         )[0]
 
     errors, spans = [], []
-    for record in prepared([record_of(2.0, 3), record_of(10.0, 4)]):
+    for record in from_last_rest([record_of(2.0, 3), record_of(10.0, 4)]):
         path, first = stack(record.u_v[0] + record.rest_v[0]), int(SETTLING * record.samples)
         sent = np.clip(rest[0] + path / gain, low - 0.1 * (high - low), high + 0.1 * (high - low))
         error = (stack(sent) - path)[first:]

@@ -355,7 +355,7 @@ def test_every_reference_takes_an_offset(tmp_path, kind):
 def test_a_drive_scenario_lies_about_the_working_point():
     """Simulated, the voltages are absolute, what is not driven rests, and the positions count from there."""
     import hammerstein
-    from hammerstein.experiment.prepare import prepare
+    from hammerstein.experiment.set_up import set_up
 
     model = model_of(rest=[40.0, 55.0])
     content = {
@@ -363,7 +363,7 @@ def test_a_drive_scenario_lies_about_the_working_point():
         "actuator": "duo_bimorph",
         "drive": {"kind": "sine", "amplitude_v": 20.0, "frequency_hz": 50.0},
     }
-    setup = prepare(hammerstein.Scenario.model_validate(content))
+    setup = set_up(hammerstein.Scenario.model_validate(content))
     setup = replace(setup, plant=Plant(model, model.instruments))  # in place of the packaged one
     run = setup.simulate(next(setup.cases()))
     time_s = T * np.arange(run.drive_v.shape[1])

@@ -13,8 +13,8 @@ from hammerstein.blocks.instruments import Drive, Instruments, Sensor, standard_
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.measure import _sensor_lag
-from hammerstein.experiment.prepare import prepare
 from hammerstein.experiment.run import run, simulate, simulate_in_stretches
+from hammerstein.experiment.set_up import set_up
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
@@ -259,7 +259,7 @@ def test_a_sensor_lags_where_the_reading_is_off_twice_as_far_as_the_position(rea
         "compensators": [{"label": "inverse", "law": "exact_inverse", "model": "duo_bimorph"}],
     }
     row = Row("inverse", "x", "x", 100.0, figures={"rms_um": reading, "rms_true_um": 1.0})
-    assert bool(_sensor_lag(prepare(_scenario(actuator="duo_bimorph", **content)), [row])) == told
+    assert bool(_sensor_lag(set_up(_scenario(actuator="duo_bimorph", **content)), [row])) == told
 
 
 LONG = {"measure": {"settle_cycles": 3, "measured_cycles": 4}}

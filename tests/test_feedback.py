@@ -13,7 +13,7 @@ from hammerstein.compensators.feedback.tuning import Gains
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.experiment.prepare import prepare
+from hammerstein.experiment.set_up import set_up
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import WIRES, Plant
@@ -247,8 +247,8 @@ def test_a_law_from_a_model_file_works_on_the_scenarios_sensor(tmp_path):
     told = replace(actuator, instruments=actuator.instruments.model_copy(update={"sensor": slow}))
     told.save(tmp_path / "told.json")
 
-    def prepared(model):
-        return prepare(
+    def set_up_with(model):
+        return set_up(
             Scenario.model_validate(
                 {
                     "question": "?",
@@ -259,7 +259,7 @@ def test_a_law_from_a_model_file_works_on_the_scenarios_sensor(tmp_path):
             )
         )
 
-    own, other = prepared("duo_bimorph"), prepared(str(tmp_path / "told.json"))
+    own, other = set_up_with("duo_bimorph"), set_up_with(str(tmp_path / "told.json"))
     np.testing.assert_allclose(own.laws["pi"]._settings[:, 0], np.exp(-2.0 * np.pi * 200.0 * T), rtol=1e-12)
     np.testing.assert_array_equal(own.laws["pi"]._settings, other.laws["pi"]._settings)
     (case,) = own.cases()
@@ -280,7 +280,7 @@ def test_the_compiled_loop_is_the_block_diagram_to_the_last_bit(options):
         "measure": {"settle_cycles": 0, "measured_cycles": 1},
         "instruments": {"drive": {"range_v": 9.0}},
     }
-    setup = prepare(Scenario.model_validate(scenario))
+    setup = set_up(Scenario.model_validate(scenario))
     (case,) = setup.cases()
     fast = setup.simulate(case)
     plain = setup.plant.closed_loop(setup.laws["pi"], fast.reference_um, case.seed(setup.scenario.seed))

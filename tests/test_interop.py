@@ -14,7 +14,7 @@ from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativ
 from hammerstein.compensators.no_compensation import NoCompensationLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.errors import InputError
-from hammerstein.experiment.prepare import prepare
+from hammerstein.experiment.set_up import set_up
 from hammerstein.model import HammersteinModel
 
 T = 50e-6
@@ -38,7 +38,7 @@ def _signals(wire, count=2):
     return [f"{wire}[{i}]" for i in range(count)]
 
 
-def _prepared(options, model="duo_bimorph", seed=3):
+def _set_up_with(options, model="duo_bimorph", seed=3):
     scenario = hammerstein.Scenario.model_validate(
         {
             "question": "Does python-control see the same?",
@@ -49,7 +49,7 @@ def _prepared(options, model="duo_bimorph", seed=3):
             "seed": seed,
         }
     )
-    setup = prepare(scenario)
+    setup = set_up(scenario)
     (case,) = setup.cases()
     return setup, case, setup.laws["law"]
 
@@ -57,7 +57,7 @@ def _prepared(options, model="duo_bimorph", seed=3):
 @pytest.mark.parametrize("options", LAWS.values(), ids=LAWS)
 def test_compensator_and_actuator_give_the_numbers_of_simulate(options):
     """Drive, sensor, noise and seed included; the reference is known ahead as far as the law looks."""
-    setup, case, law = _prepared(options)
+    setup, case, law = _set_up_with(options)
     expected = setup.simulate(case)
     stream = FeedbackStream(law) if isinstance(law, FeedbackController) else law
     state, coming = stream.primed(expected.reference_um)

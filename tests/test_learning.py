@@ -18,9 +18,9 @@ from hammerstein.compensators.cycle import centred
 from hammerstein.compensators.learning import Unsure, lesson
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.errors import InputError
-from hammerstein.experiment.prepare import prepare
 from hammerstein.experiment.run import run
 from hammerstein.experiment.selection import TRIAL
+from hammerstein.experiment.set_up import set_up
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
@@ -257,7 +257,7 @@ def test_a_trial_is_the_same_alone_and_in_any_order(off):
 
 def test_trials_go_on_in_another_process(off):
     """A set-up that was used is sent and gives the same numbers there."""
-    setup = prepare(Scenario.model_validate(_scenario([1, 2], actuator=off)))
+    setup = set_up(Scenario.model_validate(_scenario([1, 2], actuator=off)))
     case = list(setup.cases())[1]
     here = setup.simulate(case)
     there = pickle.loads(pickle.dumps(setup)).simulate(case)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import theory
 
+from hammerstein.records.leads import leads
 from hammerstein.records.loops import (
     _path,
     loop_table,
@@ -17,7 +18,6 @@ from hammerstein.records.loops import (
     without_loops,
 )
 from hammerstein.records.noise import dead_band, noise_rms, quantum
-from hammerstein.records.preparation import leads
 from hammerstein.records.reading import read_paired_records, read_records
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import Excursion, find_cycles, turning_points

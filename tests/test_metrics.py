@@ -82,7 +82,7 @@ def test_a_metric_from_outside_has_column_glossary_claim_tolerance_and_baseline(
     report = hammerstein.run(scenario)
     largest = float(report.to_frame()["crossing_um"].max())
     assert largest == pytest.approx(58.4, abs=0.3)  # facts: half height of the loop of x
-    assert report.verdicts[0].agrees
+    assert report.judgements[0].agrees
     assert "largest reading of either sign" in render(report)
     baseline = tmp_path / "far.json"
     hammerstein.check(scenario, baseline, update=True)

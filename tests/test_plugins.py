@@ -18,7 +18,7 @@ from hammerstein.hysteresis import HYSTERESIS, slopes_of
 from hammerstein.hysteresis.kind import SWEEP_SAMPLES
 from hammerstein.reporting.html.run_page import run_page
 from hammerstein.reporting.page import render
-from hammerstein.scenario.assessment import ASSESSMENTS, Assessment, Verdict
+from hammerstein.scenario.assessment import ASSESSMENTS, Assessment, Judgement
 from hammerstein.signals import SIGNALS, OnAxes, OneFrequency
 
 
@@ -109,7 +109,7 @@ def test_entry_points_are_found(monkeypatch):
 
 
 @dataclass(frozen=True)
-class Kept(Verdict):
+class Kept(Judgement):
     """Whether a limit is kept."""
 
     worst_um: float
@@ -140,7 +140,7 @@ class DataSheet(Assessment):
     def judge(self, scenario, name, model, rows, store):
         return (Kept("error", max(row.max_true_um for row in rows), self.limit_um),)
 
-    def verdict_of(self, content):
+    def judgement_of(self, content):
         return Kept(**content)
 
 
@@ -150,7 +150,7 @@ def data_sheet():
     ASSESSMENTS.remove(DataSheet)
 
 
-def test_an_assessment_from_outside_has_verdict_page_tolerance_and_baseline(data_sheet, tmp_path):
+def test_an_assessment_from_outside_has_judgement_page_tolerance_and_baseline(data_sheet, tmp_path):
     asked = {
         "question": "Does it keep what is promised?",
         "actuator": "duo_bimorph_static",
@@ -160,9 +160,9 @@ def test_an_assessment_from_outside_has_verdict_page_tolerance_and_baseline(data
         "assessment": {"kind": "data_sheet", "limit_um": 1e-4},
     }
     report = hammerstein.run(asked)
-    (verdict,) = report.verdicts
-    assert verdict.worst_um == report.to_frame()["max_true_um"].max()
-    assert not verdict.agrees
+    (judgement,) = report.judgements
+    assert judgement.worst_um == report.to_frame()["max_true_um"].max()
+    assert not judgement.agrees
     assert "## Promises of the data sheet" in render(report)
     assert "Promises of the data sheet" in run_page(report, {})
     baseline = tmp_path / "promised.json"

@@ -7,7 +7,7 @@ import pytest
 from record_cases import N, U, X, message, plays
 
 from hammerstein.errors import InputError
-from hammerstein.records.preparation import driven_inputs
+from hammerstein.records.driven import driven_inputs
 from hammerstein.records.reading import read_paired_records, read_records
 from hammerstein.records.record import Record
 

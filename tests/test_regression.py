@@ -16,7 +16,7 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.report import Band, Report
 from hammerstein.experiment.run import run
 from hammerstein.metrics import METRICS, Row
-from hammerstein.paper.verdicts import Answer, ClaimVerdict
+from hammerstein.paper.judgements import ClaimJudgement, Simulated
 from hammerstein.regression.baseline import Baseline, key_of, numbers_of
 from hammerstein.regression.check import check_files
 from hammerstein.regression.compare import Finding, Kind, compare
@@ -200,12 +200,16 @@ def test_the_bands_of_an_uncertain_actuator_are_guarded(loop: Report) -> None:
     assert kinds(compare(with_rows(loop, ROW), baseline)) == [Kind.MISSING_NUMBER] * 3
 
 
-def test_what_every_actuator_answers_to_a_claim_is_guarded(loop: Report) -> None:
-    answers = (Answer("one", 1.0, True), Answer("other", 2.0, True), Answer("third", math.nan, False))
-    verdict = ClaimVerdict("C1", "It is one.", 1.0, "um", "within 2 %", answers, "")
-    before = replace(loop, verdicts=(verdict,))
-    moved = replace(verdict, answers=(answers[0], replace(answers[1], value=2.01), answers[2]))
-    (finding,) = compare(replace(loop, verdicts=(moved,)), Baseline.of(before))
+def test_the_figure_of_a_claim_on_every_actuator_is_guarded(loop: Report) -> None:
+    simulated = (
+        Simulated("one", 1.0, True),
+        Simulated("other", 2.0, True),
+        Simulated("third", math.nan, False),
+    )
+    judgement = ClaimJudgement("C1", "It is one.", 1.0, "um", "within 2 %", simulated, "")
+    before = replace(loop, judgements=(judgement,))
+    moved = replace(judgement, simulated=(simulated[0], replace(simulated[1], value=2.01), simulated[2]))
+    (finding,) = compare(replace(loop, judgements=(moved,)), Baseline.of(before))
     assert (finding.kind, finding.key) == (Kind.MOVED, (("actuator", "other"), ("claim", "C1")))
     line = result_of(finding).text().splitlines()[2]
     assert " ".join(line.split()) == "C1 other value 2 2.01 +0.5 % 0.1 %"

@@ -106,3 +106,14 @@ def test_a_run_to_its_report_never_climbs(calls):
     assert not climbs
     assert {"experiment", "reporting", "hysteresis"} <= floor.keys()
     assert any(floor.get(room_of(a), 99) < floor.get(room_of(b), 0) for a, b in calls)  # it comes down
+
+
+def test_a_class_name_stands_for_one_thing():
+    """A private one may repeat that of another file; a public one is met outside its file."""
+    places = {}
+    for file in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(str(file.relative_to(PACKAGE)))
+    assert len(places) > 200
+    assert {name: files for name, files in places.items() if len(files) > 1} == {}

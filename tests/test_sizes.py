@@ -45,7 +45,7 @@ LARGE = {
 def test_what_does_not_fit_is_refused_before_it_starts(name, monkeypatch):
     tables, part, key = LARGE[name]
     monkeypatch.setattr("hammerstein.experiment.plan.free_bytes", lambda: 4e9)
-    monkeypatch.setattr("hammerstein.experiment.run.prepare", None)  # nothing begins
+    monkeypatch.setattr("hammerstein.experiment.run.set_up", None)  # nothing begins
     with pytest.raises(SimulationError) as caught:
         run(_scenario(**tables))
     for words in ("of memory, and 4 GB are free", part, key):

@@ -106,7 +106,7 @@ class Law(ABC, Generic[S]):
         return rows
 
     def _step(self, sample_um: Array, state: S) -> tuple[Array, S] | None:
-        """Answer one sample (p,) in one compiled call; None where it cannot, or a number is not finite."""
+        """Drive for one sample (p,) in one compiled call; None where it cannot, or not finite."""
         return None
 
     def primed(self, reference_um: ArrayLike) -> tuple[S, Array]:
@@ -165,7 +165,7 @@ class Controller(ABC, Generic[S]):
         return self.rest().restored(data)
 
     @abstractmethod
-    def prepared(self, reference_um: ArrayLike) -> tuple[Array, Array]:
+    def path_and_feedforward(self, reference_um: ArrayLike) -> tuple[Array, Array]:
         """Path (p, N) that the readings are compared with, and feedforward (m, N), for a whole reference."""
 
     @abstractmethod

@@ -68,8 +68,8 @@ SHORT = {
     "schema": "Print the JSON Schema of scenario files.",
 }
 """Every command in a line, in the order of a person's work."""
-ANSWERS = ("schema", "actuators", "show", "guide")
-"""Commands that print what they are asked for, however quiet they are to be."""
+PRINTED = ("schema", "actuators", "show", "guide")
+"""Commands that are asked for what they print, however quiet they are to be."""
 
 
 def _say_version(wanted: bool) -> None:
@@ -91,7 +91,7 @@ def _before(
     ] = False,
 ) -> None:
     """What stands before a command."""
-    terminal.hush(quiet and context.invoked_subcommand not in ANSWERS)
+    terminal.hush(quiet and context.invoked_subcommand not in PRINTED)
 
 
 def _register() -> None:
@@ -124,7 +124,7 @@ def _name(command: CommandInfo) -> str:
 
 
 class _Interrupted(BaseException):
-    """Ctrl-C, SIGTERM or a closed terminal. Not KeyboardInterrupt, which Typer would answer itself."""
+    """Ctrl-C, SIGTERM or a closed terminal. Not KeyboardInterrupt, which Typer would catch itself."""
 
 
 def _interrupt(*_: object) -> None:
@@ -137,7 +137,7 @@ def _asked_to_end() -> bool:
     return any(signal.getsignal(number) is leave for number in INTERRUPTS)
 
 
-def _answer_interrupts() -> None:
+def _take_interrupts() -> None:
     """Let every polite request to end come as one exception; what nohup has switched off stays off."""
     for number in INTERRUPTS:
         if signal.getsignal(number) is not signal.SIG_IGN:
@@ -154,18 +154,18 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line; a mistake of the user is one message and an exit code, never a traceback."""
     say = once(lambda: complain(LEFT))
     try:
-        _answer_interrupts()
+        _take_interrupts()
         terminal.make_ready()
         _one_thread_a_job()
         with dropped_in_silence(_Interrupted), ended_in_time(say):
-            code = _answered(arguments)
+            code = _exit_code(arguments)
     except _Interrupted:
         say()
         code = INTERRUPTED
     sys.exit(code)
 
 
-def _answered(arguments: list[str] | None) -> int | str | None:
+def _exit_code(arguments: list[str] | None) -> int | str | None:
     """Exit code of the command; its mistake has been told."""
     code: int | str | None = 0
     try:

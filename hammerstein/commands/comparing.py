@@ -10,14 +10,14 @@ from typing import Annotated
 import typer
 
 from hammerstein.commands.grouped import grouped
-from hammerstein.commands.record_options import AsJson, HeldBack, Identified, Recorded
+from hammerstein.commands.record_options import AsJson, HeldBack, Identified, RecordFiles
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Spinner
 
 
 @grouped
 def compare(
-    recorded: Recorded,
+    recorded: RecordFiles,
     held: HeldBack,
     identified: Identified,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the comparison goes.")] = Path("compare"),

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hammerstein.files import Content
 
 
-class Table(NamedTuple):
+class TableRequest(NamedTuple):
     """What a person asks of a wave table; no device: the period as a drive file."""
 
     device: str | None
@@ -72,7 +72,7 @@ class Period(NamedTuple):
     options: dict[str, Any]
     terms: Terms
     out: Path
-    table: Table
+    table: TableRequest
     as_json: bool
 
 

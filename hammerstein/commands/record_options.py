@@ -19,7 +19,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object inst
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordFiles:
     """Records of one actuator, and how their files are read."""
 
     files: Annotated[
@@ -93,7 +93,7 @@ class HeldBack:
         list[Path] | None, typer.Option(metavar="FILE", help="Records held back; may be repeated.")
     ] = None
 
-    def read(self, recorded: Recorded) -> tuple[Record, ...]:
+    def read(self, recorded: RecordFiles) -> tuple[Record, ...]:
         """Records of its files, read as the others are."""
         return recorded.read(self.validate, all_driven=False) if self.validate else ()
 

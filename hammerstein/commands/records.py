@@ -12,7 +12,7 @@ import typer
 
 from hammerstein.commands.grouped import grouped
 from hammerstein.commands.law_options import LawWords, Sent
-from hammerstein.commands.record_options import AsJson, HeldBack, Identified, Recorded
+from hammerstein.commands.record_options import AsJson, HeldBack, Identified, RecordFiles
 from hammerstein.commands.refusals import refuse_output, told_by_options
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Spinner
@@ -37,7 +37,7 @@ def folder_name(files: Sequence[Path]) -> str:
 
 @grouped
 def loops(
-    recorded: Recorded,
+    recorded: RecordFiles,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the figure goes.")] = Path("reports"),
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
     as_json: AsJson = False,
@@ -94,7 +94,7 @@ def loops(
 
 @grouped
 def identify(
-    recorded: Recorded,
+    recorded: RecordFiles,
     held: HeldBack,
     identified: Identified,
     hysteresis: Annotated[
@@ -190,7 +190,7 @@ def compensate(
     as_json: AsJson = False,
 ) -> None:
     """Turn a reference into the voltages to send, with the predicted response."""
-    from hammerstein.commands.periods import Period, Table, write_cycle, write_lesson
+    from hammerstein.commands.periods import Period, TableRequest, write_cycle, write_lesson
     from hammerstein.commands.tables import compensation_table
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.compensators.drive_file import Terms, compensate as compensated
@@ -200,7 +200,7 @@ def compensate(
     if unsure is not None and learn is None:
         raise InputError("--unsure", "says what --learn counts on; give --learn DRIVE MEASURED too")
     options = words.options()
-    wanted = Table(table, table_scale, table_points)
+    wanted = TableRequest(table, table_scale, table_points)
     wanted.check()
     refuse_output(out, [Path(model), reference, *(learn or ())], wanted.content())
     compile_once(complain)

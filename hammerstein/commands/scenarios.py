@@ -45,7 +45,7 @@ def run(
         str | None, typer.Option(metavar="csv|mat", help="Write every wire of every case.")
     ] = None,
     page: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write all figures and verdicts on one page there.")
+        Path | None, typer.Option(metavar="DIR", help="Write all figures and judgements on one page there.")
     ] = None,
     interactive: Annotated[
         bool, typer.Option("--interactive", help="Put plots to zoom into on each page.")
@@ -147,7 +147,7 @@ def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None) -> lis
 
 def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: Path, as_json: bool) -> None:
     """Print the results, and where the reports are."""
-    from hammerstein.commands.tables import result_table, verdict_tables
+    from hammerstein.commands.tables import judgement_tables, result_table
 
     if as_json:
         errors = [str(outcome.error) for outcome in outcomes if outcome.error]
@@ -155,7 +155,7 @@ def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: P
         return
     if reports:
         show(result_table(reports))
-    for table in verdict_tables(reports):
+    for table in judgement_tables(reports):
         show(table)
     if reports:
         tell(f"{len(reports)} of {len(outcomes)} reports written in {out}")

@@ -100,15 +100,17 @@ def actuator_table(models: Iterable[HammersteinModel]) -> Table:
     return table
 
 
-def verdict_tables(reports: Sequence[Report]) -> Iterator[Table]:
-    """One line a verdict, in a table for each kind of assessment."""
+def judgement_tables(reports: Sequence[Report]) -> Iterator[Table]:
+    """One line a judgement, in a table for each kind of assessment."""
     asked = {type(a): a.title for report in reports if (a := report.scenario.assessment) is not None}
     for kind, title in asked.items():
-        found = [v for report in reports if type(report.scenario.assessment) is kind for v in report.verdicts]
+        found = [
+            v for report in reports if type(report.scenario.assessment) is kind for v in report.judgements
+        ]
         if found:
             table = _table(title, list(found[0].cells()))
-            for verdict in found:
-                table.add_row(*verdict.cells().values())
+            for judgement in found:
+                table.add_row(*judgement.cells().values())
             yield table
 
 

@@ -89,7 +89,7 @@ def _use_inverse() -> None:
 
 
 def _use_the_others() -> None:
-    from hammerstein.experiment.prepare import prepare
+    from hammerstein.experiment.set_up import set_up
     from hammerstein.identification.identify import identify
     from hammerstein.identification.settings import Settings
     from hammerstein.identification.static.regressors import Start, regressor_blocks
@@ -105,7 +105,7 @@ def _use_the_others() -> None:
             "compensators": [{"label": law, "law": law, "model": DEFAULT} for law in laws],
         }
     )
-    setup = prepare(scenario)
+    setup = set_up(scenario)
     responses = [setup.simulate(case) for case in setup.cases()]
     records = [Record(found.drive_v, found.reading_um, SAMPLE_TIME_S) for found in responses[:2]]
     identify(records, Settings(operators=5, dynamics="second_order", error_curve=False))

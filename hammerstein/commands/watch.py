@@ -9,7 +9,7 @@ from hammerstein.commands.terminal import hushed
 from hammerstein.escaping import clean
 
 if TYPE_CHECKING:
-    from hammerstein.experiment.prepare import Progress
+    from hammerstein.experiment.set_up import Progress
 
 
 class Watch:

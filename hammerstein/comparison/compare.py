@@ -11,10 +11,10 @@ import numpy as np
 from hammerstein.comparison.fitting import Fitted, Progress, fit_all
 from hammerstein.comparison.inverting import Inverse, best_other, inverse_of, left_by
 from hammerstein.comparison.judging import scores_at, trial_of
-from hammerstein.comparison.result import Comparison, Entry
+from hammerstein.comparison.result import Compared, Comparison
 from hammerstein.dynamics import discretise
 from hammerstein.identification.choice import Trial, as_good, chosen, least
-from hammerstein.identification.identify import prepared
+from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.score import score
 from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel
@@ -71,7 +71,7 @@ def compare(
     (1, 6)
     """
     tell = progress or (lambda what, done, total: None)
-    ready, held = prepared(records), prepared(validation) if validation else ()
+    ready, held = from_last_rest(records), from_last_rest(validation) if validation else ()
     fitted, failed = fit_all(records, settings or Settings(), validation, jobs, tell)
     tell("playing the compensators", 1, 1)
     judged = held or ready
@@ -107,10 +107,10 @@ def _entry(
     good: bool,
     ranked: Sequence[Fitted],
     records: tuple[tuple[Record, ...], tuple[Record, ...]],
-) -> Entry:
+) -> Compared:
     """Everything that is said of one model."""
     ready, held = records
-    return Entry(
+    return Compared(
         name=one.name,
         hysteresis=one.hysteresis,
         dynamics=one.model.dynamics.describe(),

@@ -85,7 +85,7 @@ class _Asked:
 
 
 @dataclass(frozen=True, eq=False)
-class _Answer:
+class _Given:
     """What one identification gave: models, or the error that ended it."""
 
     asked: _Asked
@@ -123,20 +123,20 @@ def fit_all(
     def tell(what: str, done: int) -> None:
         progress(what, done, total)
 
-    answers = _worked_off(records, validation, first, jobs, tell)
-    linear = _with_dynamics(records, settings, answers[0])
+    given = _worked_off(records, validation, first, jobs, tell)
+    linear = _with_dynamics(records, settings, given[0])
     if linear is not None:
         second = [_Asked(kind + WITH_DYNAMICS, kind, linear) for kind in others]
-        answers += _worked_off(records, validation, second, jobs, tell, len(first))
-    fitted = [model for answer in answers for model in answer.models]
-    if not fitted and answers[0].error is not None:
-        raise answers[0].error
+        given += _worked_off(records, validation, second, jobs, tell, len(first))
+    fitted = [model for one in given for model in one.models]
+    if not fitted and given[0].error is not None:
+        raise given[0].error
     return fitted, [
-        Failed(one.asked.name, one.asked.hysteresis, str(one.error)) for one in answers if one.error
+        Failed(one.asked.name, one.asked.hysteresis, str(one.error)) for one in given if one.error
     ]
 
 
-def _with_dynamics(records: Sequence[Record], settings: Settings, plays: _Answer) -> Settings | None:
+def _with_dynamics(records: Sequence[Record], settings: Settings, plays: _Given) -> Settings | None:
     """Settings with which other kinds have a linear block; None where there is none."""
     if settings.dynamics == "none":
         return None
@@ -158,8 +158,8 @@ def _worked_off(
     jobs: Jobs,
     progress: Callable[[str, int], None],
     before: int = 0,
-) -> list[_Answer]:
-    """Answers in the order of what was asked, some of them worked out side by side."""
+) -> list[_Given]:
+    """What each gave, in the order of what was asked, some of them worked out side by side."""
     tasks = [partial(_identified, tuple(records), tuple(validation), one) for one in asked]
     waiting = [one.name for one in asked]
 
@@ -183,15 +183,15 @@ def _crew(jobs: Jobs, tasks: int) -> AbstractContextManager[Jobs]:
     return nullcontext(jobs)
 
 
-def _identified(records: tuple[Record, ...], validation: tuple[Record, ...], asked: _Asked) -> _Answer:
-    """One identification; what a person can mend is its answer, a fault of ours is not."""
+def _identified(records: tuple[Record, ...], validation: tuple[Record, ...], asked: _Asked) -> _Given:
+    """One identification; what a person can mend is what it gave, a fault of ours is not."""
     _use_once(asked.hysteresis)
     begun = time.process_time()
     try:
         settings = replace(asked.settings, hysteresis=asked.hysteresis)
         model, fit = identify(records, settings, validation=validation, name=asked.name)
     except HammersteinError as error:
-        return _Answer(asked, error=error)
+        return _Given(asked, error=error)
     seconds = time.process_time() - begun
     if asked.hysteresis == PLAYS:
         models = (
@@ -199,11 +199,11 @@ def _identified(records: tuple[Record, ...], validation: tuple[Record, ...], ask
             for kind, (name, hysteresis) in OF_PLAYS.items()
             if kind in fit.candidates
         )
-        return _Answer(asked, tuple(models))
+        return _Given(asked, tuple(models))
     dynamic = not isinstance(model.dynamics, StaticDynamics)
     if asked.name.endswith(WITH_DYNAMICS) and not dynamic:
-        return _Answer(asked)  # the same as the kind alone
-    return _Answer(asked, (_fitted(fit, fit.kind, model, asked.name, asked.hysteresis, seconds),))
+        return _Given(asked)  # the same as the kind alone
+    return _Given(asked, (_fitted(fit, fit.kind, model, asked.name, asked.hysteresis, seconds),))
 
 
 @cache

@@ -43,7 +43,7 @@ class Left:
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
+class Compared:
     """One model of a comparison.
 
     Parameters
@@ -122,7 +122,7 @@ class Comparison:
     frequencies_hz : of the records, one for those alike [Hz]
     """
 
-    entries: tuple[Entry, ...]
+    entries: tuple[Compared, ...]
     failed: tuple[Failed, ...]
     best: str
     recommended: str
@@ -131,7 +131,7 @@ class Comparison:
     records: tuple[str, ...]
     held: tuple[str, ...]
 
-    def __getitem__(self, name: str) -> Entry:
+    def __getitem__(self, name: str) -> Compared:
         """Entry of a model by its name; KeyError where there is none."""
         return {entry.name: entry for entry in self.entries}[name]
 

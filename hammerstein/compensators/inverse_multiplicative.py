@@ -55,9 +55,9 @@ class Convergence:
     def statement(self) -> str:
         """Say in one sentence whether it converges, with the numbers."""
         slopes = f"slopes {self.slope_min_um_per_v:.3g} to {self.slope_max_um_per_v:.3g} um/V"
-        verdict = "converges" if self.converges else "does not converge"
+        outcome = "converges" if self.converges else "does not converge"
         tail = ", with overshoot" if self.converges and self.overshoot else ""
-        text = f"The inner iteration {verdict}{tail}: {slopes}, spectral radius {self.spectral_radius:.4g}"
+        text = f"The inner iteration {outcome}{tail}: {slopes}, spectral radius {self.spectral_radius:.4g}"
         if self.pass_s is None or not 0.0 < self.spectral_radius < 1.0:
             return f"{text}."
         time_s = -self.pass_s / math.log(self.spectral_radius)

@@ -141,8 +141,8 @@ class LinearBlock:
         from hammerstein.compiled import spans
         from hammerstein.dynamics.linear_kernel import respond_linear
 
-        for start, end in spans(stop - first, len(self.rows[2])):
-            respond_linear(*self.rows, state, v_um, first + start, first + end, y_um)
+        for start, end in spans(stop - first, len(self.entries[2])):
+            respond_linear(*self.entries, state, v_um, first + start, first + end, y_um)
 
     def step(self, v_um: ArrayLike, state: Array) -> tuple[Array, Array]:
         """Output (p,) for one sample (m,), and the state after it; equal to ``respond`` to the last bit."""
@@ -162,7 +162,7 @@ class LinearBlock:
         return BlockSystem(block, *wires, sample_time_s, name)
 
     @cached_property
-    def rows(self) -> tuple[Indices, Indices, Array]:
+    def entries(self) -> tuple[Indices, Indices, Array]:
         """Non-zero entries of [[A, B], [C, D]] row by row: axes that do not couple cost nothing."""
         full = np.block([[self.A, self.B], [self.C, self.D]])
         filled = full != 0.0

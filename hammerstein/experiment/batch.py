@@ -8,9 +8,9 @@ from functools import partial
 from pathlib import Path
 
 from hammerstein.errors import HammersteinError, InputError, LostProcessError, together
-from hammerstein.experiment.prepare import Progress, Window
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
+from hammerstein.experiment.set_up import Progress, Window
 from hammerstein.runtime.fanning import Jobs, spread
 from hammerstein.runtime.faults import as_error
 from hammerstein.runtime.storage.manifest import refuse_name

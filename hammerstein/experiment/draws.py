@@ -14,7 +14,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.experiment.kept import KeptCases, rows_from
 from hammerstein.experiment.measure import drawn_rows
-from hammerstein.experiment.prepare import Case, Experiment, Progress, SetUp
+from hammerstein.experiment.set_up import Case, Experiment, Progress, SetUp
 from hammerstein.metrics import Row, metrics_of
 from hammerstein.model.simulation import Plant
 from hammerstein.runtime.fanning import Jobs, in_order, on_workers

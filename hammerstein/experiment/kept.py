@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from hammerstein.experiment.measure import Result, rows_of
-from hammerstein.experiment.prepare import Case, Progress, SetUp
 from hammerstein.experiment.report import Target, Trace
+from hammerstein.experiment.set_up import Case, Progress, SetUp
 from hammerstein.metrics import Row
 from hammerstein.model.simulation import WIRES, Response
 from hammerstein.runtime.fanning import Jobs, in_order, on_workers

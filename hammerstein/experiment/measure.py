@@ -13,9 +13,9 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import SimulationError
-from hammerstein.experiment.prepare import Case, SetUp, Window
 from hammerstein.experiment.recording import recorded, targets_of
 from hammerstein.experiment.report import Target, Trace
+from hammerstein.experiment.set_up import Case, SetUp, Window
 from hammerstein.experiment.settling import advice, settled
 from hammerstein.metrics import LoopFigures, Measured, Metric, Row, loop_figures, metrics_of
 from hammerstein.model.simulation import Response
@@ -67,7 +67,7 @@ def rows_of(setup: SetUp, case: Case) -> Result:
 
 
 def _refuse_still(setup: SetUp, case: Case, response: Response) -> None:
-    """Refuse a drive in volts of which the converter leaves nothing: no loop, no error, no answer."""
+    """Refuse a drive in volts of which the converter leaves nothing: no loop and no error."""
     if setup.scenario.drive is None or np.ptp(response.drive_v, axis=1).any():
         return
     drive = setup.plant.instruments.drive

@@ -18,9 +18,9 @@ from hammerstein.compensators import (
 )
 from hammerstein.compensators.learning import Learned
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.experiment.prepare import Window, driven_axes, plant_of, scenario_axes
 from hammerstein.experiment.recording import STRETCH
 from hammerstein.experiment.sensitivity import evaluations, varying
+from hammerstein.experiment.set_up import Window, driven_axes, plant_of, scenario_axes
 from hammerstein.model.simulation import Plant
 from hammerstein.runtime.memory import COPIES, free_bytes, run_bytes
 from hammerstein.scenario import Scenario

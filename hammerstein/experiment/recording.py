@@ -10,8 +10,8 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import StaticDynamics, discretise
-from hammerstein.experiment.prepare import Case, SetUp
 from hammerstein.experiment.report import Target
+from hammerstein.experiment.set_up import Case, SetUp
 from hammerstein.hysteresis import Memory
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response, refuse_unbounded

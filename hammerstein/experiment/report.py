@@ -14,7 +14,7 @@ from hammerstein.metrics import Keyed, Row
 from hammerstein.model.simulation import Response
 from hammerstein.pictured import Pictured
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.assessment import Verdict
+from hammerstein.scenario.assessment import Judgement
 from hammerstein.signals import Excitation, Reference
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class Report(Pictured):
 
     rows : figures, one row for each case and measured axis
     statements : what a reader must know of convergence, saturation and settling
-    verdicts : what was found of what the scenario's assessment asks
+    judgements : what was found of what the scenario's assessment asks
     bands : spread over the draws of an uncertain actuator; empty without uncertainty
     sensitivities : which uncertain parameter that spread is due to; empty if not asked for
     traces : measured windows; they are not written into the report file
@@ -104,14 +104,14 @@ class Report(Pictured):
     axes: tuple[str, ...]
     rows: tuple[Row, ...]
     statements: tuple[str, ...]
-    verdicts: tuple[Verdict, ...] = ()
+    judgements: tuple[Judgement, ...] = ()
     bands: tuple[Band, ...] = ()
     sensitivities: tuple[Sensitivity, ...] = ()
     traces: tuple[Trace, ...] = ()
 
     def __repr__(self) -> str:
-        verdicts = f", {len(self.verdicts)} verdicts" if self.verdicts else ""
-        counts = f"{len(self.rows)} rows, {len(self.traces)} traces{verdicts}"
+        judgements = f", {len(self.judgements)} judgements" if self.judgements else ""
+        counts = f"{len(self.rows)} rows, {len(self.traces)} traces{judgements}"
         return f"Report({self.name!r} on {self.actuator}: {counts})"
 
     @property
@@ -143,7 +143,7 @@ class Report(Pictured):
             "scenario_digest": self.digest,
             "model_digest": self.model_digest,
             "statements": list(self.statements),
-            "verdicts": [verdict.as_dict() for verdict in self.verdicts],
+            "verdicts": [judgement.as_dict() | {"verdict": judgement.word} for judgement in self.judgements],
             "bands": [_known(band) for band in self.bands],
             "sensitivities": [_known(found) for found in self.sensitivities],
             "rows": [row.key() | dict(row.figures) for row in self.rows],

@@ -11,9 +11,9 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.kept import KeptCases
 from hammerstein.experiment.measure import statements_of
 from hammerstein.experiment.plan import Plan, identification_parts, plan_of
-from hammerstein.experiment.prepare import Case, Progress, SetUp, plant_of, prepare
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.sensitivity import sensitivities_of
+from hammerstein.experiment.set_up import Case, Progress, SetUp, plant_of, set_up
 from hammerstein.experiment.uncertainty_bands import bands_of
 from hammerstein.metrics import Row
 from hammerstein.model.simulation import Response
@@ -107,7 +107,7 @@ def _chosen(
             raise InputError("simulate", f"the scenario has no case with {dict(values)}")
     chosen = scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update=swept)})
     Plan(tuple(identification_parts(chosen, plant_of(chosen)))).refuse_too_large()
-    setup = prepare(chosen)
+    setup = set_up(chosen)
     for case in setup.cases():
         right_axis = excited_axis is None or setup.excited_axis(case) in ("all", excited_axis)
         if right_axis and (compensator is None or case.label == compensator):
@@ -139,12 +139,12 @@ def run(
 
     Raises
     ------
-    the errors of ``prepare``, and SimulationError where a run diverges
+    the errors of ``set_up``, and SimulationError where a run diverges
     """
     own_name, scenario = scenario_of(scenario)
     name = name or own_name
     plan_of(scenario, jobs if isinstance(jobs, int) else 1).refuse_too_large()
-    setup = prepare(scenario, name, progress, fresh="" if store is None else store.fresh, jobs=jobs)
+    setup = set_up(scenario, name, progress, fresh="" if store is None else store.fresh, jobs=jobs)
     cases, kept = list(setup.cases()), KeptCases(setup, store)
     results = kept.results(cases, jobs, progress)
     rows = tuple(row for result in results for row in result.rows)
@@ -162,7 +162,7 @@ def run(
         axes=setup.plant.model.outputs,
         rows=rows,
         statements=statements_of(setup, results),
-        verdicts=() if asked is None else asked.judge(scenario, name, setup.plant.model, rows, store),
+        judgements=() if asked is None else asked.judge(scenario, name, setup.plant.model, rows, store),
         bands=bands_of(kept, cases, jobs, progress),
         sensitivities=sensitivities_of(kept, cases, jobs, progress),
         traces=traces,

@@ -19,8 +19,8 @@ from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 from hammerstein.experiment.draws import Actuators, Figures, drawn_metrics, figures_on
 from hammerstein.experiment.kept import KeptCases
-from hammerstein.experiment.prepare import Case, Progress
 from hammerstein.experiment.report import Sensitivity
+from hammerstein.experiment.set_up import Case, Progress
 from hammerstein.experiment.uncertainty_bands import NO_PART
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant

@@ -9,7 +9,7 @@ import numpy as np
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.dynamics import AxesDynamics
 from hammerstein.errors import HammersteinError
-from hammerstein.experiment.prepare import Case, SetUp, Window
+from hammerstein.experiment.set_up import Case, SetUp, Window
 from hammerstein.model.simulation import Response
 from hammerstein.signals import OneFrequency
 

@@ -15,8 +15,8 @@ from pydantic import ValidationError
 from hammerstein.errors import HammersteinError, InputError, Mistake
 from hammerstein.experiment.kept import rows_from
 from hammerstein.experiment.plan import Part, Plan, plan_of
-from hammerstein.experiment.prepare import Progress
 from hammerstein.experiment.run import run
+from hammerstein.experiment.set_up import Progress
 from hammerstein.metrics import Row
 from hammerstein.runtime.fanning import Jobs, given, in_order, on_workers
 from hammerstein.runtime.store import Kept, Store, key_of

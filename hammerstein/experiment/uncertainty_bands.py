@@ -9,8 +9,8 @@ import numpy as np
 
 from hammerstein.experiment.draws import Actuators, Figures, drawn_metrics, figures_on
 from hammerstein.experiment.kept import KeptCases
-from hammerstein.experiment.prepare import Case, Progress
 from hammerstein.experiment.report import Band
+from hammerstein.experiment.set_up import Case, Progress
 from hammerstein.model.simulation import Plant
 from hammerstein.runtime.fanning import Jobs
 from hammerstein.scenario.uncertainty import Uncertainty
@@ -21,7 +21,7 @@ NO_PART = {"draws", "sensitivity"}
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn(Actuators):
+class DrawnActuators(Actuators):
     """Draws of an uncertain actuator; each has another noise."""
 
     uncertainty: Uncertainty
@@ -55,7 +55,7 @@ def bands_of(
     scenario = kept.setup.scenario
     if scenario.uncertainty is None:
         return ()
-    drawn = Drawn(scenario.uncertainty, kept.setup.plant, scenario.seed)
+    drawn = DrawnActuators(scenario.uncertainty, kept.setup.plant, scenario.seed)
     found = figures_on(drawn, kept, cases, jobs, progress)
     return tuple(band for figures in found for band in _bands(figures))
 

@@ -296,7 +296,7 @@ def _grid(hysteresis: PrandtlIshlinskii, segments: int) -> CPart:
 def linear_part(block: LinearBlock) -> CPart:
     """Linear block from rest, by its non-zero entries."""
     n = len(block.A)
-    start, column, value = block.rows
+    start, column, value = block.entries
     row = np.repeat(np.arange(len(start) - 1), np.diff(start))
     return CPart(
         sizes=(

@@ -16,11 +16,11 @@ from hammerstein.escaping import clean, templates_of
 from hammerstein.export.beside import Beside
 from hammerstein.export.c_blocks import CPart, Table
 from hammerstein.export.c_laws import c_law_of
-from hammerstein.export.compiling import FLAGS, Library, Shape
+from hammerstein.export.compiling import FLAGS, CallShape, Library
 from hammerstein.export.forward import ForwardModel
 from hammerstein.export.golden import adverse
 from hammerstein.export.literals import identifier, in_single_precision, initializer
-from hammerstein.export.measured import Measured
+from hammerstein.export.measured import MeasuredCode
 from hammerstein.export.operations import Code, Cost
 from hammerstein.export.request import MODEL, Request
 from hammerstein.model import HammersteinModel
@@ -61,10 +61,10 @@ class CCode:
         return self.request.law == MODEL
 
     @cached_property
-    def shape(self) -> Shape:
+    def shape(self) -> CallShape:
         """How it is called."""
         m, p = self.block.n_inputs, self.block.n_outputs
-        return Shape(self.name, self.real, *((m, p) if self.is_model else (p, m)))
+        return CallShape(self.name, self.real, *((m, p) if self.is_model else (p, m)))
 
     @cached_property
     def cost(self) -> Cost:
@@ -103,7 +103,7 @@ class CCode:
         """Text of the header."""
         return self._rendered("law.h.jinja", None)
 
-    def source(self, measured: Measured | None) -> str:
+    def source(self, measured: MeasuredCode | None) -> str:
         """Text of the source; what was measured stands at its top."""
         return self._rendered("law.c.jinja", measured)
 
@@ -141,7 +141,7 @@ class CCode:
         late = f" for the reference {ahead} samples ago" if ahead else ""
         return f"One sample: the reference counts from the start; the voltages{late}, as they are sent."
 
-    def _rendered(self, template: str, measured: Measured | None) -> str:
+    def _rendered(self, template: str, measured: MeasuredCode | None) -> str:
         part = self._part
         text = (
             environment()
@@ -169,7 +169,7 @@ class CCode:
 
     # ---- what stands at the top ----
 
-    def _about(self, measured: Measured) -> list[str]:
+    def _about(self, measured: MeasuredCode) -> list[str]:
         lines: list[str] = []
         for text in (*self.statements(), self._cost_words(measured), *self._precision(measured)):
             lines += [*textwrap.wrap(clean(text).replace("*/", "* /").replace("/*", "/ *"), 104), ""]
@@ -199,7 +199,7 @@ class CCode:
             )
         return [*said, text] if (text := self.block.statement()) else said
 
-    def _cost_words(self, measured: Measured) -> str:
+    def _cost_words(self, measured: MeasuredCode) -> str:
         cost = self.cost
         found = "no C compiler was there to search for the worst"
         if measured.operations is not None:
@@ -211,7 +211,7 @@ class CCode:
             f"ROM: {cost.constant_bytes} bytes of tables, and the code."
         )
 
-    def _precision(self, measured: Measured) -> list[str]:
+    def _precision(self, measured: MeasuredCode) -> list[str]:
         if self.request.float32:
             return [
                 "Everything is computed in single precision. Against double precision the output differs by "

@@ -38,7 +38,7 @@ def compiler() -> str | None:
 
 
 @dataclass(frozen=True)
-class Shape:
+class CallShape:
     """How a law is called: its name, its kind of numbers, how many go in and come out."""
 
     name: str
@@ -61,7 +61,7 @@ class Library:
 
     def __init__(
         self,
-        shape: Shape,
+        shape: CallShape,
         code: str,
         state_bytes: int,
         counting: bool = False,

@@ -18,7 +18,7 @@ from hammerstein.export.code import CCode, environment
 from hammerstein.export.compiling import compiler
 from hammerstein.export.fmu import BUILD, DESCRIPTION, UNIT, fmu_context, fmu_of
 from hammerstein.export.golden import SAMPLES, entering
-from hammerstein.export.measured import Measured
+from hammerstein.export.measured import MeasuredCode
 from hammerstein.export.request import Request
 from hammerstein.export.worst import dearest
 from hammerstein.files import read_limited
@@ -37,10 +37,10 @@ class ExportFile(Strict):
     """What made an export, and what was measured then."""
 
     request: Request
-    measured: Measured
+    measured: MeasuredCode
 
 
-def files_of(code: CCode, measured: Measured | None = None) -> dict[str, str]:
+def files_of(code: CCode, measured: MeasuredCode | None = None) -> dict[str, str]:
     """Every file of an export, by its name.
 
     Parameters
@@ -54,8 +54,8 @@ def files_of(code: CCode, measured: Measured | None = None) -> dict[str, str]:
     """
     request, model = code.request, code.model
     signal = entering(code.block, code.model_on_grid, SAMPLES)
-    answer = code.block.respond(signal)[0]
-    found = measured if measured is not None else measure(code, signal, answer)
+    output = code.block.respond(signal)[0]
+    found = measured if measured is not None else measure(code, signal, output)
     template = environment().get_template
     context = code.context() | {
         "request": request,
@@ -75,7 +75,7 @@ def files_of(code: CCode, measured: Measured | None = None) -> dict[str, str]:
     return unit | {
         f"{code.name}.h": header,
         f"{code.name}.c": source,
-        "golden.csv": _golden(code, signal, answer),
+        "golden.csv": _golden(code, signal, output),
         "selftest.c": template("selftest.c.jinja").render(context),
         "Makefile": template("Makefile.jinja").render(context),
         "README.md": template("README.md.jinja").render(context),
@@ -84,7 +84,7 @@ def files_of(code: CCode, measured: Measured | None = None) -> dict[str, str]:
     }
 
 
-def measure(code: CCode, signal: Array, answer: Array) -> Measured:
+def measure(code: CCode, signal: Array, output: Array) -> MeasuredCode:
     """Search for the most operations of a step, and find the loss of single precision.
 
     Raises InputError for single precision where there is no C compiler.
@@ -94,20 +94,20 @@ def measure(code: CCode, signal: Array, answer: Array) -> Measured:
             raise InputError(
                 "--float32", "needs a C compiler, to measure what it loses; install one, or set CC"
             )
-        return Measured()
+        return MeasuredCode()
     with code.library(counting=True) as library:
         wild = code.adverse(SEARCHED)
         climbed, tried = dearest(lambda made: library.respond(made)[1], np.abs(wild).max(axis=1))
         most = max(library.respond(wild)[1], climbed)
-        lost = np.abs(library.respond(signal)[0] - answer)
+        lost = np.abs(library.respond(signal)[0] - output)
     loss = {}
     if code.request.float32:
         loss = {"loss_rms": float(np.sqrt(np.mean(lost**2))), "loss_max": float(lost.max())}
-    return Measured(operations=most, samples=SEARCHED + tried, **loss)
+    return MeasuredCode(operations=most, samples=SEARCHED + tried, **loss)
 
 
 @dataclass(frozen=True)
-class Written:
+class WrittenCode:
     """What was written: names of the files, what a person must know, and files that were kept aside."""
 
     files: tuple[str, ...]
@@ -115,7 +115,7 @@ class Written:
     kept: tuple[Path, ...]
 
 
-def write_export(request: Request, model: HammersteinModel, folder: Path) -> Written:
+def write_export(request: Request, model: HammersteinModel, folder: Path) -> WrittenCode:
     """Write an export; all of its files, or none."""
     code = CCode(request, model, request.block(model))
     files = files_of(code)
@@ -124,7 +124,7 @@ def write_export(request: Request, model: HammersteinModel, folder: Path) -> Wri
             stage.write(name, content)
         if request.form == "fmu":
             stage.write(f"{code.name}.fmu", fmu_of(code.name, files))
-    return Written(tuple(files), tuple(code.statements()), stage.kept)
+    return WrittenCode(tuple(files), tuple(code.statements()), stage.kept)
 
 
 def check_export(folder: Path) -> list[str]:
@@ -169,9 +169,9 @@ def _columns(code: CCode) -> list[str]:
     return [*(column("reference", name, "um") for name in places), *volts]
 
 
-def _golden(code: CCode, signal: Array, answer: Array) -> str:
+def _golden(code: CCode, signal: Array, output: Array) -> str:
     head = ",".join(_columns(code))
-    rows = (",".join(map(repr, row)) for row in np.vstack([signal, answer]).T.tolist())
+    rows = (",".join(map(repr, row)) for row in np.vstack([signal, output]).T.tolist())
     return "\n".join([head, *rows]) + "\n"
 
 

@@ -7,7 +7,7 @@ from pydantic import Field
 from hammerstein.validation import Strict
 
 
-class Measured(Strict):
+class MeasuredCode(Strict):
     """Figures that stand in the code, and are kept with it.
 
     Without a C compiler there are none.

@@ -17,7 +17,7 @@ def dearest(operations: Callable[[Array], int], reach: Array) -> tuple[int, int]
     """Most operations of a step that a climbing search finds, and the samples it tried.
 
     Sequences of levels are changed in a few samples at a time, and kept where their dearest step is no
-    cheaper: what is dear is a jump that many turns have prepared.
+    cheaper: what is dear is a jump that many turns lead up to.
 
     Parameters
     ----------

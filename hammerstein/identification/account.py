@@ -36,8 +36,8 @@ from hammerstein.records.faults import Fault
 from hammerstein.records.record import Record
 
 
-class Judgement(NamedTuple):
-    """Errors of every kind of model on the records fitted and held back, and how far each input is heard."""
+class Errors(NamedTuple):
+    """Errors of every kind of model on the records fitted and held back, and the response to each input."""
 
     fitted: dict[Kind, Score]
     judged: dict[Kind, Score]
@@ -60,7 +60,7 @@ def account(
     task: Task,
     built: Built,
     curve: tuple[CurvePoint, ...],
-    errors: Judgement,
+    errors: Errors,
     voltages: Voltages,
 ) -> Fit:
     """Everything that is said about the model."""

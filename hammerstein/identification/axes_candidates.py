@@ -31,7 +31,7 @@ from hammerstein.identification.static.fitted_thresholds import criterion, gaine
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import (
-    Layout,
+    SlopeColumns,
     StaticFit,
     Thresholds,
 )
@@ -129,7 +129,7 @@ def _behind_fitted(
     behind = replace(task, thresholds_v=thresholds_of(static))
     guesses: Sequence[FirstGuess] = (guess,)
     if not all(axis_identified(axis) and axis.excited for axis in axes):
-        grids = Layout.of(behind.thresholds_v).grids
+        grids = SlopeColumns.of(behind.thresholds_v).grids
         guesses = guesses_of(task.records, task.starts, task.settings, task.progress, grids)
     late, near, found, _ = _first_axes(behind, [with_checked_delay(behind, one) for one in guesses])
     trial = of_fitted(late, behind.thresholds_v, dynamics_of(found))
@@ -166,7 +166,7 @@ def with_checked_delay(task: Task, guess: FirstGuess) -> FirstGuess:
     return checked_delay(
         task.records,
         task.starts,
-        Layout.of(task.thresholds_v).grids,
+        SlopeColumns.of(task.thresholds_v).grids,
         guess,
         sensor_bandwidth_hz=task.settings.sensor_bandwidth_hz,
     )
@@ -185,7 +185,7 @@ def _axes(task: Task, thresholds_v: Thresholds, guess: FirstGuess, every: int) -
     settings = task.settings
     return fit_axes(
         task.records,
-        Layout.of(thresholds_v).grids,
+        SlopeColumns.of(thresholds_v).grids,
         task.starts,
         guess,
         creep_modes=settings.creep_modes if isinstance(settings.creep_modes, int) else None,
@@ -230,7 +230,7 @@ def _grown(
     """Axes with what else lowers the error: a low-pass beside the resonance, a creep mode."""
     settings = task.settings
     tried: list[tuple[str, Found]] = []
-    grids = Layout.of(thresholds_of(blocks)).grids
+    grids = SlopeColumns.of(thresholds_of(blocks)).grids
     steps: list[str] = (["lag"] if settings.dynamics == "auto" else []) + (
         ["creep"] if settings.creep_modes == "auto" else []
     )
@@ -263,7 +263,7 @@ def _with(task: Task, grids: tuple[Array, ...], blocks: Blocks, o: int, old: Axi
         task.records, task.starts, grids, o, shape, task.delay_samples, task.settings.sensor_bandwidth_hz
     )
     row = blocks.chosen.hysteresis.pairs[o]
-    slopes = Layout.of(thresholds_of(blocks)).merge[o] @ np.concatenate([pair.slopes for pair in row])
+    slopes = SlopeColumns.of(thresholds_of(blocks)).merge[o] @ np.concatenate([pair.slopes for pair in row])
     few, begun = shortened(task.records, task.starts, GROWN_SAMPLES)
     quick = replace(full, records=few, starts=begun, every=thinning(few)).mixed(slopes)
     larger = replace(shape, lag=True) if step == "lag" else replace(shape, creep_modes=shape.creep_modes + 1)

@@ -35,7 +35,7 @@ from hammerstein.identification.linear.axis_task import (
     parameters_of,
 )
 from hammerstein.identification.score import begun, path_before
-from hammerstein.identification.static.regressors import Columns, Start
+from hammerstein.identification.static.regressors import Regressors, Start
 from hammerstein.identification.task import Task
 from hammerstein.identification.verdict import FELT, axis_identified, creep_identified
 from hammerstein.records.record import Record
@@ -171,14 +171,14 @@ def _axis_tasks(task: Task, hysteresis: Hysteresis[Any], o: int, numbers: Sequen
 
     def with_columns(number: int) -> AxisTask:
         mix = told if len(told) <= number else np.vstack([hysteresis.weights[o], told[-number:]])
-        kept = tuple(Columns(mix @ one.values, mix @ one.held) for one in raw)
+        kept = tuple(Regressors(mix @ one.values, mix @ one.held) for one in raw)
         shape, delay = AxisShape(False), task.delay_samples
         return AxisTask(task.records, task.starts, (), o, shape, delay, sensor, every, kept)
 
     return [with_columns(number) for number in numbers]
 
 
-def _columns(hysteresis: Hysteresis[Any], record: Record, start: Start, o: int) -> Columns:
+def _columns(hysteresis: Hysteresis[Any], record: Record, start: Start, o: int) -> Regressors:
     """Response of output o to each of its weights alone, over a record, and before it."""
     here = hysteresis.counted_from(record.rest_v).on_grid(record.sample_time_s)
     sizes, values, held = [len(w) for w in here.weights], [], []
@@ -189,10 +189,10 @@ def _columns(hysteresis: Hysteresis[Any], record: Record, start: Start, o: int) 
         v, after = one.respond(record.u_v, memory)
         values.append(one.respond(record.u_v, after)[0][o] if start.kind == "repeated" else v[o])
         held.append(before[o, 0])
-    return Columns(np.array(values), np.array(held))
+    return Regressors(np.array(values), np.array(held))
 
 
-def _told(columns: Sequence[Columns], every: int) -> Array:
+def _told(columns: Sequence[Regressors], every: int) -> Array:
     """Combinations (row, column) that the records tell, of equal power and without correlation."""
     gram = np.zeros((len(columns[0].values),) * 2)
     for one in columns:

@@ -22,7 +22,7 @@ from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.static.folds import FOLDS, moments_of_folds
 from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
 from hammerstein.identification.static.regressors import Filter, Start, delayed, regressor_blocks
-from hammerstein.identification.static.static_block import Layout, path_filters
+from hammerstein.identification.static.static_block import SlopeColumns, path_filters
 from hammerstein.records.record import Record
 
 STRETCHES = 16
@@ -171,7 +171,7 @@ def crossed_squares(candidate: Candidate, records: Sequence[Record], starts: Seq
         return np.full(FOLDS * len(records), np.inf)
     span, p = ranges(records, starts), len(records[0].y_um)
     assert isinstance(candidate.hysteresis, PrandtlIshlinskii)  # other kinds take their place afterwards
-    layout = Layout.of([[pair.thresholds_v for pair in row] for row in candidate.hysteresis.pairs])
+    layout = SlopeColumns.of([[pair.thresholds_v for pair in row] for row in candidate.hysteresis.pairs])
     columns = sum(map(len, layout.grids))
     whole, part_s = split_delay(candidate.dynamics.input_delay_s, records[0].sample_time_s)
     prompt = candidate.dynamics.model_copy(update={"input_delay_s": part_s})
@@ -198,7 +198,7 @@ def crossed_squares(candidate: Candidate, records: Sequence[Record], starts: Seq
 
 
 def _folds(
-    record: Record, start: Start, layout: Layout, delay: int, filters: Sequence[Filter], o: int
+    record: Record, start: Start, layout: SlopeColumns, delay: int, filters: Sequence[Filter], o: int
 ) -> Mapping[int, Moments]:
     """Moments of each fold of one record."""
     blocks = regressor_blocks(delayed(record, start, delay), start, layout.grids, filters)

@@ -11,7 +11,7 @@ import numpy as np
 
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.errors import IdentificationError, InputError
-from hammerstein.identification.account import Judgement, account, model_of
+from hammerstein.identification.account import Errors, account, model_of
 from hammerstein.identification.axes_candidates import build_axes
 from hammerstein.identification.choice import Trial, chosen, crossed_squares, judged_squares, parameters_of
 from hammerstein.identification.excitation import refuse_noise, refuse_one_way, responses
@@ -30,7 +30,8 @@ from hammerstein.identification.static_candidates import build_static, with_erro
 from hammerstein.identification.task import Built, Found, Progress, Task
 from hammerstein.identification.verdict import axis_identified, invertibility_of
 from hammerstein.model import HammersteinModel
-from hammerstein.records.preparation import FEWEST_AT_REST, dead_start, refuse_swapped
+from hammerstein.records.driven import FEWEST_AT_REST, dead_start
+from hammerstein.records.leads import refuse_swapped
 from hammerstein.records.record import Record
 from hammerstein.runtime.one_thread import one_blas_thread
 
@@ -108,8 +109,8 @@ def identify(
     if settings.hysteresis == "rate_dependent" and settings.delay_samples is None:
         settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
     tell = progress or (lambda _: None)
-    ready = prepared(records)
-    held = prepared(validation) if validation else ()
+    ready = from_last_rest(records)
+    held = from_last_rest(validation) if validation else ()
     _refuse_mixed([*ready, *held])
     if not settings.shapes and settings.dynamics != "state_space":
         refuse_one_way(ready)
@@ -126,7 +127,7 @@ def identify(
         held_starts = _starts_of_held(held, built, settle_s_of(guesses), settings)
     fitted = {kind: score(c, ready, task.starts) for kind, c in built.candidates.items()}
     judged = {kind: score(c, held, held_starts) for kind, c in built.candidates.items()} if held else {}
-    errors = Judgement(fitted, judged, held, held_starts, response, trials)
+    errors = Errors(fitted, judged, held, held_starts, response, trials)
     fit = account(task, built, curve, errors, voltages_of(records, ready, task.starts))
     return model_of(task, fit, built.best.candidate, name, instruments), fit
 
@@ -167,16 +168,16 @@ def _kept(
     return replace(built, kind=kind, found={**built.found, kind: with_errors(task, found)}), marked
 
 
-def prepared(records: Sequence[Record]) -> tuple[Record, ...]:
+def from_last_rest(records: Sequence[Record]) -> tuple[Record, ...]:
     """Records from where they last rested, with their voltages counted from there."""
     if not records:
         raise InputError("records", "none was given")
     _refuse_mixed(records)
     refuse_swapped(records)
-    return tuple(counted(_from_last_rest(record)) for record in records)
+    return tuple(counted(_without_dead_start(record)) for record in records)
 
 
-def _from_last_rest(record: Record) -> Record:
+def _without_dead_start(record: Record) -> Record:
     """The record without what it shows at rest: voltages and readings that stand still tell nothing."""
     dead = dead_start(record)
     return record.part(dead, record.samples) if dead + 1 >= FEWEST_AT_REST else record

@@ -15,7 +15,7 @@ from hammerstein.identification.static.fitted_thresholds import fit_thresholds, 
 from hammerstein.identification.static.history import closed, shortened
 from hammerstein.identification.static.settled_loops import closed_form_model
 from hammerstein.identification.static.static_block import (
-    Layout,
+    SlopeColumns,
     StaticFit,
     Thresholds,
     Weighting,
@@ -85,7 +85,7 @@ def late_static(task: Task) -> Task:
 
 def static_blocks(task: Task, thresholds_v: Thresholds, dynamics: Dynamics, method: str) -> Blocks:
     """Weights by the method asked for, and by the two that it is compared with."""
-    layout = Layout.of(thresholds_v)
+    layout = SlopeColumns.of(thresholds_v)
     refuse_unreached(task.records, layout.grids)
     moments = static_moments(
         task.records, layout.grids, task.starts, task.whole_delay, task.paths(dynamics) or None

@@ -25,7 +25,7 @@ from hammerstein.identification.static.damped_search import Damping, damped_chan
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients
 from hammerstein.identification.static.rate_dependent import SEARCH_SAMPLES, STABLE, Slopes, differences
-from hammerstein.identification.static.regressors import Columns, Filter, SideBySide, Start
+from hammerstein.identification.static.regressors import Filter, Regressors, SideBySide, Start
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.task import Task
 from hammerstein.records.record import Record
@@ -153,7 +153,7 @@ class _Search:
         moments = []
         for o, (one, own) in enumerate(zip(tasks, x, strict=True)):
             more = tuple(
-                Columns(np.vstack([kept.values, bend[o].values]), np.append(kept.held, bend[o].held))
+                Regressors(np.vstack([kept.values, bend[o].values]), np.append(kept.held, bend[o].held))
                 for kept, bend in zip(one.kept, bends, strict=True)
             )
             moments.append(_derived(replace(one, kept=more), own, near[o]))
@@ -170,17 +170,17 @@ class _Search:
         slopes = np.array([solution.coefficients for solution, _ in solved])
         return _Place(theta, x, slopes, cost, curvature, pull)
 
-    def _axis_task(self, o: int, kept: tuple[Columns, ...]) -> AxisTask:
+    def _axis_task(self, o: int, kept: tuple[Regressors, ...]) -> AxisTask:
         task, (shape, _) = self.task, parameters_of(self.found.axes[o])
         sensor, every = task.settings.sensor_bandwidth_hz, thinning(task.records)
         return AxisTask(task.records, task.starts, (), o, shape, task.delay_samples, sensor, every, kept)
 
-    def _columns(self, block: RateDependent) -> tuple[Columns, ...]:
+    def _columns(self, block: RateDependent) -> tuple[Regressors, ...]:
         """Differences of the plays of a block over each record, and before it."""
         each = zip(self.task.records, self.task.starts, strict=True)
         return tuple(_differences(block, *both) for both in each)
 
-    def _bends(self, theta: Array, here: Sequence[Columns], slopes: Array) -> list[list[Columns]]:
+    def _bends(self, theta: Array, here: Sequence[Regressors], slopes: Array) -> list[list[Regressors]]:
         """Derivatives (record) (output) of the outputs of a block by its numbers, a row each.
 
         here : differences of its plays over each record; slopes : (output, slope) of the plays
@@ -190,24 +190,27 @@ class _Search:
             pairs = zip(self._columns(self.block_of(theta + change)), here, strict=True)
             ends.append([slopes @ (ahead.values - kept.values) / STEP for ahead, kept in pairs])
         return [
-            [Columns(np.array([end[i][o] for end in ends]), np.zeros(len(theta))) for o in range(len(slopes))]
+            [
+                Regressors(np.array([end[i][o] for end in ends]), np.zeros(len(theta)))
+                for o in range(len(slopes))
+            ]
             for i in range(len(self.task.records))
         ]
 
 
-def _differences(block: RateDependent, record: Record, start: Start) -> Columns:
+def _differences(block: RateDependent, record: Record, start: Start) -> Regressors:
     """Differences of neighbouring plays over a record, and before it."""
     before = path_before(record, start)[:, -1]
     values, held = (
         differences(u, block.inputs, record.sample_time_s, start, before)
         for u in (record.u_v, before[:, None])
     )
-    return Columns(values, held[:, 0])
+    return Regressors(values, held[:, 0])
 
 
 def _within(one: AxisTask, free: Array) -> AxisTask:
     """The task with the columns of directions alone."""
-    return replace(one, kept=tuple(Columns(free.T @ c.values, free.T @ c.held) for c in one.kept))
+    return replace(one, kept=tuple(Regressors(free.T @ c.values, free.T @ c.held) for c in one.kept))
 
 
 def _moments(one: AxisTask, x: Array) -> Moments:

@@ -19,8 +19,8 @@ from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import StaticFit
+from hammerstein.records.driven import driven_inputs
 from hammerstein.records.loops import pair_loops
-from hammerstein.records.preparation import driven_inputs
 from hammerstein.records.record import Record
 
 IMPROVED = 0.1

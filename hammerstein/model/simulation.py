@@ -366,7 +366,7 @@ class Plant:
 
         This is the block diagram as it stands; that of ``FeedbackController`` is the same, compiled.
         """
-        path_um, forward_v = law.prepared(reference_um)
+        path_um, forward_v = law.path_and_feedforward(reference_um)
         state, here = law.rest(), self.rest(seed)
         parts = []
         for t in range(reference_um.shape[1]):

@@ -1,4 +1,4 @@
-"""What the paper prints of a scenario: the figure, its claims, and the actuators that answer them."""
+"""What the paper prints of a scenario: the figure, its claims, and the actuators that they are asked of."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.paper.claims import Claim
-from hammerstein.paper.verdicts import CLAIMED, Answer, Change, ClaimVerdict, verdicts
+from hammerstein.paper.judgements import CLAIMED, Change, ClaimJudgement, Simulated, judgements
 from hammerstein.plugins import register
 from hammerstein.quantities import FileName, Passes
 from hammerstein.runtime.store import Store
@@ -28,7 +28,7 @@ PAPER = (
 
 
 class AlsoOn(BaseModel):
-    """Another actuator that answers the claims, with so many passes of the paper's law in a sample."""
+    """Another actuator that the claims are asked of, with so many passes of the paper's law in a sample."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -45,10 +45,10 @@ class Paper(Assessment):
     number_names: ClassVar[tuple[str, ...]] = (CLAIMED,)
     reading_first: ClassVar[bool] = True  # as the paper's figures show it
 
-    figure: str = Field(default="", description='the figure that the scenario answers, such as "Fig. 9"')
+    figure: str = Field(default="", description='the figure that the scenario simulates, such as "Fig. 9"')
     claims: tuple[Claim, ...] = ()
     also_on: tuple[AlsoOn, ...] = Field(
-        default=(), description="other actuators that answer the claims, for comparison"
+        default=(), description="other actuators that the claims are asked of, for comparison"
     )
 
     @property
@@ -79,22 +79,22 @@ class Paper(Assessment):
 
     def judge(
         self, scenario: Scenario, name: str, model: HammersteinModel, rows: Sequence[Row], store: Store | None
-    ) -> tuple[ClaimVerdict, ...]:
-        """Answer every claim on every actuator, with the cause where the scenario's own does not agree."""
+    ) -> tuple[ClaimJudgement, ...]:
+        """Judge every claim on every actuator, with the cause where the scenario's own does not agree."""
         from hammerstein.paper.causes import changes_of, rows_needed, with_passes
 
-        answers = {model.name: rows}
+        known = {model.name: rows}
         for other in self.also_on if self.claims else ():
             found = HammersteinModel.load(other.actuator)
             told = (None if other.passes is None else with_passes(scenario, other.passes)) or scenario
-            answers[found.name] = rows_needed(told, self.claims, name, found, store)
-        return verdicts(self.claims, answers, lambda claim: tuple(changes_of(scenario, model, claim, store)))
+            known[found.name] = rows_needed(told, self.claims, name, found, store)
+        return judgements(self.claims, known, lambda claim: tuple(changes_of(scenario, model, claim, store)))
 
-    def verdict_of(self, content: Mapping[str, Any]) -> ClaimVerdict:
-        """A verdict from the fields that were kept of it."""
-        answers = tuple(Answer(**answer) for answer in content["answers"])
+    def judgement_of(self, content: Mapping[str, Any]) -> ClaimJudgement:
+        """A judgement from the fields that were kept of it."""
+        simulated = tuple(Simulated(**one) for one in content["simulated"])
         changes = tuple(Change(**change) for change in content["changes"])
-        return ClaimVerdict(**{**content, "answers": answers, "changes": changes})
+        return ClaimJudgement(**{**content, "simulated": simulated, "changes": changes})
 
     @classmethod
     def shipped(cls) -> Mapping[str, Path]:

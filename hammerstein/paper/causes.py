@@ -12,11 +12,11 @@ from hammerstein.compensators import InverseMultiplicative
 from hammerstein.errors import HammersteinError
 from hammerstein.experiment.kept import KeptCases
 from hammerstein.experiment.measure import empty_rows_of
-from hammerstein.experiment.prepare import prepare
+from hammerstein.experiment.set_up import set_up
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.paper.claims import Claim, FactorName
-from hammerstein.paper.verdicts import Change
+from hammerstein.paper.judgements import Change
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ClosedFormSpec, ModelSource
@@ -86,7 +86,7 @@ def rows_needed(
     store: Store | None = None,
 ) -> list[Row]:
     """Rows that the claims select, from the cases alone that have them."""
-    setup = prepare(scenario, name, model=model, fresh="" if store is None else store.fresh)
+    setup = set_up(scenario, name, model=model, fresh="" if store is None else store.fresh)
     cases = [
         case
         for case in setup.cases()

@@ -1,4 +1,4 @@
-"""Claims of a publication: each a statement, its figure, and the rows of a run that answer it."""
+"""Claims of a publication: each a statement, its figure, and the rows of a run that give it."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ class Agreement(BaseModel):
 
 
 class Claim(BaseModel):
-    """A statement, the paper's figure for it, the quantity that answers it, and what counts as agreement."""
+    """A statement, the paper's figure for it, the simulated quantity, and what counts as agreement."""
 
     model_config = _STRICT
 

@@ -13,7 +13,7 @@ from hammerstein.escaping import cell, markdown_page
 from hammerstein.experiment.report import Report
 from hammerstein.model import HammersteinModel, packaged_actuators
 from hammerstein.paper.assessment import Paper
-from hammerstein.paper.verdicts import Answer, ClaimVerdict
+from hammerstein.paper.judgements import ClaimJudgement, Simulated
 from hammerstein.reporting.page import place_of
 from hammerstein.runtime.storage.manifest import Manifest, Owner
 from hammerstein.runtime.storage.staging import Stage, staged
@@ -22,13 +22,13 @@ CLAIMS = Owner("claims", sign=("claims.csv", "id,scenario,statement,paper,unit,"
 PAGE = Owner("page", sign=("README.md", "# The paper, simulated"))
 
 
-def claimed(report: Report) -> list[ClaimVerdict]:
-    """What a report says to claims."""
-    return [verdict for verdict in report.verdicts if isinstance(verdict, ClaimVerdict)]
+def claimed(report: Report) -> list[ClaimJudgement]:
+    """Judgements of claims in a report."""
+    return [judgement for judgement in report.judgements if isinstance(judgement, ClaimJudgement)]
 
 
 def printed_at(report: Report) -> str:
-    """The figure of the paper that a report answers; empty if none."""
+    """The figure of the paper that a report simulates; empty if none."""
     assessment = report.scenario.assessment
     return assessment.figure if isinstance(assessment, Paper) else ""
 
@@ -37,21 +37,21 @@ def claims_csv(reports: Sequence[Report]) -> str:
     """All claims of all reports as CSV: one line for each claim and actuator."""
     table = [
         {
-            "id": verdict.id,
+            "id": judgement.id,
             "scenario": report.name,
-            "statement": verdict.statement,
-            "paper": verdict.paper,
-            "unit": verdict.unit,
-            "wanted": verdict.wanted,
-            "calibrated": verdict.calibrated,
-            "actuator": answer.actuator,
-            "simulated": answer.value,
-            "agrees": answer.agrees,
-            "reason": verdict.reason,
+            "statement": judgement.statement,
+            "paper": judgement.paper,
+            "unit": judgement.unit,
+            "wanted": judgement.wanted,
+            "calibrated": judgement.calibrated,
+            "actuator": one.actuator,
+            "simulated": one.value,
+            "agrees": one.agrees,
+            "reason": judgement.reason,
         }
         for report in reports
-        for verdict in claimed(report)
-        for answer in verdict.answers
+        for judgement in claimed(report)
+        for one in judgement.simulated
     ]
     text = io.StringIO()
     writer = csv.DictWriter(text, list(table[0]) if table else [], lineterminator="\n")
@@ -73,9 +73,9 @@ def write_claims(reports: Sequence[Report], out: Path) -> tuple[Path, ...]:
 
 
 def write_page(reports: Sequence[Report], out: Path, page: Path) -> tuple[Path, ...]:
-    """Write one page from reports that are already written below ``out``: claims, figures, answers.
+    """Write one page from reports that are already written below ``out``: claims and figures.
 
-    Reports that answer a figure of the paper come first, in the order of the figures. Gives the places of
+    Reports that simulate a figure of the paper come first, in the order of the figures. Gives the places of
     files of an earlier page that a person had changed and that were kept.
 
     Raises InputError if the page cannot be written.
@@ -105,28 +105,28 @@ def _copied(report: Report, out: Path, stage: Stage) -> list[str]:
 
 
 def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
-    verdicts = [verdict for report in reports for verdict in claimed(report)]
-    actuators = list(dict.fromkeys(answer.actuator for verdict in verdicts for answer in verdict.answers))
-    counted = [verdict for verdict in verdicts if not verdict.calibrated]
+    judgements = [judgement for report in reports for judgement in claimed(report)]
+    actuators = list(dict.fromkeys(one.actuator for judgement in judgements for one in judgement.simulated))
+    counted = [judgement for judgement in judgements if not judgement.calibrated]
     return markdown_page(
         "page.md.jinja",
         package="hammerstein.paper",
         reports=reports,
         figures=figures,
         places={report.name: printed_at(report) for report in reports},
-        verdicts={report.name: claimed(report) for report in reports},
+        judgements={report.name: claimed(report) for report in reports},
         readings=[Met.of(name, counted) for name in actuators],
-        tables=[_table(group, actuators) for group in (counted, [v for v in verdicts if v.calibrated])],
-        unmet=_by_cause([v for v in counted if not any(answer.agrees for answer in v.answers)]),
+        tables=[_table(group, actuators) for group in (counted, [j for j in judgements if j.calibrated])],
+        unmet=_by_cause([j for j in counted if not any(one.agrees for one in j.simulated)]),
         total=len(counted),
     )
 
 
-def _by_cause(verdicts: Sequence[ClaimVerdict]) -> dict[str, list[str]]:
+def _by_cause(judgements: Sequence[ClaimJudgement]) -> dict[str, list[str]]:
     """Claims by the cause that was measured for each on its scenario's own actuator."""
     found: dict[str, list[str]] = {}
-    for verdict in verdicts:
-        found.setdefault(verdict.cause or "no single factor", []).append(verdict.id)
+    for judgement in judgements:
+        found.setdefault(judgement.cause or "no single factor", []).append(judgement.id)
     return found
 
 
@@ -140,9 +140,9 @@ class Met:
     asked: int
 
     @classmethod
-    def of(cls, actuator: str, verdicts: Sequence[ClaimVerdict]) -> Met:
+    def of(cls, actuator: str, judgements: Sequence[ClaimJudgement]) -> Met:
         """Count the claims of one actuator."""
-        asked = [(v.id, a.agrees) for v in verdicts for a in v.answers if a.actuator == actuator]
+        asked = [(j.id, one.agrees) for j in judgements for one in j.simulated if one.actuator == actuator]
         met = tuple(name for name, agrees in asked if agrees)
         return cls(actuator, _reading(actuator), met, len(asked))
 
@@ -155,17 +155,17 @@ def _reading(actuator: str) -> str:
     return str(told.get("bandwidth", "")) if isinstance(told, dict) else ""
 
 
-def _table(verdicts: Sequence[ClaimVerdict], actuators: Sequence[str]) -> list[tuple[str, ...]]:
-    """Cells of each claim: what every actuator answers, in brackets where it does not agree."""
+def _table(judgements: Sequence[ClaimJudgement], actuators: Sequence[str]) -> list[tuple[str, ...]]:
+    """Cells of each claim: the figure of every actuator, in brackets where it does not agree."""
     rows = []
-    for verdict in verdicts:
-        found = {answer.actuator: answer for answer in verdict.answers}
+    for judgement in judgements:
+        found = {one.actuator: one for one in judgement.simulated}
         cells = [_cell(found.get(name)) for name in actuators]
-        rows.append((verdict.id, verdict.statement, verdict.printed, verdict.wanted, *cells))
+        rows.append((judgement.id, judgement.statement, judgement.printed, judgement.wanted, *cells))
     return rows
 
 
-def _cell(answer: Answer | None) -> str:
-    if answer is None or not math.isfinite(answer.value):
+def _cell(one: Simulated | None) -> str:
+    if one is None or not math.isfinite(one.value):
         return ""
-    return answer.text() if answer.agrees else f"({answer.text()})"
+    return one.text() if one.agrees else f"({one.text()})"

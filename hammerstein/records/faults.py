@@ -13,8 +13,8 @@ import numpy as np
 
 from hammerstein.arrays import Array, Indices
 from hammerstein.records.checks import runs
+from hammerstein.records.driven import driven_inputs, run_in
 from hammerstein.records.noise import noise_rms
-from hammerstein.records.preparation import driven_inputs, run_in
 from hammerstein.records.record import Record
 from hammerstein.records.robust_fit import FITTED, Products, copies
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hammerstein.records.preparation import driven_inputs
+from hammerstein.records.driven import driven_inputs
 from hammerstein.records.record import Record
 
 USUAL_GAIN = 1e-3, 1e3

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.records.driven import driven_alone, driven_inputs
 from hammerstein.records.noise import noise_rms, quantum
-from hammerstein.records.preparation import driven_alone, driven_inputs
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import Excursion, find_cycles
 
@@ -288,7 +288,7 @@ def _measured(path: _Path, input_name: str, output_name: str) -> Loop:
 
 
 def _sign(u: Array, y: Array, path: _Path) -> float:
-    """Direction in which the output answers: -1 where it falls with the voltage."""
+    """Direction in which the output moves: -1 where it falls with the voltage."""
     rise = (y[path.turn] - 0.5 * (y[0] + y[-1])) * np.sign(u[path.turn] - u[0])
     return -1.0 if rise < -CLEAR * path.noise else 1.0
 

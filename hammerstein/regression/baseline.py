@@ -101,7 +101,7 @@ class Baseline:
 
 
 def numbers_of(report: Report) -> Numbers:
-    """All numbers of a report: its rows with their bands, and the numbers of its verdicts.
+    """All numbers of a report: its rows with their bands, and the numbers of its judgements.
 
     Raises InputError where two rows cannot be told apart.
     """
@@ -110,7 +110,7 @@ def numbers_of(report: Report) -> Numbers:
         numbers = bands.setdefault(key_of(band.key()), {})
         numbers |= {f"{band.metric}.{part}": getattr(band, f"{part}_um") for part in ("p5", "median", "p95")}
     rows = [(row.key(), dict(row.figures) | bands.get(key_of(row.key()), {})) for row in report.rows]
-    judged = (found for verdict in report.verdicts for found in verdict.numbers())
+    judged = (found for judgement in report.judgements for found in judgement.numbers())
     return _by_key([*rows, *judged], report.name)
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from hammerstein.errors import HammersteinError, InputError, Mistake
 from hammerstein.experiment.batch import Outcome, find_scenarios, load_all, run_all
-from hammerstein.experiment.prepare import Progress
 from hammerstein.experiment.report import Report
+from hammerstein.experiment.set_up import Progress
 from hammerstein.regression.baseline import Baseline, numbers_of
 from hammerstein.regression.compare import Finding, Kind, compare
 from hammerstein.regression.result import DEFAULT_FOLDER, CheckResult, ScenarioCheck

@@ -12,7 +12,7 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.experiment.report import Report
 from hammerstein.metrics import METRICS
 from hammerstein.regression.baseline import Baseline, Key, Numbers, numbers_of
-from hammerstein.scenario.names import DEFAULT as OTHERS, numbers_of_verdicts
+from hammerstein.scenario.names import DEFAULT as OTHERS, numbers_of_judgements
 from hammerstein.scenario.scenario import Tolerance
 
 # Another processor or NumPy differs in the last bits of sines, sums and decompositions. Tried on the shipped
@@ -137,7 +137,7 @@ def limit(baseline: float, tolerance: Tolerance) -> float:
 
 
 def _refuse_unknown(tolerances: Mapping[str, Tolerance], name: str) -> None:
-    mistakes, names = [], [OTHERS, *METRICS, *numbers_of_verdicts()]
+    mistakes, names = [], [OTHERS, *METRICS, *numbers_of_judgements()]
     for metric in tolerances:
         if metric not in names:
             near = difflib.get_close_matches(metric, names, n=1)

@@ -58,7 +58,7 @@ class ScenarioCheck:
 
     @property
     def headline(self) -> str:
-        """One line: the verdict."""
+        """One line: what was found."""
         if self.error is not None:
             return f"{self.name}: could not be checked"
         if self.written is not None:
@@ -67,7 +67,7 @@ class ScenarioCheck:
             )
         if not self.findings:
             return f"{self.name}: {_count(self.numbers)} within tolerance"
-        return f"{self.name}: {', '.join(_verdicts(self.findings, self.numbers))}"
+        return f"{self.name}: {', '.join(_counts(self.findings, self.numbers))}"
 
     @property
     def passed(self) -> bool:
@@ -121,9 +121,9 @@ class CheckResult:
         """Give a summary page: one line a scenario, then what differs."""
         lines = [TITLE, "", "| scenario | result |", "|---|---|"]
         for check in self.checks:
-            verdict = check.headline.removeprefix(f"{check.name}: ")
+            found = check.headline.removeprefix(f"{check.name}: ")
             mark = "pass" if check.passed else "**FAIL**"
-            lines.append(f"| {markdown(check.name)} | {mark}: {markdown(verdict)} |")
+            lines.append(f"| {markdown(check.name)} | {mark}: {markdown(found)} |")
         for check in self.checks:
             if not check.passed:
                 body = check.lines(self.baseline_folder)
@@ -153,7 +153,7 @@ def _count(number: int, what: str = "number") -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-def _verdicts(findings: Sequence[Finding], numbers: int) -> Iterable[str]:
+def _counts(findings: Sequence[Finding], numbers: int) -> Iterable[str]:
     """Short statements, one for each kind of finding."""
     kinds = [finding.kind for finding in findings]
     for kind in (Kind.NO_BASELINE, Kind.ORPHAN, Kind.SCENARIO_CHANGED, Kind.MODEL_CHANGED):

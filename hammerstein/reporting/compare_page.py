@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hammerstein.comparison.inverting import HEADROOM, SETTLING
-from hammerstein.comparison.result import RULE, Comparison, Entry
+from hammerstein.comparison.result import RULE, Compared, Comparison
 from hammerstein.escaping import markdown, markdown_page
 
 CAPTION = (
@@ -56,7 +56,7 @@ HEADER = (
 )
 
 
-def cells(entry: Entry) -> list[str]:
+def cells(entry: Compared) -> list[str]:
     """Figures of a model, in the order of ``HEADER``."""
     return [
         str(entry.parameters),

@@ -29,7 +29,7 @@ ALWAYS = ("report.html", "report.json", "report.md", "rms.csv")
 
 
 @dataclass(frozen=True)
-class Written:
+class WrittenReport:
     """Files of a report, and those of a person that were kept under another name."""
 
     files: tuple[Path, ...]
@@ -44,7 +44,7 @@ def write_report(
     traces: TraceFormat | None = None,
     interactive: bool = False,
     store: Store | None = None,
-) -> Written:
+) -> WrittenReport:
     """Write ``report.json``, ``rms.csv``, ``report.md``, ``report.html``, figures and, on request, traces.
 
     They take the place of those of an earlier run together; where one cannot be written, that report stays.
@@ -84,7 +84,7 @@ def write_report(
         stage.write("report.md", render(report, sorted(name for name in drawn if name.endswith(".png"))))
         stage.write("report.html", run_page(report, drawn, interactive_of(report) if interactive else None))
         stage.write("report.json", report.to_json())
-    return Written(tuple(stage.written), stage.kept)
+    return WrittenReport(tuple(stage.written), stage.kept)
 
 
 @dataclass(frozen=True)

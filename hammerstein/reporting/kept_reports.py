@@ -64,5 +64,7 @@ def _report(document: Mapping[str, Any], name: str, scenario: Scenario) -> Repor
     content["instruments"] = Instruments.model_validate(document["instruments"])
     for key, made in (("rows", Row), ("bands", Band), ("sensitivities", Sensitivity)):
         content[key] = tuple(made(**found) for found in document[key])
-    content["verdicts"] = tuple(asked.verdict_of(found) for found in document["verdicts"]) if asked else ()
+    content["judgements"] = (
+        tuple(asked.judgement_of(found) for found in document["judgements"]) if asked else ()
+    )
     return Report(name=name, scenario=scenario, **content)

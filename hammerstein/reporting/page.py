@@ -118,7 +118,7 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
         sources=[source_of(s) for s in (*report.scenario.compensators, *report.scenario.models)],
         glossary=glossary_of(report),
         asked=report.scenario.assessment,
-        judged=[verdict.cells() for verdict in report.verdicts],
+        judged=[judgement.cells() for judgement in report.judgements],
     )
 
 

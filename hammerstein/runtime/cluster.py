@@ -142,7 +142,7 @@ class Cluster(Executor):
 
         Raises InputError where a worker has other versions.
         """
-        found = self._client.run(_prepared, on_error="return")
+        found = self._client.run(_versions_there, on_error="return")
         unlike = {worker: text for worker, one in found.items() if (text := _unlike(self._expected, one))}
         if unlike:
             worker, text = next(iter(unlike.items()))
@@ -255,7 +255,7 @@ def _unlike(expected: Mapping[str, str], found: Mapping[str, str] | Exception) -
 
 
 @cache
-def _prepared() -> dict[str, str]:
+def _versions_there() -> dict[str, str]:
     """Make a worker ready, and give its versions: sums of one thread depend on nothing."""
     import numpy  # noqa: F401  # each brings a library of its own, and only what is loaded is limited
     import scipy.linalg  # noqa: F401
@@ -267,6 +267,6 @@ def _prepared() -> dict[str, str]:
 
 def _done(expected: Mapping[str, str], task: bytes) -> Any:
     """Do a task on a worker; one that has joined since the start may have other versions."""
-    if unlike := _unlike(expected, _prepared()):
+    if unlike := _unlike(expected, _versions_there()):
         raise InputError(OPTION, f"the numbers of a worker that has joined would not be ours: {unlike}")
     return pickle.loads(task)()

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Verdict(ABC):
+class Judgement(ABC):
     """What a run says of one thing that was asked, as plain values."""
 
     id: str
@@ -34,6 +34,11 @@ class Verdict(ABC):
     @abstractmethod
     def agrees(self) -> bool:
         """Whether it is as it was wanted."""
+
+    @property
+    def word(self) -> str:
+        """Whether it is, as pages and ``report.json`` say it."""
+        return "met" if self.agrees else "not met"
 
     @abstractmethod
     def cells(self) -> dict[str, str]:
@@ -52,10 +57,10 @@ class Assessment(Strict, ABC):
     """A table of a scenario that says what its numbers should be, as a frozen value with a tag ``kind``."""
 
     kind: str
-    title: ClassVar[str] = "Verdicts"
-    """Heading of the table of verdicts."""
+    title: ClassVar[str] = "Judgements"
+    """Heading of the table of judgements."""
     number_names: ClassVar[tuple[str, ...]] = ()
-    """Names of the numbers of its verdicts, for which a scenario may give tolerances."""
+    """Names of the numbers of its judgements, for which a scenario may give tolerances."""
     reading_first: ClassVar[bool] = False
     """Whether errors of the sensor's reading are told before those of the true position."""
 
@@ -87,7 +92,7 @@ class Assessment(Strict, ABC):
     @abstractmethod
     def judge(
         self, scenario: Scenario, name: str, model: HammersteinModel, rows: Sequence[Row], store: Store | None
-    ) -> tuple[Verdict, ...]:
+    ) -> tuple[Judgement, ...]:
         """What a run says.
 
         Parameters
@@ -100,8 +105,8 @@ class Assessment(Strict, ABC):
         """
 
     @abstractmethod
-    def verdict_of(self, content: Mapping[str, Any]) -> Verdict:
-        """A verdict from the fields that were kept of it."""
+    def judgement_of(self, content: Mapping[str, Any]) -> Judgement:
+        """A judgement from the fields that were kept of it."""
 
     @classmethod
     def shipped(cls) -> Mapping[str, Path]:
@@ -118,7 +123,7 @@ class Assessment(Strict, ABC):
 
         Parameters
         ----------
-        reports : every report of a run, also those without verdicts of this kind
+        reports : every report of a run, also those without judgements of this kind
         out, page : folder of the reports, and of a page with all figures, if one is wanted
         """
         return ()

@@ -43,7 +43,7 @@ kept = u.nbytes + v.nbytes
 
 EXPERIMENT = """
 from hammerstein.scenario import Scenario
-from hammerstein.experiment.prepare import prepare
+from hammerstein.experiment.set_up import set_up
 def scenario(cycles):
     law = {"label": "paper", "law": "inverse_multiplicative", "identification": {"frequency_hz": 50.0}}
     return Scenario.model_validate({
@@ -51,7 +51,7 @@ def scenario(cycles):
         "reference": {"kind": "circle", "radius_um": 40.0, "frequency_hz": 50.0},
         "measure": {"settle_cycles": 1, "measured_cycles": cycles - 1}})
 def run(cycles):
-    setup = prepare(scenario(cycles))
+    setup = set_up(scenario(cycles))
     return setup.simulate(next(setup.cases()))
 run(5)
 before = psutil.Process().memory_info().rss

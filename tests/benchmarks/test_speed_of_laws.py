@@ -13,7 +13,7 @@ from hammerstein.blocks.instruments import standard_noise
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.experiment.measure import rows_of
-from hammerstein.experiment.prepare import prepare
+from hammerstein.experiment.set_up import set_up
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
 from hammerstein.scenario import Scenario
 
@@ -83,7 +83,7 @@ def circle(samples, law="inverse_multiplicative"):
 
 
 def test_whole_experiment_against_a_block_diagram(bench):
-    setup = prepare(circle(bench.samples))
+    setup = set_up(circle(bench.samples))
     case = next(setup.cases())
     response = setup.simulate(case)
     few = slice(0, bench.fewer(2000))
@@ -110,7 +110,7 @@ def test_whole_experiment_against_a_block_diagram(bench):
 @pytest.mark.parametrize("law", ["exact_inverse", "inverse_multiplicative"])
 def test_whole_experiment_against_its_steps(bench, law):
     """What a run costs beside its steps: memory, checks, figures of merit."""
-    setup = prepare(circle(bench.samples, law))
+    setup = set_up(circle(bench.samples, law))
     case = next(setup.cases())
     run, plant, tested = setup.simulate(case), setup.plant, setup.laws[case.label]
     filtered, generator = plant.block.respond(run.hysteresis_um)[0][2:], np.random.default_rng(0)

@@ -48,7 +48,7 @@ def clocked(module, name, what):
 from hammerstein.experiment import batch, run as experiment
 from hammerstein.reporting import folder
 from hammerstein.reporting.figures import drawing, narrow, write
-clocked(experiment, "prepare", "models, kept from the run before, and laws")
+clocked(experiment, "set_up", "models, kept from the run before, and laws")
 clocked(batch, "run", "run")
 clocked(write, "figures_of", "building the figures")
 clocked(drawing, "drawing_of", "drawing them, layout included")

@@ -12,7 +12,7 @@ from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 
 
-class Trace(NamedTuple):
+class TimeTrace(NamedTuple):
     """One trace: time (sample,) [s], inputs (input, sample) and outputs (output, sample)."""
 
     time_s: Array
@@ -38,7 +38,7 @@ def time_response(
 
 def traces_of(
     data: control.TimeResponseData, inputs: Sequence[str], outputs: Sequence[str]
-) -> Iterator[Trace]:
+) -> Iterator[TimeTrace]:
     """Every trace of a time response, of the signals with these labels.
 
     Raises InputError where there are no inputs, or no such signal.
@@ -48,7 +48,7 @@ def traces_of(
     rows_in = _rows(data.input_labels, inputs, "input")
     rows_out = _rows(data.output_labels, outputs, "output")
     for u, y in zip(_by_trace(data.u), _by_trace(data.y), strict=True):
-        yield Trace(np.asarray(data.t, dtype=np.float64), u[rows_in], y[rows_out])
+        yield TimeTrace(np.asarray(data.t, dtype=np.float64), u[rows_in], y[rows_out])
 
 
 def _by_trace(values: Array) -> list[Array]:

@@ -61,7 +61,7 @@ def respond_exact(reference, virtual, a, b, gain, x, w, here, first, stop, drive
     away = False
     for s in range(x.shape[0]):
         away = away or x[s] != 0.0
-    ready = prepare(w, here)
+    ready = resume(w, here)
     for t in range(first, stop):
         for o in range(p):
             here[o].y = reference[o, at(t)]
@@ -141,7 +141,7 @@ def drift(reference, t, a, b, x, new, w, here):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def prepare(w, here):  # type: ignore[no-untyped-def]
+def resume(w, here):  # type: ignore[no-untyped-def]
     """Put the walk where the memory is; True where ``stay`` may start from there."""
     ready = True
     for k in range(axes_of(here)):
@@ -182,7 +182,7 @@ def stay(w, here):  # type: ignore[no-untyped-def]
 def walk(ready, virtual, w, here):  # type: ignore[no-untyped-def]
     """Solve one sample from the memory, whatever it takes; drive and memory are those of what was reached.
 
-    ready : whether the walk stands at the memory already. Returns what ``prepare`` does.
+    ready : whether the walk stands at the memory already. Returns what ``resume`` does.
     """
     m = axes_of(here)
     exact = True
@@ -207,7 +207,7 @@ def walk(ready, virtual, w, here):  # type: ignore[no-untyped-def]
             here[k].missed = 0.0
             here[k].depth = 0
         return here[0].quality == 2
-    ready = prepare(w, here)
+    ready = resume(w, here)
     for o in range(m):
         here[o].missed = 0.0 if exact else output(w, here, o) - here[o].y
     return ready

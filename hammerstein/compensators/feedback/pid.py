@@ -159,7 +159,7 @@ class FeedbackController(Controller[ControllerState]):
         request(forward, self.inverse_gain_v_per_um, self.gain_um_per_v, self._limits, memory, asked)
         return asked, ControllerState(memory)
 
-    def prepared(self, reference_um: ArrayLike) -> tuple[Array, Array]:
+    def path_and_feedforward(self, reference_um: ArrayLike) -> tuple[Array, Array]:
         """Path that the readings are compared with, later where the feedforward is, and the feedforward."""
         reference = checked_reference(reference_um, self.n_outputs)
         samples = reference.shape[1]
@@ -233,7 +233,7 @@ def _compiled_loop(
     from hammerstein.compensators.feedback.kernel import run_closed_loop
     from hammerstein.compiled import spans
 
-    path_um, forward_v = law.prepared(reference_um)
+    path_um, forward_v = law.path_and_feedforward(reference_um)
     m, p, samples = law.n_inputs, law.n_outputs, reference_um.shape[1]
     drive, sensor = plant.instruments.drive, plant.instruments.sensor
     effects = (drive.resolution_v, sensor.range_um, sensor.resolution_um, sensor.noise_um)
@@ -247,10 +247,10 @@ def _compiled_loop(
     actuator = (
         (bank.r, bank.guide, bank.scale, bank.n, bank.lines, bank.w),
         (plays.count, plays.end, plays.x, plays.d, plays.window),
-        (plant.block.rows, plant.block.rest()),
+        (plant.block.entries, plant.block.rest()),
     )
     out = (*voltages.values(), *positions.values())
-    for first, stop in spans(samples, 64 + len(plant.block.rows[2])):
+    for first, stop in spans(samples, 64 + len(plant.block.entries[2])):
         run_closed_loop(*signals, controller, *instruments, *actuator, first, stop, out, (0,) * p)
     return voltages | positions
 

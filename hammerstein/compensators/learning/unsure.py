@@ -35,8 +35,8 @@ class Unsure:
     def relative(self, model: HammersteinModel, frequency_hz: Array, sample_time_s: float) -> Array:
         """Bound delta (frequency, output) of the relative error of the model, two standard deviations.
 
-        Infinite where the actuator answers with less than a tenth of what it does when it stands still: there
-        it is another one, and its inverse would ask for more than a drive has.
+        Infinite where the actuator responds with less than a tenth of what it does when it stands still:
+        there it is another one, and its inverse would ask for more than a drive has.
         """
         response = _diagonal(discretise(model.dynamics, sample_time_s), frequency_hz)
         still = np.abs(_diagonal(discretise(model.dynamics, sample_time_s), np.zeros(1)))

@@ -25,7 +25,7 @@ class LinearInverse:
         x[k+1] = A_s x[k] + B_s y+[k]
         v[k]   = C_s x[k] + sum over j of F_j y+[k+j],      y+_i[k] = y_i[k + ahead_i]
 
-    The block answers row i of its output ``ahead_i`` samples after its input: one for a resonant axis, whose
+    The block gives row i of its output ``ahead_i`` samples after its input: one for a resonant axis, whose
     input is held. The zeros of the block are the modes of its inverse. Those inside the unit circle run
     forward from the past (creep, and the sampling zero near -1 of a second-order axis); those outside run
     backward from the future: that is what the taps F_j are, cut where they have died out.

@@ -13,7 +13,13 @@ from numpy.typing import ArrayLike
 from hammerstein.arrays import Array
 from hammerstein.dynamics import Axis, CreepMode, LinearBlock
 from hammerstein.identification.static.normal_equations import Moments, moments_of, pooled
-from hammerstein.identification.static.regressors import Columns, Filter, Start, delayed, regressor_blocks
+from hammerstein.identification.static.regressors import (
+    Filter,
+    Regressors,
+    Start,
+    delayed,
+    regressor_blocks,
+)
 from hammerstein.records.record import Record
 
 SERIES = 16
@@ -141,7 +147,7 @@ class AxisTask:
     delay_samples: float
     sensor_bandwidth_hz: float | None
     every: int = 1
-    kept: tuple[Columns, ...] = ()
+    kept: tuple[Regressors, ...] = ()
 
     @property
     def columns(self) -> int:
@@ -167,7 +173,7 @@ class AxisTask:
             first += len(grid)
         few = np.array(rows)
         kept = tuple(
-            Columns.of(record.u_v, start, self.grids, few)
+            Regressors.of(record.u_v, start, self.grids, few)
             for record, start in zip(self.records, self.starts, strict=True)
         )
         return replace(self, kept=kept)

@@ -19,7 +19,7 @@ from hammerstein.identification.score import begun
 from hammerstein.identification.static.normal_equations import Bounds, Moments, moments_of, pooled, solve
 from hammerstein.identification.static.regressors import Start, regressor_blocks
 from hammerstein.identification.static.static_block import (
-    Layout,
+    SlopeColumns,
     StaticFit,
     Thresholds,
     Weighting,
@@ -143,7 +143,7 @@ def fit_static_coupled(
 
     Every output counts in parts of its own power. See ``fit_static`` for the arguments.
     """
-    layout = Layout.of(thresholds_v)
+    layout = SlopeColumns.of(thresholds_v)
     refuse_unreached(records, layout.grids)
     outputs = _moments(records, starts, layout, through)
     joint = _Joint.of(layout, outputs)
@@ -184,7 +184,7 @@ class _Joint(NamedTuple):
     ``own[o]`` are the unknowns of output o, ``pairs`` the unknowns of each pair (output, input).
     """
 
-    layout: Layout
+    layout: SlopeColumns
     merge: Array
     gram: Array
     cross: Array
@@ -193,7 +193,7 @@ class _Joint(NamedTuple):
     pairs: tuple[tuple[int, int, slice], ...]
 
     @classmethod
-    def of(cls, layout: Layout, outputs: Sequence[Moments]) -> _Joint:
+    def of(cls, layout: SlopeColumns, outputs: Sequence[Moments]) -> _Joint:
         merge = _block_diagonal(layout.merge)
         weight = [1.0 / max(float(moment.power[0]), np.finfo(float).tiny) for moment in outputs]
         gram = np.sum([w * m.gram for w, m in zip(weight, outputs, strict=True)], axis=0)
@@ -215,7 +215,7 @@ class _Joint(NamedTuple):
 
 
 def _moments(
-    records: Sequence[Record], starts: Sequence[Start], layout: Layout, through: LinearBlock
+    records: Sequence[Record], starts: Sequence[Start], layout: SlopeColumns, through: LinearBlock
 ) -> list[Moments]:
     """Moments of each output with the columns of all outputs of the static block."""
     p, columns = len(records[0].y_um), sum(map(len, layout.grids))
@@ -231,7 +231,7 @@ def _moments(
 
 
 def _blocks(
-    record: Record, start: Start, layout: Layout, filters: Sequence[ModalCopies], o: int
+    record: Record, start: Start, layout: SlopeColumns, filters: Sequence[ModalCopies], o: int
 ) -> Iterator[tuple[Array, Array]]:
     for k, x in regressor_blocks(record.u_v, start, layout.grids, filters):
         yield x, record.y_um[[o], k : k + x.shape[1]]

@@ -27,7 +27,7 @@ from hammerstein.identification.static.normal_equations import (
 from hammerstein.identification.static.regressors import Filter, Start, delayed, regressor_blocks
 from hammerstein.identification.static.static_block import (
     LEAST_SLOPE,
-    Layout,
+    SlopeColumns,
     Thresholds,
     Weighting,
     direct_pairs,
@@ -122,7 +122,7 @@ def fit_asymmetric(
 
     Source: as ``Asymmetric``; the inequalities are this work's.
     """
-    layout = Layout.of(thresholds_v)
+    layout = SlopeColumns.of(thresholds_v)
     refuse_unreached(records, layout.grids)
     if any(grid.size and grid[0] > 0.0 for grid in layout.grids):
         raise IdentificationError("dead-zones need a smallest threshold of 0: after a reversal no play moves")
@@ -136,7 +136,7 @@ def fit_asymmetric(
     begun = tuple(starts) or (Start("rest"),) * len(records)
     task = AsymmetricTask(records, begun, layout, tuple(breakpoints_v), delay_samples, tuple(through))
     moments = task.moments()
-    zones = Layout.of([list(breakpoints_v)])
+    zones = SlopeColumns.of([list(breakpoints_v)])
     columns = [AsymmetricColumns.of(layout, o, zones) for o in range(len(thresholds_v))]
     free = [_solved(column, moment, ridge) for column, moment in zip(columns, moments, strict=True)]
     found, held = free, []
@@ -157,7 +157,7 @@ class AsymmetricTask(NamedTuple):
 
     records: Sequence[Record]
     starts: Sequence[Start]
-    layout: Layout
+    layout: SlopeColumns
     breakpoints_v: tuple[Array, ...]
     delay_samples: int
     through: tuple[LinearBlock, ...]
@@ -236,7 +236,7 @@ class AsymmetricColumns(NamedTuple):
     zones: tuple[slice, ...]
 
     @classmethod
-    def of(cls, plays: Layout, o: int, zones: Layout, z: int = 0) -> AsymmetricColumns:
+    def of(cls, plays: SlopeColumns, o: int, zones: SlopeColumns, z: int = 0) -> AsymmetricColumns:
         """Plays of row o and dead-zones of row z of their layouts."""
         first = plays.merge[o].shape[1]
         parts = tuple(slice(first + part.start, first + part.stop) for part in zones.parts[z])

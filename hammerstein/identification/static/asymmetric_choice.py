@@ -20,7 +20,7 @@ from hammerstein.identification.static.folds import FOLDS
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
 from hammerstein.identification.static.regressors import Start
-from hammerstein.identification.static.static_block import Layout, Thresholds
+from hammerstein.identification.static.static_block import SlopeColumns, Thresholds
 from hammerstein.records.record import Record
 
 T = TypeVar("T")
@@ -123,7 +123,7 @@ class Folds(NamedTuple):
         few, begun = shortened(records, starts, CURVE_SAMPLES)
         fine = thresholds_v or [input_grids(few, PLAYS[-1], "voltage")] * len(few[0].y_um)
         points = breakpoints_in(few, DEAD_ZONES[-1] if dead_zones is None else dead_zones)
-        layout = Layout.of(fine)
+        layout = SlopeColumns.of(fine)
         task = AsymmetricTask(few, begun, layout, tuple(points), delay_samples, tuple(through))
         return cls(task, task.folds(STRETCHES), 1.0 / ranges(few, begun))
 
@@ -136,9 +136,9 @@ class Folds(NamedTuple):
         """Rms error on the folds left out in turn, in parts of the ranges, with some of the columns."""
         p = len(thresholds_v)
         fine = [[*self.task.layout.grids]]
-        plays = Layout.of([*fine, *thresholds_v])
+        plays = SlopeColumns.of([*fine, *thresholds_v])
         points = self.task.breakpoints_v
-        zones = Layout.of([[*points], _some(points, dead_zones)])
+        zones = SlopeColumns.of([[*points], _some(points, dead_zones)])
         squares = []
         for o in range(p):
             columns = AsymmetricColumns.of(plays, 1 + o, zones, 1)

@@ -10,7 +10,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.identification.static.regressors import Start
-from hammerstein.records.preparation import driven_inputs, moves_while_held, run_in
+from hammerstein.records.driven import driven_inputs, moves_while_held, run_in
 from hammerstein.records.record import Record
 
 StartMode = Literal["auto", "rest", "repeated"]

@@ -141,7 +141,7 @@ def _held(plays: Sequence[Array], signs: Sequence[Array] | None) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class Regressors:
     """Regressors of one record kept in memory, for searches that pass them through many filters.
 
     values : (column, sample) over the whole record; held : (column,) before it
@@ -151,7 +151,7 @@ class Columns:
     held: Array
 
     @classmethod
-    def of(cls, u_v: Array, start: Start, grids: Sequence[Array], rows: Array) -> Columns:
+    def of(cls, u_v: Array, start: Start, grids: Sequence[Array], rows: Array) -> Regressors:
         """Sums ``rows`` (column, regressor) of the differences of the plays."""
         whole = replace(start, first=0)
         values = np.hstack([rows @ x for _, x in regressor_blocks(u_v, whole, grids)])

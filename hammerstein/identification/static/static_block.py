@@ -68,7 +68,7 @@ class StaticFit:
     open: tuple[tuple[int, int], ...]
 
 
-class Layout(NamedTuple):
+class SlopeColumns(NamedTuple):
     """Where the slopes of each pair stand among the columns of one output.
 
     ``merge[o]`` (column, slope) sums the columns of the merged threshold grids into those of the pairs;
@@ -80,7 +80,7 @@ class Layout(NamedTuple):
     parts: tuple[tuple[slice, ...], ...]
 
     @classmethod
-    def of(cls, thresholds_v: Thresholds) -> Layout:
+    def of(cls, thresholds_v: Thresholds) -> SlopeColumns:
         """Lay out the pairs with thresholds (output, input)."""
         m = len(thresholds_v[0])
         grids = tuple(np.unique(np.concatenate([row[k] for row in thresholds_v])) for k in range(m))
@@ -142,7 +142,7 @@ def fit_static(
     >>> fit.hysteresis.pairs[0][0].weights_um_per_v.round(9), fit.offsets_um.round(9)
     (array([ 3., -1.]), array([[-7.]]))
     """
-    layout = Layout.of(thresholds_v)
+    layout = SlopeColumns.of(thresholds_v)
     refuse_unreached(records, layout.grids)
     begun = tuple(starts) or (Start("rest"),) * len(records)
     moments = static_moments(records, layout.grids, begun, delay_samples, through)
@@ -223,7 +223,7 @@ def _record_moments(
 def solve_static(
     records: Sequence[Record],
     thresholds_v: Thresholds,
-    layout: Layout,
+    layout: SlopeColumns,
     moments: Sequence[Moments],
     method: Weighting = "invertible",
     ridge: float = 0.0,
@@ -256,7 +256,7 @@ def solve_static(
 
 
 def _solve_output(
-    layout: Layout, o: int, moment: Moments, ridge: float, bounds: Bounds | None = None
+    layout: SlopeColumns, o: int, moment: Moments, ridge: float, bounds: Bounds | None = None
 ) -> Solution:
     merge = layout.merge[o]
     gram = merge.T @ moment.gram @ merge
@@ -288,7 +288,7 @@ def ridge_of(parts: Sequence[slice], gram: Array, ridge: float, bends: Sequence[
 
 
 def gains_of(
-    records: Sequence[Record], thresholds_v: Thresholds, layout: Layout, slopes: Sequence[Array]
+    records: Sequence[Record], thresholds_v: Thresholds, layout: SlopeColumns, slopes: Sequence[Array]
 ) -> Array:
     """Gain of every pair (output, input) at the amplitude of the records [um/V], from slopes an output."""
     reach = half_swing(records)
@@ -301,12 +301,12 @@ def gains_of(
     return gains
 
 
-def bounds_of(method: Weighting, layout: Layout, o: int, gains: Array) -> Bounds:
+def bounds_of(method: Weighting, layout: SlopeColumns, o: int, gains: Array) -> Bounds:
     """Bounds of the slopes of one output under a method."""
     return _nonnegative(layout, o, gains) if method == "nonnegative" else _invertible(layout, o, gains)
 
 
-def _nonnegative(layout: Layout, o: int, gains: Array) -> Bounds:
+def _nonnegative(layout: SlopeColumns, o: int, gains: Array) -> Bounds:
     """All weights of a pair have the sign of its gain."""
     side = np.zeros(layout.parts[o][-1].stop)
     for part, gain in zip(layout.parts[o], gains[o], strict=True):
@@ -315,7 +315,7 @@ def _nonnegative(layout: Layout, o: int, gains: Array) -> Bounds:
     return Bounds(sums, side, np.zeros_like(side))
 
 
-def _invertible(layout: Layout, o: int, gains: Array) -> Bounds:
+def _invertible(layout: SlopeColumns, o: int, gains: Array) -> Bounds:
     """Slopes of the direct pair keep its sign and stay away from zero."""
     size = layout.parts[o][-1].stop
     side, bound = np.zeros(size), np.zeros(size)
@@ -334,7 +334,7 @@ def direct_pairs(gains: Array) -> list[tuple[int, int]]:
 
 
 def pairs_of(
-    row: Sequence[Array], layout: Layout, o: int, slopes: Array, spread: Array, at_bound: int
+    row: Sequence[Array], layout: SlopeColumns, o: int, slopes: Array, spread: Array, at_bound: int
 ) -> tuple[tuple[Pair, ...], WeightCovariance]:
     """Pairs of one output with weights and standard errors, and the covariance of all its weights.
 
@@ -352,7 +352,7 @@ def pairs_of(
     return tuple(pairs), WeightCovariance(factor, at_bound)
 
 
-def _offsets(layout: Layout, moments: Sequence[Moments], solutions: Sequence[Solution]) -> Array:
+def _offsets(layout: SlopeColumns, moments: Sequence[Moments], solutions: Sequence[Solution]) -> Array:
     """Readings (record, output) that belong to an output of zero."""
     columns = [
         moment.means[:, -1] - moment.means[:, :-1] @ (layout.merge[o] @ solution.coefficients)
@@ -380,7 +380,7 @@ def refuse_unreached(records: Sequence[Record], grids: Sequence[Array]) -> None:
             )
 
 
-def refuse_inseparable(record: Record, layout: Layout, moments: Sequence[Moments]) -> None:
+def refuse_inseparable(record: Record, layout: SlopeColumns, moments: Sequence[Moments]) -> None:
     """Refuse records in which several inputs never move independently.
 
     Plays of one input may depend on each other, which leaves single weights open and no more. Two inputs

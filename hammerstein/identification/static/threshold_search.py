@@ -108,7 +108,7 @@ def _spread(moment: Moments, held: NDArray[np.bool_]) -> Moments:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class Linearised:
     """The search at one place: the error there, and the problem linearised about it.
 
     Parameters
@@ -151,7 +151,7 @@ class Place:
         return split(np.clip(moved, lowest, highest), self.grids)
 
 
-def place_at(task: ThresholdTask, grids: Grids, unit: Array | None = None) -> Place:
+def place_at(task: ThresholdTask, grids: Grids, unit: Array | None = None) -> Linearised:
     """Error and linearised problem at given thresholds; ``unit`` is the error there if not given."""
     moments = task.moments(grids, with_derivatives=True)
     each = [_projected(moment, grids) for moment in moments]
@@ -159,7 +159,7 @@ def place_at(task: ThresholdTask, grids: Grids, unit: Array | None = None) -> Pl
     if unit is None:
         least = ROUNDING * np.array([float(moment.power[0]) for moment in moments])
         unit = np.maximum(squares, np.maximum(least, np.finfo(float).tiny))
-    return Place(
+    return Linearised(
         grids=grids,
         unit=unit,
         cost=float(np.sum(squares / unit)),
@@ -169,13 +169,13 @@ def place_at(task: ThresholdTask, grids: Grids, unit: Array | None = None) -> Pl
     )
 
 
-def search_near(task: ThresholdTask, grids: Grids, unit: Array | None = None) -> Place:
+def search_near(task: ThresholdTask, grids: Grids, unit: Array | None = None) -> Linearised:
     """Levenberg-Marquardt steps from given thresholds until nothing is gained; never worse than there."""
     reach = task.reach_v
     here = place_at(task, grids, unit)
     idle = 0
 
-    def step(here: Place, damping: float) -> Place:
+    def step(here: Linearised, damping: float) -> Linearised:
         return place_at(task, here.step(damping, reach), here.unit)
 
     for tried in islice(steps(here, step, lambda place: place.cost, DAMPING), MOST_STEPS):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from hammerstein.comparison.result import Comparison, Entry
+from hammerstein.comparison.result import Compared, Comparison
 from hammerstein.identification.score import Score
 from hammerstein.reporting.figures.style import (
     COLOURS,
@@ -73,7 +73,7 @@ def _draw_errors(axes: Axes, found: Comparison, told: str, at: str, hollow: bool
     return drawn
 
 
-def _scores(entry: Entry, at: str) -> Mapping[float, Score]:
+def _scores(entry: Compared, at: str) -> Mapping[float, Score]:
     return entry.held_at if at == "held_at" else entry.fitted_at
 
 

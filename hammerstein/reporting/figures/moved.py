@@ -42,7 +42,7 @@ LEAST_ALLOWED = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class SweptNumber:
     """One number of one row, over the values of a sweep.
 
     x, accepted, now, allowed : (point,)
@@ -64,7 +64,7 @@ class Course:
 
 def courses_of(
     metric: str, accepted: Numbers, now: Numbers, tolerances: Mapping[str, Tolerance]
-) -> list[Course]:
+) -> list[SweptNumber]:
     """Courses of a number that both sides have, the one that moved most first."""
     both = [key for key in accepted if metric in accepted[key] and metric in now.get(key, {})]
     swept = next((name for name in SWEPT if len({dict(key).get(name) for key in both}) > 1), None)
@@ -79,7 +79,7 @@ def courses_of(
         order = np.argsort(x, kind="stable")
         values = [(accepted[keys[i]][metric], now[keys[i]][metric]) for i in order]
         found.append(
-            Course(
+            SweptNumber(
                 words_of(tuple(item for item in rest if item not in same)),
                 SWEPT[swept] if swept else "row",
                 np.array(x)[order],
@@ -92,7 +92,7 @@ def courses_of(
     return sorted(found, key=lambda course: -course.excess)
 
 
-def moved_figure(courses: Sequence[Course], metric: str) -> Figure:
+def moved_figure(courses: Sequence[SweptNumber], metric: str) -> Figure:
     """Old curve, tolerance and new curve (a), and the change in units of what is allowed (b).
 
     Parameters
@@ -124,7 +124,7 @@ def moved_figure(courses: Sequence[Course], metric: str) -> Figure:
     return figure
 
 
-def _draw(left: Axes, right: Axes, course: Course, number: int) -> Artist:
+def _draw(left: Axes, right: Axes, course: SweptNumber, number: int) -> Artist:
     left.plot(course.x, course.accepted, color=PALE, linewidth=4.0, alpha=0.6)
     low, high = course.accepted - course.allowed, course.accepted + course.allowed
     left.fill_between(course.x, low, high, color=PALE, alpha=0.4, linewidth=0.0)
@@ -134,7 +134,7 @@ def _draw(left: Axes, right: Axes, course: Course, number: int) -> Artist:
     return line
 
 
-def _scale(axes: Axes, courses: Sequence[Course]) -> None:
+def _scale(axes: Axes, courses: Sequence[SweptNumber]) -> None:
     values = np.concatenate([np.concatenate([course.accepted, course.now]) for course in courses])
     if values.min() > 0.0 and values.max() >= LOGARITHMIC_FROM * values.min():
         axes.set_yscale("log")

@@ -61,8 +61,8 @@ def _card(report: Report, out: Path) -> Card:
         told=_told(report),
         worst=tuple(worst[:MOST_SHOWN]),
         more=max(0, len(worst) - MOST_SHOWN),
-        met=sum(verdict.agrees for verdict in report.verdicts),
-        asked=len(report.verdicts),
+        met=sum(judgement.agrees for judgement in report.judgements),
+        asked=len(report.judgements),
     )
 
 

@@ -43,7 +43,7 @@ def run_page(report: Report, files: Mapping[str, bytes], interactive: Interactiv
     asked = report.scenario.assessment
     here = {
         "Explore": bool(interactive),
-        **({asked.title: True} if asked is not None and report.verdicts else {}),
+        **({asked.title: True} if asked is not None and report.judgements else {}),
         "Figures": bool(figures),
         "Numbers": True,
         "Keep in mind": bool(statements),
@@ -55,7 +55,7 @@ def run_page(report: Report, files: Mapping[str, bytes], interactive: Interactiv
         report=report,
         answer=[sentence.map(_told) for sentence in sentences(report, _quoted)],
         facts=list(_facts(report)),
-        met=sum(verdict.agrees for verdict in report.verdicts),
+        met=sum(judgement.agrees for judgement in report.judgements),
         parts=[name for name, there in here.items() if there],
         asked=asked,
         figures=figures,

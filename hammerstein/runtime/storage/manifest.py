@@ -39,7 +39,7 @@ class Owner:
     replaces: tuple[str, ...] = ()
 
 
-class Entry(Strict):
+class FileEntry(Strict):
     """One file in a manifest."""
 
     owner: str
@@ -59,7 +59,7 @@ FileName = Annotated[str, AfterValidator(_inside)]
 
 class _ManifestFile(Strict):
     format: Literal["hammerstein-manifest/1"] = "hammerstein-manifest/1"
-    files: dict[FileName, Entry]
+    files: dict[FileName, FileEntry]
 
 
 class Holder(Enum):
@@ -76,7 +76,7 @@ class Manifest:
     """Files that this program wrote into a folder, by name, with the digest of what it wrote."""
 
     folder: Path
-    files: Mapping[str, Entry]
+    files: Mapping[str, FileEntry]
 
     @classmethod
     def read(cls, folder: Path) -> Manifest:

@@ -18,7 +18,7 @@ from hammerstein.runtime.storage.exchange import NEW, Exchange, clear, exchange,
 from hammerstein.runtime.storage.lock import LOCK, locked
 from hammerstein.runtime.storage.manifest import (
     MANIFEST,
-    Entry,
+    FileEntry,
     Holder,
     Manifest,
     Owner,
@@ -72,7 +72,7 @@ class Stage:
             if name not in before.files and before.holder(name, owner) is Holder.OURS
         }
         stay = {name: entry for name, entry in before.files.items() if name not in replaced}
-        entries = stay | {name: Entry(owner=owner.name, sha256=digest) for name, digest in new.items()}
+        entries = stay | {name: FileEntry(owner=owner.name, sha256=digest) for name, digest in new.items()}
         self.write(MANIFEST, Manifest(self.folder, entries).to_json())
         leaving = replaced | adopted
         if (self.folder / MANIFEST).is_file():

@@ -1,4 +1,4 @@
-"""What simulated actuators answer to claims, and what is the cause where they do not agree."""
+"""What simulated actuators make of claims, and what is the cause where they do not agree."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from hammerstein.errors import InputError
 from hammerstein.metrics import Row
 from hammerstein.paper.claims import Claim, FactorName
-from hammerstein.scenario.assessment import Verdict
+from hammerstein.scenario.assessment import Judgement
 
 CLAIMED = "value"  # the number of a claim
 CAUSES: dict[FactorName, str] = {
@@ -24,8 +24,8 @@ NO_CAUSE = 0.9  # of the distance from agreement; a factor that leaves more of i
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What one actuator answers to a claim."""
+class Simulated:
+    """The figure of a claim on one simulated actuator."""
 
     actuator: str
     value: float
@@ -53,8 +53,8 @@ class Change:
 
 
 @dataclass(frozen=True)
-class ClaimVerdict(Verdict):
-    """A claim and what the simulated actuators answer; the first is the scenario's own.
+class ClaimJudgement(Judgement):
+    """A claim and its figure on the simulated actuators; the first is the scenario's own.
 
     reason : why that one does not agree, with numbers; cause : the factor alone, empty if there is none
     """
@@ -63,7 +63,7 @@ class ClaimVerdict(Verdict):
     paper: float | None
     unit: str
     wanted: str
-    answers: tuple[Answer, ...]
+    simulated: tuple[Simulated, ...]
     reason: str
     calibrated: bool = False
     changes: tuple[Change, ...] = ()
@@ -72,17 +72,12 @@ class ClaimVerdict(Verdict):
     @property
     def ratio(self) -> float | None:
         """Simulated over paper, for the scenario's own actuator."""
-        return self.answers[0].value / self.paper if self.paper else None
+        return self.simulated[0].value / self.paper if self.paper else None
 
     @property
     def agrees(self) -> bool:
         """Whether the scenario's own actuator agrees."""
-        return self.answers[0].agrees
-
-    @property
-    def word(self) -> str:
-        """The verdict in words."""
-        return "met" if self.agrees else "not met"
+        return self.simulated[0].agrees
 
     @property
     def printed(self) -> str:
@@ -96,32 +91,32 @@ class ClaimVerdict(Verdict):
             "statement": self.statement,
             "reason": self.reason,
             "paper": self.printed,
-            "simulated": ", ".join(f"{answer.actuator} {answer.text()}" for answer in self.answers),
+            "simulated": ", ".join(f"{one.actuator} {one.text()}" for one in self.simulated),
             "ratio": "" if self.ratio is None else f"{self.ratio:.2f}",
             "wanted": self.wanted,
-            "verdict": self.word,
+            "judgement": self.word,
         }
 
     def numbers(self) -> Iterator[tuple[Mapping[str, str], Mapping[str, float]]]:
-        """What each actuator answers; one that has no such row answers nothing."""
-        for answer in self.answers:
-            if math.isfinite(answer.value):
-                yield {"claim": self.id, "actuator": answer.actuator}, {CLAIMED: answer.value}
+        """The figure of each actuator; one that has no such row gives none."""
+        for one in self.simulated:
+            if math.isfinite(one.value):
+                yield {"claim": self.id, "actuator": one.actuator}, {CLAIMED: one.value}
 
     def as_dict(self) -> dict[str, object]:
         """Give plain JSON; a figure that does not exist is left out."""
-        content = {k: v for k, v in asdict(self).items() if v is not None}
-        content["answers"] = [answer.as_dict() for answer in self.answers]
+        content = {k: v for k, v in asdict(self).items() if v is not None and k != "simulated"}
+        content["answers"] = [one.as_dict() for one in self.simulated]  # their name in report.json
         content["changes"] = [asdict(change) for change in self.changes if math.isfinite(change.value)]
-        return content | {"verdict": self.word}
+        return content
 
 
-def verdicts(
+def judgements(
     claims: Sequence[Claim],
     rows_by_actuator: Mapping[str, Sequence[Row]],
     changes_of: Callable[[Claim], Sequence[Change]] = lambda claim: (),
-) -> tuple[ClaimVerdict, ...]:
-    """Answer every claim with the rows of every actuator; the first actuator is the scenario's own.
+) -> tuple[ClaimJudgement, ...]:
+    """Judge every claim by the rows of every actuator; the first actuator is the scenario's own.
 
     Parameters
     ----------
@@ -133,25 +128,25 @@ def verdicts(
     """
     found = []
     for claim in claims:
-        answers = []
+        simulated = []
         for actuator, rows in rows_by_actuator.items():
             value = claim.value(rows)
-            answers.append(Answer(actuator, value, claim.agreement.holds(value, claim.paper)))
-        if math.isnan(answers[0].value):
+            simulated.append(Simulated(actuator, value, claim.agreement.holds(value, claim.paper)))
+        if math.isnan(simulated[0].value):
             raise InputError(f"claim {claim.id}", "selects no row that has this metric; look into rms.csv")
-        changes = () if answers[0].agrees or claim.calibrated else tuple(changes_of(claim))
+        changes = () if simulated[0].agrees or claim.calibrated else tuple(changes_of(claim))
         said, cause = [_cut(claim, next(iter(rows_by_actuator.values())))], ""
-        if not answers[0].agrees:
-            cause, why = _cause(claim, answers[0].value, changes)
+        if not simulated[0].agrees:
+            cause, why = _cause(claim, simulated[0].value, changes)
             said += [why, claim.note]
         found.append(
-            ClaimVerdict(
+            ClaimJudgement(
                 claim.id,
                 claim.statement,
                 claim.paper,
                 claim.unit,
                 claim.agreement.words(),
-                tuple(answers),
+                tuple(simulated),
                 _sentences(said),
                 claim.calibrated,
                 changes,

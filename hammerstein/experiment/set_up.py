@@ -243,7 +243,7 @@ def values_of(case: Case, time_s: Array, n_axes: int, rest: ArrayLike = 0.0) -> 
     return signal.sample(time_s, n_axes, rest)
 
 
-def prepare(
+def set_up(
     scenario: Scenario,
     source: str = "scenario",
     progress: Progress | None = None,
@@ -331,7 +331,7 @@ def _models(
 
 
 def _check_signal(scenario: Scenario, plant: Plant, source: str) -> None:
-    """Refuse what no run could answer: too fast for the sample time, wrong axes, out of reach."""
+    """Refuse what no run could do: too fast for the sample time, wrong axes, out of reach."""
     n_axes = len(scenario_axes(scenario, plant.model))
     nyquist = 0.5 / plant.sample_time_s
     kind = "sweep" if scenario.sweep.frequency_hz else "drive" if scenario.reference is None else "reference"

@@ -1,4 +1,4 @@
-"""What is found out about a record before a fit: dead start, swapped columns."""
+"""How the inputs of a record were driven, and outputs that run ahead of them: dead start, swapped columns."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from record_cases import N, U, X, message
 
-from hammerstein.records.preparation import dead_start, lag_rad, leads, refuse_swapped
+from hammerstein.records.driven import dead_start
+from hammerstein.records.leads import lag_rad, leads, refuse_swapped
 from hammerstein.records.record import Record
 
 
-class TestPreparation:
+class TestDriven:
     def test_dead_start_under_noise(self):
         rng = np.random.default_rng(2)
         u = np.concatenate([np.zeros(80), U]) + 3.0
