@@ -2,24 +2,24 @@
 
 import numpy as np
 import pytest
+import theory
 from hypothesis import given, settings, strategies as st
 
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.hysteresis.busy_kernels import WINDOW
-from hammerstein.hysteresis.play_kernels import BLOCK, first_at_least, move, respond_textbook, search_guide
+from hammerstein.hysteresis.play_kernels import BLOCK, first_at_least, move, search_guide
 
 RNG_SEED = 11
 
 
-def textbook(model, u, plays=None):
-    """Outputs and plays of the loop over every operator in every sample."""
-    bank = model.bank
-    state = np.zeros_like(bank.r)
-    for k, row in enumerate(plays or []):
-        state[k, : len(row)] = row
-    y = np.empty((model.n_outputs, u.shape[1]))
-    respond_textbook(np.ascontiguousarray(u), bank.r, bank.n, bank.w, state, y)
-    return y, [state[k, :n] for k, n in enumerate(bank.n)]
+def textbook(model, u, starts=None):
+    """Outputs and last plays by theory, every operator in every sample; the outputs of an input share them."""
+    bank, y, ends = model.bank, np.zeros((model.n_outputs, u.shape[1])), []
+    for k, n in enumerate(bank.n):
+        p = theory.plays(u[k], bank.r[k, :n], starts[k] if starts else np.zeros(n))
+        y += bank.w[k, :n].T @ p
+        ends.append(p[:, -1])
+    return y, ends
 
 
 def assert_equal_to_textbook(model, u):

@@ -25,6 +25,14 @@ def play(u, r, start=0.0):
     return outputs
 
 
+def plays(u, r, start):
+    """Equation 1 for many thresholds r and starts (operator,) at once: outputs (operator, sample)."""
+    outputs, last = np.empty((len(r), len(u))), start
+    for k, voltage in enumerate(u):
+        last = outputs[:, k] = np.maximum(voltage - r, np.minimum(voltage + r, last))
+    return outputs
+
+
 def prandtl_ishlinskii(u, thresholds, weights):
     """Equation 4: v_l = sum over j, i of w_lji play(u_j; r_lji); thresholds, weights: [l][j] -> list."""
     return np.array(

@@ -1,7 +1,7 @@
 """Compiled time loops of the play operators.
 
-Two forms of the same law. The textbook loop updates every operator in every sample. The turning-point
-form below gives the same outputs at a cost a sample that does not grow with the number of operators.
+The textbook loop (``play_bank``) updates every operator in every sample. The turning-point form below gives
+the same outputs at a cost a sample that does not grow with the number of operators.
 
 The operators of one input stand on one grid of increasing thresholds r[0] < r[1] < ... . Whatever moved the
 input, neighbouring operators that were last engaged together form a *segment*: operators ``start..end-1``
@@ -70,25 +70,6 @@ def play_bank(u, r, plays, first, stop, p):  # type: ignore[no-untyped-def]
             now = max(u[at(t)] - r[i], min(u[at(t)] + r[i], now))
             p[i, at(t)] = now
         plays[i] = now
-
-
-@compiled()
-def respond_textbook(u, r, n, w, plays, y):  # type: ignore[no-untyped-def]
-    """Textbook loop: every play operator in every sample, shared by all outputs of its input.
-
-    u : (m, N) inputs; r : (m, n_max) thresholds; n : (m,) operators of each input
-    w : (m, n_max, p) weights; plays : (m, n_max) operator outputs, updated in place
-    y : (p, N) outputs, overwritten
-    """
-    y[:] = 0.0
-    for k in range(u.shape[0]):
-        for t in range(u.shape[1]):
-            v = u[k, t]
-            for i in range(n[k]):
-                play = max(v - r[k, i], min(v + r[k, i], plays[k, i]))
-                plays[k, i] = play
-                for o in range(y.shape[0]):
-                    y[o, t] += w[k, i, o] * play
 
 
 def search_guide(
