@@ -13,7 +13,7 @@ RNG_SEED = 11
 
 
 def textbook(model, u, starts=None):
-    """Outputs and last plays by theory, every operator in every sample; the outputs of an input share them."""
+    """Outputs and last plays by theory, every operator in every sample, for all outputs of its input."""
     bank, y, ends = model.bank, np.zeros((model.n_outputs, u.shape[1])), []
     for k, n in enumerate(bank.n):
         p = theory.plays(u[k], bank.r[k, :n], starts[k] if starts else np.zeros(n))

@@ -88,7 +88,7 @@ def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> Built:
         axes, blocks = _with_fewer_if_needed(task, guess, axes, begun)
         notes = (KEPT,) if blocks is begun and settings.partition == "fitted" else ()
     before = axes
-    axes, blocks, tried = _grown(task, axes, blocks)
+    axes, blocks, tried = _with_lag_and_creep(task, axes, blocks)
     if axes is not before and settings.fits_thresholds:
         axes, blocks = _thresholds_and_axes(task, _guess_of(guess, axes), axes, blocks)
     if not any(axis_identified(axis) for axis in axes):
@@ -224,10 +224,15 @@ def _others(
     return tuple(found)
 
 
-def _grown(
+def _with_lag_and_creep(
     task: Task, axes: tuple[AxisFit, ...], blocks: Blocks
 ) -> tuple[tuple[AxisFit, ...], Blocks, list[tuple[str, Found]]]:
-    """Axes with what else lowers the error: a low-pass beside the resonance, a creep mode."""
+    """Axes with a low-pass beside the resonance, then a creep mode, each where it lowers the error.
+
+    All outputs take the step together, and the static block, which is fitted anew, judges it: thresholds of
+    plays and axes are found in turn here. Behind a block with given shapes, axes grow one by one instead; see
+    ``behind``.
+    """
     settings = task.settings
     tried: list[tuple[str, Found]] = []
     grids = SlopeColumns.of(thresholds_of(blocks)).grids

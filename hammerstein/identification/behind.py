@@ -91,8 +91,10 @@ def search_behind(task: Task, hysteresis: Hysteresis[Any], begin: Behind, free_d
     every = [len(weights) for weights in hysteresis.weights]
     tasks = [_axis_tasks(late, hysteresis, o, (number, MANY, FEW)) for o, number in enumerate(every)]
     near = begin.axes or (Axis(),) * task.outputs
-    grown = [_grown(task, one, quick, axis) for (_, one, quick), axis in zip(tasks, near, strict=True)]
-    shapes, begins = [shape for shape, _ in grown], [x for _, x in grown]
+    selected = [
+        _forward_selection(task, one, quick, axis) for (_, one, quick), axis in zip(tasks, near, strict=True)
+    ]
+    shapes, begins = [shape for shape, _ in selected], [x for _, x in selected]
     whole, many, few = (
         [replace(one, shape=shape) for one, shape in zip(row, shapes, strict=True)]
         for row in zip(*tasks, strict=True)
@@ -206,7 +208,7 @@ def _told(columns: Sequence[Regressors], every: int) -> Array:
     return np.asarray((directions[:, kept] / np.sqrt(power[kept])).T / size)
 
 
-def _grown(task: Task, one: AxisTask, quick: AxisTask, begin: Axis) -> tuple[AxisShape, Array]:
+def _forward_selection(task: Task, one: AxisTask, quick: AxisTask, begin: Axis) -> tuple[AxisShape, Array]:
     """Shape and parameters of one axis, found by adding what lowers the error most.
 
     one, quick : with many columns, which decide, and with the few that a search needs

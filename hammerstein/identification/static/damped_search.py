@@ -15,6 +15,7 @@ import numpy as np
 from hammerstein.arrays import Array
 
 LARGEST_CHANGE = 0.5
+TINY = float(np.finfo(float).tiny)
 
 P = TypeVar("P")
 
@@ -67,9 +68,20 @@ def steps(
         amount = max(damping.less * amount, damping.least) if tried.gained else damping.more * amount
 
 
-def damped_change(curvature: Array, pull: Array, damping: float) -> Array:
-    """Change of some parameters from their normal equations."""
-    scale = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
+def damped_change(
+    curvature: Array,
+    pull: Array,
+    damping: float,
+    largest: float = LARGEST_CHANGE,
+    least: float = TINY,
+    rcond: float = 1e-12,
+) -> Array:
+    """Change of some parameters from their normal equations, each scaled by its own curvature.
+
+    largest : change up to which the normal equations are trusted
+    least : curvature that a parameter has at least; rcond : what counts as singular once all are scaled
+    """
+    scale = np.sqrt(np.maximum(np.diag(curvature), least))
     scaled = curvature / np.outer(scale, scale) + damping * np.eye(len(scale))
-    change = np.linalg.lstsq(scaled, pull / scale, rcond=1e-12)[0] / scale
-    return np.asarray(np.clip(change, -LARGEST_CHANGE, LARGEST_CHANGE))
+    change = np.linalg.lstsq(scaled, pull / scale, rcond=rcond)[0] / scale
+    return np.asarray(np.clip(change, -largest, largest))

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
-from hammerstein.identification.static.damped_search import Damping, steps
+from hammerstein.identification.static.damped_search import Damping, damped_change, steps
 from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import half_swing, static_moments
@@ -139,15 +139,14 @@ class Linearised:
         lowest, highest = _room(self.grids, reach_v)
         stuck = ((r <= lowest) & (self.pull < 0.0)) | ((r >= highest) & (self.pull > 0.0))
         free = np.flatnonzero(~stuck)
-        curvature = self.curvature[np.ix_(free, free)]
         diagonal = np.diag(self.curvature)
         if not diagonal.max(initial=0.0) > 0.0:  # rounding alone: the error depends on none of them
             return self.grids
         floor = 1e-12 * diagonal.max() + np.finfo(float).tiny
-        scale = np.sqrt(np.maximum(diagonal[free], floor))
-        scaled = curvature / np.outer(scale, scale) + damping * np.eye(len(free))
         moved = r.copy()
-        moved[free] += np.linalg.lstsq(scaled, self.pull[free] / scale, rcond=1e-14)[0] / scale
+        moved[free] += damped_change(
+            self.curvature[np.ix_(free, free)], self.pull[free], damping, math.inf, floor, 1e-14
+        )
         return split(np.clip(moved, lowest, highest), self.grids)
 
 
