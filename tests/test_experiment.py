@@ -362,7 +362,7 @@ def test_a_law_that_knows_the_actuator_itself_says_so():
     laws = [{"label": f"law {k}", "law": "none", **source} for k, source in enumerate(sources)]
     said = [s for s in run(_scenario(reference=reference, compensators=laws)).statements if "itself" in s]
     assert said == [
-        "law 0: its model is the simulated actuator itself. On a real one the model's error comes on top."
+        "law 0: designed from the simulated actuator itself. On a real one the model's error comes on top."
     ]
 
 
@@ -435,4 +435,4 @@ def test_what_the_hold_alone_costs_is_told(actuator, sample_time_s, told):
         error = held - np.sin(2 * np.pi * 10.0 * time)
         off = 2.0 * abs(np.mean(error * np.exp(-2j * np.pi * 10.0 * time)))
         assert f"a sine {100 * off:.2g} % of its amplitude off" in said[0]
-        assert "found at 50 us, the run has 2000 us" in said[1]
+        assert "identified at 50 us, run at 2000 us" in said[1]

@@ -6,8 +6,11 @@ import pytest
 
 from hammerstein.experiment.run import run
 from hammerstein.model import HammersteinModel
+from hammerstein.reporting.page import gathered
 
 SINE = {"kind": "sine", "amplitude_um": 20.0, "frequency_hz": 50.0, "axis": 1}
+UNEVEN_HZ = 15.1
+"""151 cycles before their samples, 50 us apart, fall where they fell: it oscillates, and repeats nowhere."""
 PAPER = {"label": "paper", "law": "inverse_multiplicative", "run_anyway": True}
 
 
@@ -28,9 +31,9 @@ def test_a_resonance_that_still_rings_settles_when_one_waits():
 
 def test_a_law_that_does_not_converge_never_settles():
     wild = PAPER | {"identification": {"frequency_hz": 200}}
-    slow = SINE | {"frequency_hz": 15.0}
+    slow = SINE | {"frequency_hz": UNEVEN_HZ}
     (text,) = _told(reference=slow, compensators=[wild])
-    assert "nor does it in 20 times as many cycles: the iteration of its law does not converge" in text
+    assert "nor does it in 20 times as many cycles: the iteration of the law does not converge" in text
 
 
 @pytest.mark.parametrize("creeping", [2, 1])
@@ -75,3 +78,21 @@ def test_a_percent_between_cycles_is_not_settled(cycles, settled):
     assert (
         bool(_told(compensators=[law], measure=measure, reference=SINE | {"frequency_hz": 200.0})) != settled
     )
+
+
+def test_samples_that_fall_elsewhere_in_each_cycle_are_no_lack_of_settling():
+    """At 15 Hz and 50 us 3 cycles are 4000 samples: an oscillation repeats so, while neighbours differ."""
+    wild = PAPER | {"identification": {"frequency_hz": 200}}
+    assert not _told(
+        reference=SINE | {"frequency_hz": 15.0}, compensators=[wild], measure={"settle_cycles": 4}
+    )
+
+
+def test_what_is_said_of_two_runs_at_once_names_no_owner():
+    ways = ({"frequency_hz": 200}, {"frequency_hz": 210})
+    laws = [PAPER | {"label": f"paper {k}", "identification": own} for k, own in enumerate(ways)]
+    reference = SINE | {"frequency_hz": UNEVEN_HZ}
+    report = run({"question": "?", "actuator": "duo_bimorph", "reference": reference, "compensators": laws})
+    shared = [said for said in gathered(report.statements) if said.startswith("paper 0 at")]
+    assert [said.count("; paper 1 at") for said in shared] == [1]
+    assert " its " not in shared[0]

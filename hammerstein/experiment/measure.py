@@ -236,8 +236,8 @@ def _sampling(setup: SetUp) -> Iterator[str]:
         own = getattr(source.identification, "sample_time_s", None)
         if own is not None and not math.isclose(own, step):
             yield (
-                f"{source.label}: two sample times meet; its model was found at {1e6 * own:g} us, the run "
-                f"has {1e6 * step:g} us, whose hold it does not know."
+                f"{source.label}: two sample times meet; identified at {1e6 * own:g} us, run at "
+                f"{1e6 * step:g} us, whose hold is not in the model."
             )
     every = scenario.measure.record_every
     if every is not None:
@@ -263,7 +263,7 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     """What a reader of the report must know: convergence, saturation, and what did not settle."""
     statements = [f"{label}: {text}" for label, law in setup.laws.items() if (text := law.statement())]
     statements += [
-        f"{label}: its model is the simulated actuator itself. On a real one the model's error comes on top."
+        f"{label}: designed from the simulated actuator itself. On a real one the model's error comes on top."
         for label in setup.laws
         if setup.models[label].digest() == setup.plant.model.digest()
     ]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 
+from hammerstein.arrays import Array
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.dynamics import AxesDynamics
 from hammerstein.errors import HammersteinError
@@ -15,24 +18,47 @@ from hammerstein.signals import OneFrequency
 
 SETTLED_FRACTION = 1e-3  # cycles may differ by this part of the range, beside the sensor's noise
 LONGER = (2, 20)  # times the cycles before the measurement that are tried
+WHOLE = 1e-6  # part of a sample by which a whole number of them may miss
 END_SHARE = 0.1  # of a cycle: a law that looks further ahead sees the end of the path from the last one
 MOST_SAMPLES = 4_000_000  # a longer run is not tried
 
 
 def settled(setup: SetUp, case: Case, response: Response) -> bool:
-    """Whether the first and the last measured cycle of the true position agree."""
+    """Whether the last measured cycle of the true position repeats an earlier one.
+
+    That is the first measured one or, where the samples of those two lie at different phases, the latest at
+    the same ones: what a law does between two samples differs from cycle to cycle, and is no settling.
+    """
     cycles = setup.scenario.measure.measured_cycles
     if not isinstance(case.signal, OneFrequency) or not case.signal.repeats or cycles < 2:
         return True
-    first_sample = Window.of(setup.scenario, case.signal, response.sample_time_s).first
-    position = response.position_um
-    length = int(case.signal.period_s / response.sample_time_s)
-    lag = round((cycles - 1) * case.signal.period_s / response.sample_time_s)
-    first = position[:, first_sample : first_sample + length]
-    last = position[:, first_sample + lag : first_sample + lag + length]
-    fraction = abs(lag * response.sample_time_s / case.signal.period_s - (cycles - 1))
+    samples = case.signal.period_s / response.sample_time_s
+    last = Window.of(setup.scenario, case.signal, response.sample_time_s).first + round(
+        (cycles - 1) * samples
+    )
+    alike = _cycles_of_whole_samples(samples, int(last / samples))
+    back = {cycles - 1, alike * math.ceil((cycles - 1) / alike)} if alike else {cycles - 1}
+    return any(_repeats(response.position_um, last, some, samples) for some in back if some * samples <= last)
+
+
+def _cycles_of_whole_samples(samples: float, most: int) -> int:
+    """Fewest cycles, of so many samples each, that have a whole number of them; 0 if more than ``most``.
+
+    >>> _cycles_of_whole_samples(2000 / 7, 10), _cycles_of_whole_samples(2000 / 7, 6)
+    (7, 0)
+    """
+    cycles = Fraction(samples).limit_denominator(max(most, 1)).denominator
+    return cycles if abs(cycles * samples - round(cycles * samples)) < WHOLE else 0
+
+
+def _repeats(position: Array, start: int, cycles: int, samples: float) -> bool:
+    """Whether the cycle that starts at a sample agrees with that so many cycles before it."""
+    lag = round(cycles * samples)
+    now = position[:, start : start + int(samples)]
+    then = position[:, start - lag :][:, : now.shape[1]]
+    fraction = abs(lag / samples - cycles)
     allowed = (SETTLED_FRACTION + 2.0 * np.pi * fraction) * float(np.ptp(position))
-    return float(np.abs(first[:, : last.shape[1]] - last).max()) <= allowed + 1e-9
+    return float(np.abs(then - now).max()) <= allowed + 1e-9
 
 
 def advice(setup: SetUp, case: Case) -> str:
@@ -58,10 +84,10 @@ def _why(setup: SetUp, case: Case) -> str:
     law, dynamics = setup.laws.get(case.label), setup.plant.model.dynamics
     ahead_s = getattr(law, "preview_samples", 0) * setup.plant.sample_time_s
     if isinstance(law, InverseMultiplicativeLaw) and not law.convergence.converges:
-        return "the iteration of its law does not converge"
+        return "the iteration of the law does not converge"
     if isinstance(dynamics, AxesDynamics) and any(axis.creep for axis in dynamics.axes):
         slowest = max(mode.time_constant_s for axis in dynamics.axes for mode in axis.creep)
         return f"the actuator creeps, with time constants up to {slowest:g} s"
     if ahead_s > END_SHARE * case.signal.period_s:
-        return f"its law looks {ahead_s:.3g} s ahead, and the last cycle responds to the end of the path"
+        return f"the law looks {ahead_s:.3g} s ahead, and the last cycle responds to the end of the path"
     return "the cycles go on differing"
