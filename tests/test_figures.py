@@ -1,78 +1,31 @@
-"""Figures: what is drawn, that it is the same every time, and that it stays small."""
+"""Figures: what is drawn."""
 
 from __future__ import annotations
 
-import io
-import subprocess
-import sys
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from itertools import combinations
-from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 import theory
+from figure_cases import CIRCLE, NONE, PAPER, SINE_V, circles, loops, report_of
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.transforms import Bbox
-from PIL import Image
 
-from hammerstein.errors import InputError
 from hammerstein.experiment.report import Report
-from hammerstein.experiment.run import run
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
-from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure, save_figures, write_figures
-from hammerstein.reporting.figures.drawing import Painting, Words, drawing_of
+from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure
 from hammerstein.reporting.figures.loop_data import legend_labels, legible_parts
-from hammerstein.reporting.figures.narrow import NARROW_PX, narrow_figure
-from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
-from hammerstein.reporting.figures.png import png_of
-from hammerstein.reporting.figures.style import (
-    COLOURS,
-    MOST_POINTS,
-    line_style,
-    new_figure,
-    styled,
-    thin_path,
-    thin_trace,
-)
+from hammerstein.reporting.figures.path import PathRun, path_figure
+from hammerstein.reporting.figures.style import line_style
 from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
-from hammerstein.reporting.figures.write import images, png
-from hammerstein.scenario import Scenario
 
-LARGEST_SVG_BYTES = 400_000
-LARGEST_PNG_BYTES = 40_000
-
-SINE_V = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}
 SINE_UM = {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 50.0}
-CIRCLE = {"kind": "circle", "radius_um": 40.0, "frequency_hz": 50.0}
-PAPER = {"label": "paper", "law": "inverse_multiplicative", "identification": {}}
-NONE = {"label": "none", "law": "none", "identification": {}}
 MODEL = {"label": "model", "identification": {}}
 OTHER_MODEL = {"label": "other", "identification": {"frequency_hz": 80.0}}
 FIVE = {"frequency_hz": [10.0, 20.0, 50.0, 80.0, 100.0]}
-
-
-def report_of(**content: Any) -> Report:
-    return run(Scenario.model_validate({"question": "?", "actuator": "duo_bimorph_static"} | content), "test")
-
-
-@cache
-def loops() -> Report:
-    return report_of(drive=SINE_V)
-
-
-@cache
-def circles() -> Report:
-    return report_of(reference=CIRCLE, sweep={"radius_um": [15.0, 40.0]}, compensators=[PAPER, NONE])
 
 
 @cache
@@ -354,116 +307,10 @@ def test_labels_are_written_as_they_are() -> None:
     assert texts == [" _none", r"50 \$ and \$x", "ideal"]
 
 
-def test_files_are_the_same_every_time_and_whatever_the_user_s_style(tmp_path: Path) -> None:
-    report = report_of(reference=CIRCLE, compensators=[NONE])
-    first = write_figures(report, tmp_path / "a")
-    with mpl.rc_context({"font.size": 31.0, "svg.hashsalt": None, "axes.facecolor": "red"}):
-        second = write_figures(report, tmp_path / "b")
-        assert mpl.rcParams["font.size"] == 31.0
-    assert [path.name for path in first] == ["path.svg", "path.png", "errors.svg", "errors.png"]
-    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
-    assert "<dc:date>" not in first[0].read_text()
-
-
-def test_a_line_drawing_is_a_small_file_in_the_hues_of_its_inks() -> None:
-    for figure in (figures_of(loops()) | figures_of(circles())).values():
-        drawn = images(figure)["png"]
-        assert len(drawn) < LARGEST_PNG_BYTES
-        with Image.open(io.BytesIO(drawn)) as picture:
-            assert picture.mode == "P"
-            assert picture.info["dpi"] == pytest.approx((125, 125), abs=0.1)
-            shown = {colour for _, colour in picture.convert("RGB").getcolors()}
-        inks = {to_rgb(line.get_color()) for axes in figure.axes for line in axes.lines}
-        hued = {tuple(round(255 * part) for part in ink) for ink in inks if np.ptp(ink) > 0.1}
-        assert hued <= shown
-        assert len(shown) <= 2 * len(hued) + 6
-
-
-def test_the_pictures_of_this_repository_are_small() -> None:
-    reports = Path(__file__).parents[1] / "reports"
-    pictures = [path for kept in ("paper", "measured") for path in (reports / kept).rglob("*.png")]
-    assert len(pictures) > 50
-    assert [path.name for path in pictures if path.stat().st_size > LARGEST_PNG_BYTES] == []
-
-
-def test_a_pale_band_keeps_its_colour_beside_others() -> None:
-    """Bands of two inks, where they overlap a third colour: in a palette of the inks alone all turn grey."""
-    figure = new_figure(2.0)
-    axes = figure.subplots()
-    for number, colour in enumerate(COLOURS[:2]):
-        axes.axhspan(number, number + 2.0, color=colour, alpha=0.22, linewidth=0.0)
-    drawn = np.asarray(Image.open(io.BytesIO(png(figure))).convert("RGB")).astype(float)
-    figure.set_frameon(True)
-    exact = _drawn(figure).astype(float)
-    assert np.median(np.abs(drawn - exact).max(axis=2)) == 0.0
-    for height in (0.5, 1.5, 2.5):
-        x, y = axes.transData.transform((0.45, height)).astype(int)
-        np.testing.assert_array_equal(drawn[-y, x], exact[-y, x])
-
-
-@pytest.mark.parametrize(("width", "colours"), [(7, 16), (8, 2), (9, 17)])
-def test_a_png_holds_the_pixels_it_was_given(width: int, colours: int) -> None:
-    rng = np.random.default_rng(width)
-    palette = rng.integers(0, 256, (colours, 3)).astype(np.uint8)
-    numbers = rng.integers(0, colours, (5, width)).astype(np.uint8)
-    with Image.open(io.BytesIO(png_of(palette, numbers, 125.0))) as picture:
-        np.testing.assert_array_equal(np.asarray(picture.convert("RGB")), palette[numbers])
-
-
-def test_threads_draw_the_same_as_one_alone() -> None:
-    def drawn(report: Report) -> list[dict[str, bytes]]:
-        return [images(figure) for figure in figures_of(report).values()]
-
-    alone = drawn(loops())
-    with ThreadPoolExecutor(2) as pool:
-        assert list(pool.map(drawn, [loops(), loops()])) == [alone, alone]
-
-
-def test_a_long_noisy_run_gives_a_small_file() -> None:
-    noise = np.random.default_rng(1).standard_normal
-    runs = [LoopRun(str(n), k, noise(200_000), noise((2, 200_000))) for n in range(6) for k in range(2)]
-    drawn = loops_figure(runs, ["u", "v"], ["x", "y"])
-    assert sum(len(line.get_xdata()) for axes in drawn.axes for line in axes.lines) <= MOST_POINTS + 24
-    assert len(images(drawn)["svg"]) < LARGEST_SVG_BYTES
-
-
-def test_thinning_keeps_the_ends_and_the_peaks() -> None:
-    values = np.random.default_rng(2).standard_normal(12_345)
-    time = np.arange(12_345.0)
-    few_times, few = thin_trace(time, values, 500)
-    assert len(few) <= 500
-    assert (few.min(), few.max()) == (values.min(), values.max())
-    assert np.array_equal(few, values[few_times.astype(int)])
-    x, y = thin_path([time, values], 500)
-    assert len(x) <= 501
-    assert (x[0], x[-1], y[-1]) == (0.0, 12_344.0, values[-1])
-
-
 def test_curves_differ_in_colour_and_in_line_or_marker() -> None:
     styles = [line_style(number) for number in range(7)]
     assert len({style["color"] for style in styles}) == 7
     assert len({(str(style["linestyle"]), style["marker"]) for style in styles}) == 7
-
-
-def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
-        save_figures(figures_of(loops()), tmp_path / "file")
-
-
-def test_drawing_needs_no_window_and_importing_no_matplotlib() -> None:
-    code = """
-import sys
-import numpy as np
-from hammerstein.reporting.figures import (LoopRun, loops_figure)
-assert "matplotlib" not in sys.modules
-from hammerstein.reporting.figures.write import images, png
-images(loops_figure([LoopRun("a", 0, np.arange(3.0), np.ones((1, 3)))], ["u"], ["y"]))
-assert "matplotlib" in sys.modules
-assert "matplotlib.pyplot" not in sys.modules
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 def test_labels_have_one_unit():
@@ -477,7 +324,7 @@ def test_labels_have_one_unit():
         assert "um)" not in label
 
 
-def test_the_largest_loop_of_falling_amplitudes_is_drawn():
+def test_the_largest_loop_of_falling_amplitudes_isas_matplotlib_draws():
     from hammerstein.reporting.figures.identified import measured_loops
 
     corners = [0.0, 100.0, 0.0, 60.0, 0.0, 30.0, 0.0]
@@ -508,100 +355,3 @@ def test_inputs_that_move_at_once_have_the_loop_of_each_pair_by_the_model() -> N
         assert np.ptp(drawn[1]) == pytest.approx(height, rel=0.01)
         area = theory.loop_area(thresholds[o][k], weights[o][k], 10.0)
         assert abs(theory.polygon_area(*drawn)) == pytest.approx(area, rel=0.01)
-
-
-def _two_paths() -> Figure:
-    time_s = 50e-6 * np.arange(800)
-    turn = 2.0 * np.pi * 50.0 * time_s
-    circle = 30.0 * np.array([np.cos(turn), np.sin(turn)])
-    labels = ["a long label of " + "many words " * 6, "b"]
-    runs = [PathRun(one, "", time_s, circle, circle + 2.0, circle + 1.0, 0.04) for one in labels]
-    return path_figure(runs, ["x", "y" * 30], "reference", "A title of " + "many words " * 9)
-
-
-def _errors_of_three() -> Figure:
-    time_s = 50e-6 * np.arange(800)
-    circle = np.array([np.cos(314.0 * time_s), np.sin(314.0 * time_s)])
-    runs = [PathRun("a", f"{r} um", time_s, r * circle, r * circle + 2.0, None, 0.04) for r in (1, 2, 3)]
-    return path_errors_figure(runs, ["x", "y"], "Errors")
-
-
-def _sweep_with_a_band(columns: int = 1) -> Figure:
-    x = np.array([10.0, 20.0, 50.0, 100.0, 200.0, 300.0])
-    values = np.ones((1, columns, 6)) * x
-    curve = SweepCurve("model", x, values, mark=50.0, band=(0.5 * values, 2.0 * values), nominal=1.1 * values)
-    return sweep_figure([curve], [["panel"] * columns], "error [um]", "A band")
-
-
-def _crowded() -> Figure:
-    figure = _sweep_with_a_band()
-    for axes in figure.axes:
-        axes.set_xticks(np.linspace(10.0, 300.0, 12), [f"{k} 000 000" for k in range(12)])
-    return figure
-
-
-def _pixels(png: bytes) -> np.ndarray:
-    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
-
-
-def _words_of(figure: Figure) -> list[tuple[str, Bbox]]:
-    """Words that stand in the panels of a narrow figure, and the room of each."""
-    (painting,) = (artist for artist in figure.artists if isinstance(artist, Painting))
-    renderer = FigureCanvasAgg(figure).get_renderer()
-    placed = [(stroke, move) for stroke, move in painting.strokes if isinstance(stroke, Words)]
-    return [(words.text, Bbox(move.transform(words.box(renderer)))) for words, move in placed]
-
-
-@pytest.mark.parametrize("draw", [_two_paths, _errors_of_three, _sweep_with_a_band, _crowded])
-def test_a_narrow_drawing_cuts_nothing_off_and_no_word_hides_another(draw: Callable[[], Figure]) -> None:
-    figure = draw()
-    with styled():
-        found = _words_of(narrow_figure(figure, drawing_of(figure)))
-    for (_, one), (_, other) in combinations(found, 2):
-        assert min(one.x1, other.x1) - max(one.x0, other.x0) < 1.0 or (
-            min(one.y1, other.y1) - max(one.y0, other.y0) < 1.0
-        )
-    narrow = _pixels(images(draw())["narrow"])
-    assert narrow.shape[1] == NARROW_PX
-    for edge in (narrow[:3], narrow[-3:], narrow[:, :3], narrow[:, -3:]):
-        assert (edge > 250).all()
-
-
-def test_a_narrow_drawing_has_its_panels_below_each_other_each_with_its_numbers() -> None:
-    figure = _errors_of_three()
-    with styled():
-        found = _words_of(narrow_figure(figure, drawing_of(figure)))
-    letters = [next(room for text, room in found if text == f"({name})") for name in "abc"]
-    assert letters[0].y0 > letters[1].y1 > letters[1].y0 > letters[2].y1
-    assert np.ptp([room.x0 for room in letters]) < 1.0
-    texts = [text for text, _ in found]
-    assert texts.count("time [ms]") == 3  # once below each group
-    assert texts.count("$e_x$ [µm]") == texts.count("distance") == 3  # the wide figure has them once
-
-
-@pytest.mark.parametrize("draw", [_two_paths, _sweep_with_a_band])
-def test_what_was_kept_of_a_drawing_is_painted_as_matplotlib_draws_it(draw: Callable[[], Figure]) -> None:
-    with styled():
-        figure = draw()
-        painted = _drawn(drawing_of(figure).painted())
-        figure.set_frameon(True)
-        drawn = _drawn(figure)
-    assert np.abs(drawn - painted).max() <= 1
-    assert (drawn != painted).mean() < 1e-3
-
-
-def _drawn(figure: Figure) -> np.ndarray:
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[:, :, :3].astype(int)
-
-
-def test_a_band_is_squeezed_with_its_curves() -> None:
-    pixels = _pixels(images(_sweep_with_a_band(2))["narrow"])
-    below = pixels[pixels.shape[0] * 6 // 10 :].astype(int)  # the second panel
-    red, _, blue = np.moveaxis(below, 2, 0)
-    curve = np.flatnonzero(((blue - red > 100) & (red < 100)).any(axis=0))
-    band = np.flatnonzero((((blue - red) > 15) & (red > 180)).sum(axis=0) > 20)
-    assert np.ptp(curve) > 0.8 * NARROW_PX
-    assert abs(curve[0] - band[0]) < 8  # a band has no markers at its ends
-    assert abs(curve[-1] - band[-1]) < 8

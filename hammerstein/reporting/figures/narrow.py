@@ -26,7 +26,7 @@ Side = Literal["left", "below", "above", "inside"]
 Ends = Sequence[float]
 
 NARROW_PX, NARROW_DPI = 500, 125
-MOST_LETTERS, MOST_OF_TWO = 42, 17  # of a line of the legend, of one or of two columns
+LEGEND_LETTERS, LEGEND_LETTERS_OF_TWO = 42, 17  # of a line of the legend, of one or of two columns
 EDGE_PX = 8.0
 BETWEEN_PX, JOINED_PX = 16.0, 8.0  # from panel to panel; of those that share a horizontal axis
 APART_PX = 6.0  # from number to number of an axis
@@ -198,9 +198,9 @@ def _lent(side: Side, own_and_others: Sequence[Sequence[_Label]]) -> list[_Label
 def _narrow_legend(made: Figure, legend: Legend, drawing: Drawing) -> float:
     """Put a legend of short lines in the place of a wide one; gives its height [pixel]."""
     handles = [handle for handle in legend.legend_handles if handle is not None]
-    words = ["\n".join(textwrap.wrap(text.get_text(), MOST_LETTERS)) for text in legend.get_texts()]
-    title = "\n".join(textwrap.wrap(legend.get_title().get_text(), MOST_LETTERS))
-    columns = 2 if max(map(len, words), default=0) <= MOST_OF_TWO else 1
+    words = ["\n".join(textwrap.wrap(text.get_text(), LEGEND_LETTERS)) for text in legend.get_texts()]
+    title = "\n".join(textwrap.wrap(legend.get_title().get_text(), LEGEND_LETTERS))
+    columns = 2 if max(map(len, words), default=0) <= LEGEND_LETTERS_OF_TWO else 1
     narrow = made.legend(handles, words, loc="upper center", ncols=columns, title=title or None)
     narrow.get_title().set(fontweight="bold", multialignment="center")
     return narrow.get_window_extent(drawing.measures).height + BETWEEN_PX

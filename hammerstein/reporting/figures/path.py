@@ -111,7 +111,7 @@ class PathRun:
 DISTANCE = "distance"
 TRULY = "true distance"
 LABELS = {DISTANCE: "distance\n[µm]", TRULY: "true\ndistance\n[µm]"}  # as long as a low panel is high
-MOST_LETTERS = 18
+UPRIGHT_LETTERS = 18
 """Of a line beside such a panel."""
 
 
@@ -243,7 +243,7 @@ def _draw_plane(
 
 def _upright(label: str) -> str:
     """Label in lines that are no longer than a panel is high."""
-    return "\n".join(textwrap.wrap(label, MOST_LETTERS))
+    return "\n".join(textwrap.wrap(label, UPRIGHT_LETTERS))
 
 
 def _points(run: PathRun, most: int) -> int:
