@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hammerstein.identification.static.history import closed, each_alone, judged_starts
+from hammerstein.identification.static.history import closed, each_alone, judged_starts, shortened
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 
@@ -55,6 +55,17 @@ def test_of_two_records_one_alone_may_have_begun_otherwise():
     assert second.turn_v == ((0.0, U.min()),)
     assert each_alone(records, begun, lambda starts: predict, [0]) == begun
     assert each_alone(records, begun, lambda starts: predict, []) == begun
+
+
+def test_beginnings_hold_the_whole_swing_of_every_input():
+    slow, still = 10.0 * np.sin(2.0 * np.pi * np.arange(40_000) / 20_000), np.zeros(40_000)
+    driven = ((slow, still), (still, slow), (0.3 * slow, slow / 9))
+    records = [Record(both, both, 1e-4) for both in driven]
+    few, _ = shortened(records, (Start("rest"),) * 3, 6000)
+    lengths = [record.samples for record in few]
+    lowest = 15_000  # after three quarters of the sine
+    assert lengths == pytest.approx([lowest, lowest, 2000], rel=0.02)
+    assert [np.ptp(few[k].u_v[k]) for k in range(2)] == pytest.approx([20.0, 20.0], rel=2e-3)
 
 
 @pytest.mark.parametrize(("gap", "is_closed"), [(0.015, True), (0.025, False)])

@@ -70,9 +70,18 @@ def _range(model: HammersteinModel) -> DriveRange:
 
 
 def best_other(one: Fitted, ranked: Sequence[Fitted]) -> Fitted | None:
-    """Best model with hysteresis of another kind; ``ranked``: all models, the best first."""
-    others = (other for other in ranked if other.hysteresis not in (LINEAR, one.hysteresis))
-    return next(others, None)
+    """Best model with hysteresis of another kind; ``ranked``: all models, the best first.
+
+    Where the best of all has dynamics, one that has some, if there is any: an actuator without a resonance
+    would speak against every law that undoes it.
+    """
+    others = [other for other in ranked if other.hysteresis not in (LINEAR, one.hysteresis)]
+    lively = [other for other in others if not _is_static(other)] if not _is_static(ranked[0]) else []
+    return next(iter(lively or others), None)
+
+
+def _is_static(one: Fitted) -> bool:
+    return isinstance(one.model.dynamics, StaticDynamics)
 
 
 def left_by(one: Fitted, law: Inverse, other: Fitted | None, records: Sequence[Record]) -> Left:

@@ -24,6 +24,8 @@ CAUTION = 0.25
 """Part of the remaining record that is left out as well until the dynamics are known."""
 FASTER = 1.2
 """Ratio of the power of a motion's differences from which one part of a record counts as faster."""
+SAME_SWING, LONG = 1e-3, 2**62
+"""Part of a swing that may be missing, and samples that no record has."""
 FEWEST = 500
 """Samples of a record that are always kept."""
 WORTH = 0.02
@@ -287,10 +289,28 @@ def _whole_error(
 def shortened(
     records: Sequence[Record], starts: Sequence[Start], samples: int
 ) -> tuple[tuple[Record, ...], tuple[Start, ...]]:
-    """Beginnings of the records with a given number of samples in all, for what must be quick."""
-    most = max(samples // len(records), FEWEST)
-    pairs = [_cut(record, start, most) for record, start in zip(records, starts, strict=True)]
+    """Beginnings of the records with a given number of samples in all, for what must be quick.
+
+    Longer ones of the records that show how far each input swings: a threshold that is engaged in the whole
+    records is engaged in these as well.
+    """
+    most = np.maximum(max(samples // len(records), FEWEST), _swung(records))
+    pairs = [_cut(*each) for each in zip(records, starts, most.tolist(), strict=True)]
     return tuple(record for record, _ in pairs), tuple(start for _, start in pairs)
+
+
+def _swung(records: Sequence[Record]) -> Array:
+    """Samples of each record (record,) after which one of them has shown the whole swing of each input."""
+    needed = np.zeros(len(records), dtype=int)
+    for k in range(len(records[0].u_v)):
+        swings = [
+            np.maximum.accumulate(record.u_v[k]) - np.minimum.accumulate(record.u_v[k]) for record in records
+        ]
+        whole = (1.0 - SAME_SWING) * max(swing[-1] for swing in swings)
+        until = [int(np.argmax(swing >= whole)) + 1 if swing[-1] >= whole else LONG for swing in swings]
+        first = int(np.argmin(until))
+        needed[first] = max(needed[first], until[first])
+    return needed
 
 
 def liveliest(
