@@ -21,6 +21,7 @@ from hammerstein.records.noise import dead_band, noise_rms, quantum
 from hammerstein.records.reading import read_paired_records, read_records
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import Excursion, find_cycles, turning_points
+from hammerstein.reporting.figures.measured import chosen_loops
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -467,17 +468,37 @@ def test_a_cycle_that_does_not_close_has_not_settled():
     assert abs(table[0].closure_um) > 10 * abs(table[-1].closure_um)
 
 
-def test_a_multisine_behind_slow_loops_is_not_listed():
+@pytest.mark.parametrize(("cycles", "noise", "settled"), [(4, 0.0, True), (2, 0.05, False)])
+def test_a_multisine_behind_slow_loops_is_not_listed(cycles, noise, settled):
+    """Not beside settled loops, nor where the noise of a faint cross-coupling settles none."""
     phases = np.random.default_rng(1).uniform(0.0, 6.0, 60)
     period = sum(
         np.sin(2.0 * np.pi * k * np.arange(1000) / 1000 + phase) for k, phase in enumerate(phases, 1)
     )
-    u = np.concatenate([10.0 * np.sin(2.0 * np.pi * np.arange(8000) / 2000), np.tile(period / 3.0, 4)])
-    loops = loop_table(Record([u], [respond(u)], 5e-5))
-    assert any(loop.settled and loop.start >= 8000 for loop in loops)  # of its periods, by chance
+    period *= 9.0 / np.abs(period).max()
+    slow = np.arange(2000 * cycles)
+    u = np.concatenate([10.0 * np.sin(2.0 * np.pi * slow / 2000), np.tile(period, 4)])
+    y = respond(u)
+    y += noise * np.ptp(y) * np.random.default_rng(2).standard_normal(len(u))
+    loops = loop_table(Record([u], [y], 5e-5))
+    assert (
+        any(loop.settled and loop.start >= len(slow) for loop in loops) == settled
+    )  # of its periods, by chance
     shown = telling_loops(loops)
+    assert {loop.settled for loop in shown} == {settled}
     assert [loop.amplitude_v for loop in shown] == pytest.approx([10.0] * len(shown), rel=0.3)
-    assert 2 <= len(shown) <= 5
+    assert 1 <= len(shown) <= 5
+
+
+def test_the_loop_that_is_drawn_is_the_settled_one_of_the_output_that_answers():
+    """The second input moves the first output by its noise alone, whose last cycle leads elsewhere."""
+    swing = 10.0 * np.sin(2.0 * np.pi * np.arange(1200) / 400)
+    u = np.concatenate([swing, 4.0 * np.sin(2.0 * np.pi * np.arange(400) / 100), np.zeros(200)])
+    faint = 0.5 * np.random.default_rng(3).standard_normal(len(u))
+    loops = loop_table(Record([0.0 * u, u], [faint, respond(u)], 5e-5))
+    drawn = chosen_loops(loops)
+    assert {(loop.output, loop.settled) for loop in drawn} == {("y2", True)}
+    assert drawn[0].amplitude_v == pytest.approx(10.0, rel=1e-3)
 
 
 def test_the_widest_cycle_is_one_that_closes():

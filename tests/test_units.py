@@ -121,6 +121,10 @@ def test_gains_of_all_pairs_and_doubts():
     assert gains["u2", "y1"].um_per_v == pytest.approx(1.0, rel=1e-9)
     assert gains["u2", "y2"].um_per_v == pytest.approx(3.0, rel=2e-2)
     assert gains["u1", "y1"].span_v == pytest.approx(20.0)
+    alone = pair_gains(
+        [Record([U, 0 * U], [5.0 * U, 0.1 * U], 1e-3), Record([0 * U, U], [0.2 * U, 4 * U], 1e-3)]
+    )
+    assert [g.span_um for g in alone] == pytest.approx([100.0, 2.0, 4.0, 80.0], rel=1e-3)
     assert doubtful_gains(list(gains.values())) == []
     for scale, word in ((1e-4, "0.0005"), (1e3, "5e+03")):
         doubts = doubtful_gains(pair_gains([Record([U], [scale * 5.0 * U], 1e-3)]))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hammerstein.arrays import Array
 from hammerstein.records.driven import driven_inputs
 from hammerstein.records.record import Record
 
@@ -22,7 +23,7 @@ class Gain:
     ----------
     input, output : names of the axes
     span_v : largest range of the voltage in one record [V]
-    span_um : largest range of the output in one record [um]
+    span_um : largest range of the output in one record in which the input is driven [um]
     um_per_v : least-squares gain, all inputs at once [um/V]
     """
 
@@ -56,11 +57,13 @@ def pair_gains(records: Sequence[Record]) -> list[Gain]:
     size = np.sqrt(np.maximum(np.diag(power), np.finfo(float).tiny))
     gains = cross / size @ np.linalg.pinv(power / np.outer(size, size), rcond=1e-9, hermitian=True) / size
     spans_v = np.max([np.ptp(record.u_v, axis=1) for record in records], axis=0)
-    spans_um = np.max([np.ptp(record.y_um, axis=1) for record in records], axis=0)
+    spans_um: dict[int, Array] = {}
+    for record in records:
+        for k in driven_inputs(record):
+            spans_um[k] = np.maximum(spans_um.get(k, 0.0), np.ptp(record.y_um, axis=1))
     return [
-        Gain(name, output, float(spans_v[k]), float(spans_um[o]), float(gains[o, k]))
-        for k, name in enumerate(first.inputs)
-        if any(k in driven_inputs(record) for record in records)
+        Gain(first.inputs[k], output, float(spans_v[k]), float(spans_um[k][o]), float(gains[o, k]))
+        for k in sorted(spans_um)
         for o, output in enumerate(first.outputs)
     ]
 

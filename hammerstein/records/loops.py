@@ -36,7 +36,7 @@ LONE_SHARE = 0.1
 WIDE = 0.6
 """Part of the largest amplitude from which a loop is a wide one."""
 SLOW = 0.05
-"""Part of the time of the longest wide loop that a settled one takes: one of a multisine is chance."""
+"""Part of the time of the longest wide loop that another takes: one of a multisine is chance."""
 SAME_SWING = 0.01
 """Part by which the swings of two cycles of one amplitude may differ."""
 CLEAR = 3.0
@@ -165,8 +165,10 @@ def telling_loops(loops: Sequence[Loop], most: int | None = None) -> list[Loop]:
     for own in pairs.values():
         widest = max(loop.amplitude_v for loop in own)
         least = SLOW * max(loop.samples for loop in own if loop.amplitude_v >= WIDE * widest)
-        settled = [loop for loop in own if loop.settled and loop.samples >= least]
-        telling = settled or [loop for loop in own if loop.amplitude_v >= WIDE * widest]
+        slow = [loop for loop in own if loop.samples >= least]
+        telling = [loop for loop in slow if loop.settled] or [
+            loop for loop in slow if loop.amplitude_v >= WIDE * widest
+        ]
         telling.sort(key=lambda loop: (-loop.amplitude_v, -loop.start))
         kept |= {id(loop) for loop in telling[:most]}
     return [loop for loop in loops if id(loop) in kept]

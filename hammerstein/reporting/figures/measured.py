@@ -36,7 +36,7 @@ def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]
     runs = []
     names = file_labels([record.source for record in records])
     for name, record, table in zip(names, records, tables, strict=True):
-        for loop in _chosen(table):
+        for loop in chosen_loops(table):
             part = slice(loop.start, loop.stop + 1)
             driven = record.inputs.index(loop.input)
             label = f"{loop.amplitude_v:.3g} V" + (f", {name}" if len(records) > 1 else "")
@@ -73,12 +73,13 @@ def file_labels(sources: Sequence[str]) -> list[str]:
     return [f"{Path(source).parent.name}_{stem}" for source, stem in zip(sources, stems, strict=True)]
 
 
-def _chosen(table: Sequence[Loop]) -> list[Loop]:
-    """One loop for each amplitude that differs by more than a tenth, for the first output."""
+def chosen_loops(table: Sequence[Loop]) -> list[Loop]:
+    """One loop for each amplitude that differs by more than a tenth, of the output that answers most."""
     chosen: list[Loop] = []
     inputs = dict.fromkeys(loop.input for loop in table)
     for name in inputs:
-        own = [loop for loop in telling_loops(table) if (loop.input, loop.output) == (name, table[0].output)]
+        direct = max((loop for loop in table if loop.input == name), key=lambda loop: loop.height_um).output
+        own = [loop for loop in telling_loops(table) if (loop.input, loop.output) == (name, direct)]
         own.sort(key=lambda loop: (-loop.amplitude_v, not loop.settled, -loop.start))
         apart: list[Loop] = []
         for loop in own:
