@@ -113,6 +113,15 @@ def test_a_study_that_makes_no_sense_says_why(table, said):
         Study.model_validate(table)
 
 
+def test_a_key_that_the_sweep_sets_in_every_run_is_refused():
+    """Its values would reach no run, and its column in the table would be untrue."""
+    twice = {"sweep": {"amplitude_um": [5.0, 8.0]}, "study": {"values": {SIZE: [1.0, 2.0]}}}
+    with pytest.raises(ValueError, match=rf"study\.values: {SIZE} is swept already by sweep\.amplitude_um"):
+        Scenario.model_validate(SCENARIO | twice)
+    other = {"sweep": {"frequency_hz": [40.0, 50.0]}, "study": {"values": {SIZE: [1.0, 2.0]}}}
+    assert Scenario.model_validate(SCENARIO | other).study is not None
+
+
 def test_points_are_made_as_they_are_wanted():
     many = Study(how="sobol", samples=2**20, values={SIZE: (5.0, 10.0), NOISE: (0.0, 0.4)})
     points = many.points()

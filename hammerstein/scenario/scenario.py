@@ -168,6 +168,19 @@ class Scenario(Strict):
                     yield f"sweep.{key} is no option of {', '.join(map(repr, without)) or 'any compensator'}"
             elif signal is not None and key not in signal.model_dump():
                 yield f"sweep.{key} is not a key of the {signal.kind} in this scenario"
+        yield from self._swept_twice()
+
+    def _swept_twice(self) -> Iterator[str]:
+        """A key of the study that the sweep sets in every run would keep none of its values."""
+        for key in self.study.values if self.study else ():
+            table, _, own = key.rpartition(".")
+            of_this = (
+                table.startswith("compensators")
+                if own in OF_COMPENSATORS
+                else table in ("reference", "drive")
+            )
+            if of_this and own in dict(self.sweep.values()):
+                yield f"study.values: {key} is swept already by sweep.{own}; leave it out of one of them"
 
     def _never_tested(self) -> Iterator[str]:
         """A compensator or model for frequencies that the scenario does not have is a mistake."""
