@@ -320,6 +320,9 @@ def _respond_branches(  # type: ignore[no-untyped-def]
 
     Each turn of the outer loop is one branch, each turn of the inner one a line of it or one sample that
     engages operators. ``level`` is the threshold that a sample reaches on its branch.
+
+    It stays in one piece: with the rest of a branch in a helper, inlined or not, it takes up to 2.7 times as
+    long (references are counted anew on each branch), and with the inmost search alone in one, up to 1.25.
     """
     t, seen, turns, rested = start, int(window[SEEN]) - start, int(window[TURNS]), window[RESTED]
     while t < stop:
