@@ -23,9 +23,9 @@ from hammerstein.identification.static.static_block import (
     StaticFit,
     Thresholds,
     Weighting,
+    as_block,
     bounds_of,
     gains_of,
-    pairs_of,
     refuse_unreached,
     ridge_of,
 )
@@ -160,29 +160,17 @@ def fit_static_coupled(
         found = solve(
             joint.gram, joint.cross, float(len(outputs)), joint.freedom, bounds=bounds, penalty=penalty
         )
-    rows = [
-        pairs_of(row, layout, o, found.coefficients[s], found.spread[s], int(found.at_bound[s].sum()))
-        for o, (row, s) in enumerate(zip(thresholds_v, joint.own, strict=True))
-    ]
     c = joint.merge @ found.coefficients
     left = [(m.power[0] - 2.0 * m.cross[:, 0] @ c + c @ m.gram @ c) / m.freedom for m in outputs]
-    return StaticFit(
-        hysteresis=PrandtlIshlinskii(tuple(pairs for pairs, _ in rows), tuple(known for _, known in rows)),
-        offsets_um=np.column_stack([m.means[:, -1] - m.means[:, :-1] @ c for m in outputs]),
-        rms_um=np.sqrt(np.maximum(left, 0.0)),
-        samples=outputs[0].samples,
-        bounded=tuple(
-            (o, k, int(j)) for o, k, part in joint.pairs for j in np.flatnonzero(found.at_bound[part])
-        ),
-        open=tuple((o, k) for o, k, part in joint.pairs if free.dependent[part].any()),
-    )
+    rms_um = np.sqrt(np.maximum(left, 0.0)).tolist()
+    solutions = [found.of_output(*own) for own in zip(joint.own, rms_um, strict=True)]
+    without = [free.of_output(*own) for own in zip(joint.own, rms_um, strict=True)]
+    offsets_um = np.column_stack([m.means[:, -1] - m.means[:, :-1] @ c for m in outputs])
+    return as_block(thresholds_v, layout, without, solutions, offsets_um, outputs[0].samples)
 
 
 class _Joint(NamedTuple):
-    """One problem for the slopes of all outputs.
-
-    ``own[o]`` are the unknowns of output o, ``pairs`` the unknowns of each pair (output, input).
-    """
+    """One problem for the slopes of all outputs; ``own[o]`` are the unknowns of output o."""
 
     layout: SlopeColumns
     merge: Array
@@ -190,7 +178,6 @@ class _Joint(NamedTuple):
     cross: Array
     freedom: int
     own: tuple[slice, ...]
-    pairs: tuple[tuple[int, int, slice], ...]
 
     @classmethod
     def of(cls, layout: SlopeColumns, outputs: Sequence[Moments]) -> _Joint:
@@ -200,13 +187,8 @@ class _Joint(NamedTuple):
         cross = np.sum([w * m.cross[:, 0] for w, m in zip(weight, outputs, strict=True)], axis=0)
         ends = np.cumsum([merged.shape[1] for merged in layout.merge]).tolist()
         own = tuple(slice(e - merged.shape[1], e) for e, merged in zip(ends, layout.merge, strict=True))
-        pairs = tuple(
-            (o, k, slice(s.start + part.start, s.start + part.stop))
-            for o, s in enumerate(own)
-            for k, part in enumerate(layout.parts[o])
-        )
         freedom = sum(moment.freedom for moment in outputs)
-        return cls(layout, merge, merge.T @ gram @ merge, merge.T @ cross, freedom, own, pairs)
+        return cls(layout, merge, merge.T @ gram @ merge, merge.T @ cross, freedom, own)
 
     def ridge(self, ridge: float) -> Array:
         """Penalty of the weights of all outputs."""

@@ -136,6 +136,12 @@ class Solution:
     at_bound: NDArray[np.bool_]
     dependent: NDArray[np.bool_]
 
+    def of_output(self, own: slice, residual_rms: float) -> Solution:
+        """What a problem of several outputs says of one of them."""
+        return Solution(
+            self.coefficients[own], self.spread[own], residual_rms, self.at_bound[own], self.dependent[own]
+        )
+
 
 class Bounds(NamedTuple):
     """One-sided bounds of the unknowns x that make up the coefficients c = basis x.

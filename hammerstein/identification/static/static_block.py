@@ -238,6 +238,19 @@ def solve_static(
             _solve_output(layout, o, moment, ridge, bounds_of(method, layout, o, gains))
             for o, moment in enumerate(moments)
         ]
+    offsets_um = _offsets(layout, moments, solutions)
+    return as_block(thresholds_v, layout, free, solutions, offsets_um, moments[0].samples)
+
+
+def as_block(
+    thresholds_v: Thresholds,
+    layout: SlopeColumns,
+    free: Sequence[Solution],
+    solutions: Sequence[Solution],
+    offsets_um: Array,
+    samples: int,
+) -> StaticFit:
+    """Static block of the slopes of each output; ``free`` are those that no bounds held."""
     found = [
         pairs_of(row, layout, o, solution.coefficients, solution.spread, int(solution.at_bound.sum()))
         for o, (row, solution) in enumerate(zip(thresholds_v, solutions, strict=True))
@@ -245,9 +258,9 @@ def solve_static(
     parts = [(o, k, part) for o, row in enumerate(layout.parts) for k, part in enumerate(row)]
     return StaticFit(
         hysteresis=PrandtlIshlinskii(tuple(pairs for pairs, _ in found), tuple(known for _, known in found)),
-        offsets_um=_offsets(layout, moments, solutions),
+        offsets_um=offsets_um,
         rms_um=np.array([solution.residual_rms for solution in solutions]),
-        samples=moments[0].samples,
+        samples=samples,
         bounded=tuple(
             (o, k, int(j)) for o, k, part in parts for j in np.flatnonzero(solutions[o].at_bound[part])
         ),
