@@ -45,7 +45,7 @@ def test_closed_form_finds_the_printed_thresholds_and_loops():
 
 
 def test_a_triangle_finds_the_static_loop_at_thresholds_uniform_in_voltage():
-    """A static block does not hear how it is driven: the rising branch is met at every threshold."""
+    """A static block does not respond to how it is driven: the rising branch is met at every threshold."""
     plant = _plant("duo_bimorph_static", instruments=Instruments.ideal())
     model = identified(plant, ClosedFormSpec(frequency_hz=50, waveform="triangle"), 1)
     pair = model.hysteresis.pairs[0][0]

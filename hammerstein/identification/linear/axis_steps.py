@@ -26,7 +26,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
-from hammerstein.identification.linear.axis_task import AxisTask, Heard
+from hammerstein.identification.linear.axis_task import AxisTask, OfSum
 from hammerstein.identification.static.damped_search import Damping, damped_change, steps
 from hammerstein.identification.static.normal_equations import coefficients, squares_left
 from hammerstein.identification.static.regressors import Filter, SideBySide
@@ -119,7 +119,7 @@ def residuals(task: AxisTask, path: Callable[[float], LinearBlock], slopes: Arra
     """What the slopes behind a path leave of each record (sample,), about its mean [um]."""
     left = []
     for i, (record, start) in enumerate(zip(task.records, task.starts, strict=True)):
-        filters = [Heard(slopes, path(record.sample_time_s))]
+        filters = [OfSum(slopes, path(record.sample_time_s))]
         said = [x[0] for _, x in task.blocks(i, filters)]
         error = record.y_um[task.output, start.first :] - np.concatenate(said)
         left.append(np.asarray(error - error.mean()))

@@ -31,7 +31,7 @@ STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Heard:
+class OfSum:
     """A linear block that responds to one sum of all columns."""
 
     weights: Array
@@ -52,7 +52,7 @@ class Heard:
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """How the output of a path that hears one sum of all columns changes with each of its parameters.
+    """How the output of a path that responds to one sum of all columns changes with each of its parameters.
 
     weights : of the columns; paths : the path, and the ones with each parameter a step ahead
     """

@@ -60,7 +60,7 @@ def fit_linear(
     m, p = len(records[0].u_v), len(records[0].y_um)
     if m > p:
         raise IdentificationError(
-            f"a state-space block behind a static one with {p} outputs cannot hear {m} inputs; "
+            f"a state-space block behind a static one with {p} outputs cannot respond to {m} inputs; "
             "use second_order dynamics, or measure more outputs"
         )
     response = measured_response(records)

@@ -106,7 +106,7 @@ def regressor_blocks(
     u_v : (input, sample) voltages [V]
     start : what went before
     grids : thresholds of each input [V]; the columns follow them, input by input
-    filters : linear blocks that hear all columns; their outputs, one block below the other, take the
+    filters : linear blocks that respond to all columns; their outputs, one block below the other, take the
         place of the columns
     with_derivatives : whether the derivatives of the plays by their thresholds follow as further columns,
         input by input: -1 after a play was last moved upwards, 1 after downwards, 0 before it was moved
