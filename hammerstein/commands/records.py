@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,6 +16,9 @@ from hammerstein.commands.record_options import AsJson, HeldBack, Identified, Re
 from hammerstein.commands.refusals import refuse_output, told_by_options
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Spinner
+
+if TYPE_CHECKING:
+    from hammerstein.records.loops import Loop
 
 MOST_NAMED = 3
 """Records whose names make up that of a folder."""
@@ -43,10 +46,10 @@ def loops(
     as_json: AsJson = False,
 ) -> None:
     """Find the loops in measured records: height, width, area, closure, drift."""
-    from hammerstein.commands.tables import gains_table, loops_table
+    from hammerstein.commands.tables import gains_table
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
-    from hammerstein.records.loops import loop_table, move_at_once, telling_loops, without_loops
+    from hammerstein.records.loops import loop_table, move_at_once, without_loops
     from hammerstein.reporting.figures.measured import LOOPS, LOOPS_FILES, loops_of_records
     from hammerstein.runtime.storage.manifest import refuse_name
     from hammerstein.runtime.storage.staging import prepare
@@ -77,19 +80,27 @@ def loops(
     else:
         show(gains_table(gains))
         if len(empty) < len(records):
-            shown = {source: telling_loops(loops, MOST_LOOPS) for source, loops in found.items()}
-            show(loops_table(shown))
-            if (few := sum(map(len, shown.values()))) < (all_ := sum(map(len, found.values()))):
-                tell(
-                    f"{few} of {all_} loops: of each pair those that have settled, or the widest; "
-                    "--json has all of them"
-                )
+            _show_loops(found)
     if figures:
         from hammerstein.reporting.figures import save_figures
 
         figure = loops_of_records(records, [found[record.source] for record in records])
         for path in save_figures({"loops": figure} if figure else {}, folder, LOOPS):
             (complain if as_json else tell)(str(path))
+
+
+def _show_loops(found: Mapping[str, Sequence[Loop]]) -> None:
+    """Print the loops of each file that tell most of it."""
+    from hammerstein.commands.tables import loops_table
+    from hammerstein.records.loops import telling_loops
+
+    shown = {source: telling_loops(loops, MOST_LOOPS) for source, loops in found.items()}
+    show(loops_table(shown))
+    if (few := sum(map(len, shown.values()))) < (all_ := sum(map(len, found.values()))):
+        tell(
+            f"{few} of {all_} loops: of each pair those that have settled, or the widest; "
+            "--json has all of them"
+        )
 
 
 @grouped

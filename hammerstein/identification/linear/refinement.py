@@ -129,7 +129,7 @@ class _Place:
         return _normal_equations(self.lines, self.blocks)
 
     def step(self, damping: float) -> _Place:
-        """Where a damped step leads to."""
+        """Where a damped step leads to; by Cholesky, for a block may have hundreds of entries."""
         hessian, gradient = self.normal_equations
         scale = np.diagonal(hessian)
         scale = np.maximum(scale, 1e-12 * scale.max())
