@@ -25,6 +25,14 @@ def test_triangle_is_the_arcsine_of_a_sine():
     np.testing.assert_allclose(values[0], expected, atol=1e-9)
 
 
+def test_circle_is_right_to_its_last_digits_however_long_it_turns():
+    turns = np.concatenate([np.arange(-40, 41) / 8.0, np.random.default_rng(0).uniform(-1e6, 1e6, 20_000)])
+    x, y = Circle(radius=1.0, frequency_hz=1.0, phase_deg=30.0).sample(turns, 2)
+    angle = 2.0 * np.arccos(np.longdouble(-1.0)) * (np.mod(turns.astype(np.longdouble), 1.0) + 30.0 / 360.0)
+    np.testing.assert_allclose(x, np.cos(angle).astype(float), rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(y, np.sin(angle).astype(float), rtol=0.0, atol=1e-15)
+
+
 def test_circle_keeps_its_radius_and_turns_counterclockwise():
     x, y = Circle(radius=50.0, frequency_hz=50.0).sample(t, 2)
     np.testing.assert_allclose(np.hypot(x, y), 50.0)

@@ -319,7 +319,7 @@ def _round(time_s: Array, radius: float, frequency_hz: float, phase_deg: float) 
     from hammerstein.signals.circle_kernel import go_round
 
     times, path = np.ascontiguousarray(time_s, dtype=np.float64), np.empty((2, len(time_s)))
-    go_round(times, float(radius), 2.0 * np.pi * frequency_hz, math.radians(phase_deg), path)
+    go_round(times, float(radius), float(frequency_hz), phase_deg / 360.0, path)
     return path
 
 
