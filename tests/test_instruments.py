@@ -31,6 +31,17 @@ def test_noise_has_the_rms_that_was_asked_and_depends_on_the_seed_alone():
     assert (a != sensor.read(zeros, np.random.default_rng(8))).any()
 
 
+@pytest.mark.parametrize("outputs", [1, 3])
+def test_noise_is_what_numpy_draws_sample_by_sample(outputs):
+    """Long enough for numbers of the tail, which come once in 4000, and for a part of a block at the end."""
+    sensor = Sensor(resolution_um=0.0, noise_um=1.0, range_um=math.inf)
+    ours, theirs = np.random.default_rng(5), np.random.default_rng(5)
+    drawn = theirs.standard_normal((200_001, outputs)).T
+    np.testing.assert_array_equal(sensor.read(np.zeros((outputs, 200_001)), ours), drawn)
+    assert np.abs(drawn).max() > 3.66  # where the tail begins
+    assert ours.bit_generator.state == theirs.bit_generator.state
+
+
 def test_reading_stays_on_the_steps_and_in_the_range():
     reading = Sensor(noise_um=0.0).read(np.array([[0.019, 0.021, 300.0]]), np.random.default_rng(0))
     np.testing.assert_allclose(reading, [[0.0, 0.04, 250.0]])

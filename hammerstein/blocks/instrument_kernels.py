@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hammerstein.blocks.noise_kernel import draw
 from hammerstein.compiled import compiled
 
 at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
@@ -58,13 +59,17 @@ def read_positions(generator, noise, largest, step, first, end, reading):  # typ
     reading : (p, N) positions [um], turned into readings from sample first up to end
     """
     p = reading.shape[0]
-    drawn = np.zeros(p * BLOCK)
+    drawn = np.zeros((p, BLOCK))
     for start in range(first, end, BLOCK):
         stop = min(start + BLOCK, end)
         if noise != 0.0:
-            for i in range(p * (stop - start)):
-                drawn[at(i)] = generator.standard_normal()
+            draw(generator.bit_generator, stop - start, drawn)
         for o in range(p):
-            for t in range(start, stop):
-                noisy = reading[o, at(t)] + noise * drawn[at((t - start) * p + o)]
-                reading[o, at(t)] = converted(noisy, -largest, largest, step)
+            _digitise(drawn[o, : stop - start], noise, largest, step, reading[o, start:stop])
+
+
+@compiled()
+def _digitise(drawn, noise, largest, step, reading):  # type: ignore[no-untyped-def]
+    """Turn positions (N,) into readings, with the noise drawn for them (N,)."""
+    for i in range(reading.shape[0]):
+        reading[at(i)] = converted(reading[at(i)] + noise * drawn[at(i)], -largest, largest, step)
