@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -113,7 +114,7 @@ class DriveRange:
         low, high = self.ends[:, :, None]
         return np.asarray((drive_v >= high) | (drive_v <= low))
 
-    @property
+    @cached_property
     def ends(self) -> Array:
         """Voltages (2, m) from which on a voltage stands at the lowest or the highest end [V]."""
         limits = np.stack([self.low_v, self.high_v])

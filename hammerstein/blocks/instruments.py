@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -105,13 +106,18 @@ class Drive(Strict):
         """
         from hammerstein.blocks.instrument_kernels import convert
 
-        limits = self.limits(len(u_v))
-        beyond = limits + np.array([[-1.0], [1.0]]) * slack_v(limits)
         asked = np.ascontiguousarray(u_v, dtype=np.float64)
         drive = np.empty(asked.shape) if out is None else out
         cut = np.empty(asked.shape, dtype=np.bool_)
-        convert(asked, self.steps(len(asked)), beyond, self.resolution_v, drive, cut)
+        convert(asked, *_ends(self, len(asked)), self.resolution_v, drive, cut)
         return drive, cut
+
+
+@lru_cache(maxsize=64)
+def _ends(drive: Drive, inputs: int) -> tuple[Array, Array]:
+    """Steps, and voltages beyond which the range cuts one (2, input) [V]; of a drive they stay the same."""
+    limits = drive.limits(inputs)
+    return drive.steps(inputs), limits + np.array([[-1.0], [1.0]]) * slack_v(limits)
 
 
 class Sensor(Strict):

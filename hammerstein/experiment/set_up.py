@@ -37,6 +37,7 @@ Progress = Callable[[str, int, int], None]
 Experiment = Callable[[Plant, int], Response]
 """From an actuator and a seed to its response, from rest."""
 
+LAW_BLOCK = 8 * BLOCK  # a law works more on a sample than memory does, and has more to do for each part
 REACH_POINTS = 5000  # enough to find the largest value of a path
 
 
@@ -202,11 +203,11 @@ class SetUp:
 def _asked_for(law: Law[Any], path_um: Array, drive_v: Array) -> Array:
     """Drive (m, N) of a law for a whole path (p, N), in the array that is given where the law allows it."""
     samples = path_um.shape[1]
-    if law.preview_samples or samples <= BLOCK:
+    if law.preview_samples or samples <= LAW_BLOCK:
         return law.drive_for(path_um)
     state = law.rest()
-    for first in range(0, samples, BLOCK):
-        here = slice(first, first + BLOCK)
+    for first in range(0, samples, LAW_BLOCK):
+        here = slice(first, first + LAW_BLOCK)
         drive_v[:, here], state = law.respond(path_um[:, here], state)
     return drive_v
 

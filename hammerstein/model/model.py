@@ -241,8 +241,8 @@ class HammersteinModel(Pictured):
 
         drive_v : (input, sample) [V]; start : state before; at rest at the working point if not given
         """
-        rest = np.array(self.recorded.working_point_v)
-        return self.hysteresis.respond(drive_v - rest[:, None] if rest.any() else drive_v, start)
+        rest = self.recorded.working_point_v
+        return self.hysteresis.respond(drive_v - np.reshape(rest, (-1, 1)) if any(rest) else drive_v, start)
 
     @classmethod
     def load(cls, path: str | Path) -> HammersteinModel:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -46,12 +46,11 @@ def limits_of(name: str) -> Range:
     return {"um": POSITION_UM, "v": VOLTAGE_V}[name.rpartition("_")[2]]
 
 
-def within(wires: Mapping[str, Array], first: int, stop: int) -> bool:
-    """Whether wires (axis, sample), by name, stay within all bounds from one sample to another."""
+def within(limits: Range, wires: Sequence[Array], first: int, stop: int) -> bool:
+    """Whether wires (axis, sample) stay within bounds from one sample to another."""
     from hammerstein.blocks.instrument_kernels import outside
 
-    limits = {name: limits_of(name) for name in wires}
-    return not any(outside(w, first, stop, limits[n].low, limits[n].high) for n, w in wires.items())
+    return not any(outside(wire, first, stop, limits.low, limits.high) for wire in wires)
 
 
 def refuse_unbounded(name: str, wire: Array, sample_time_s: float) -> None:
@@ -335,29 +334,32 @@ class Plant:
         """Response to what has left the drive, and the state after it; see ``carry_on``."""
         samples = driven.drive_v.shape[1]
         p = self.model.hysteresis.n_outputs
-        given: dict[str, Any] = {"requested_v": driven.requested_v, "drive_v": driven.drive_v}
-        if reference_um is not None:
-            given["reference_um"] = reference_um
+        paths = [] if reference_um is None else [reference_um]
+        given = ((VOLTAGE_V, [driven.requested_v, driven.drive_v]), (POSITION_UM, paths))
         wires = room(3 * p, samples)
         v_um, moved_um, reading_um = wires[:p], wires[p:], wires[2 * p :]
-        found = {"hysteresis_um": v_um, "position_um": wires[p : 2 * p], "reading_um": reading_um}
         memory, linear, known = start.memory, start.linear.copy(), True
         for first in range(0, samples, BLOCK):
             here = slice(first, min(first + BLOCK, samples))
-            known = known and within(given, here.start, here.stop)
+            known = known and all(within(*one, here.start, here.stop) for one in given)
             if not (known or np.isfinite(driven.drive_v).all()):
                 refuse_not_finite(driven.drive_v)
             v_um[:, here], memory = self.model.static_response(driven.drive_v[:, here], memory)
             self.block.carry_on(v_um, linear, here.start, here.stop, moved_um)
             self.instruments.sensor.read_in_place(reading_um, start.noise, here.start, here.stop)
-            known = known and within(found, here.start, here.stop)
+            known = known and within(POSITION_UM, [wires], here.start, here.stop)
         response = Response(
             sample_time_s=self.sample_time_s,
             saturated=driven.saturated,
             inputs=self.model.inputs,
             outputs=self.model.outputs,
             known=known,
-            **({"reference_um": None} | given | found),
+            reference_um=reference_um,
+            requested_v=driven.requested_v,
+            drive_v=driven.drive_v,
+            hysteresis_um=v_um,
+            position_um=wires[p : 2 * p],
+            reading_um=reading_um,
         )
         return response, PlantState(memory, linear, start.noise, driven.left)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 from hammerstein.errors import SimulationError
@@ -11,8 +12,9 @@ from hammerstein.errors import SimulationError
 BYTES = 8
 COPIES = 2
 """Peak of a run in parts of the wires that it keeps."""
-SMALL_BYTES = 1e7
-"""What fits beside the libraries themselves: nobody is asked how much is free."""
+SMALL_BYTES, SMALL_SHARE = 1e7, 0.01
+"""What fits beside the libraries, or is so small a part of what was free at first: the system is not asked
+again, for to read its files takes as long as a short run."""
 UNLIMITED = 2**60
 """A limit from here on is none."""
 GROUPS = Path("/sys/fs/cgroup")
@@ -37,7 +39,7 @@ def refuse_too_long(samples: int, inputs: int, outputs: int) -> None:
     SimulationError : says how much is needed, and what to do
     """
     needed = COPIES * run_bytes(samples, inputs, outputs)
-    if needed < SMALL_BYTES:
+    if needed < SMALL_BYTES or needed < SMALL_SHARE * _free_at_first():
         return
     free = free_bytes()
     if free is not None and needed > free:
@@ -46,6 +48,12 @@ def refuse_too_long(samples: int, inputs: int, outputs: int) -> None:
             f"{free / 1e9:.3g} GB are free. Measure fewer cycles, settle for a shorter time, use a longer "
             "instruments.drive.sample_time_s, or simulate it from Python with simulate_in_stretches."
         )
+
+
+@cache
+def _free_at_first() -> float:
+    """Memory that was free when this process first asked; none where the system does not tell."""
+    return free_bytes() or 0.0
 
 
 def free_bytes() -> float | None:
