@@ -42,8 +42,10 @@ def read_limited(path: Path, what: str, limit: int = LARGEST_TEXT_BYTES) -> str:
         if size == 0:
             raise InputError(str(path), f"is empty; a {what} was expected")
         text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(str(path), f"is not UTF-8 text; a {what} was expected") from None
+    except UnicodeDecodeError as error:
+        row = error.object.count(b"\n", 0, error.start) + 1
+        told = f"row {row} is not UTF-8 text; a {what} was expected, saved as UTF-8"
+        raise InputError(str(path), told) from None
     except OSError as error:
         raise InputError(str(path), f"cannot be read ({reason_of(error)})") from None
     if _depth(text) > DEEPEST:
@@ -175,8 +177,10 @@ def refuse_unwritable(option: str, folder: Path) -> None:
     InputError : names the folder that stands in the way
     """
     place = folder.absolute()
-    while not place.exists() and place != place.parent:
+    while not os.path.lexists(place) and place != place.parent:
         place = place.parent
+    if place.is_symlink() and not place.exists():
+        raise InputError(option, f"{place} is a link to nothing; choose another place")
     if not place.is_dir():
         raise InputError(option, f"{place} is a file, not a folder; choose another place")
     if not os.access(place, os.W_OK | os.X_OK):

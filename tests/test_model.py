@@ -88,7 +88,12 @@ def test_wrong_files_say_what_is_wrong(tmp_path, change, message):
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(b"", "is empty"), (b"{", "not JSON"), (b"\xff\xfe\x00", "not UTF-8"), (None, "no such file")],
+    [
+        (b"", "is empty"),
+        (b"{", "not JSON"),
+        (b"{\n\xff\xfe\x00", "row 2 is not UTF-8"),
+        (None, "no such file"),
+    ],
 )
 def test_unreadable_files(tmp_path, content, message):
     path = tmp_path / "model.json"

@@ -108,6 +108,13 @@ def test_a_linked_report_folder_is_not_followed(folder, tmp_path, capsys):
     assert contents(elsewhere) == {"beach.png": b"mine"}
 
 
+def test_a_link_to_nothing_is_named(folder, tmp_path, capsys):
+    (folder / "reports").symlink_to(tmp_path / "nowhere")
+    assert call("run", "small.toml") == 2
+    assert "reports is a link to nothing" in capsys.readouterr().err
+    assert not (tmp_path / "nowhere").exists()
+
+
 def test_a_linked_file_or_subfolder_is_not_followed(folder, tmp_path, capsys):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()

@@ -91,7 +91,8 @@ class TestTextFiles:
         path.write_text("when,t,u_x,x\n" + "\n".join(f"12:00:{k:03d},{line}" for k, line in enumerate(lines)))
         (record,) = read(path)
         np.testing.assert_allclose(record.u_v[0], U, atol=1e-9)
-        assert "'12:00:000' is text in a column of numbers" in message(read, path, outputs=["when"])
+        said = "'12:00:000' and so on is text in every row; name another column"
+        assert said in message(read, path, outputs=["when"])
 
     def test_comments_and_empty_lines_count_as_rows(self, csv):
         def change(lines):

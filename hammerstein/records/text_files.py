@@ -316,6 +316,10 @@ def _text_flags(spoiled: Sequence[dict[int, str]], samples: int) -> Flags:
 
 
 def _text_mistakes(name: str, texts: dict[int, str], rows: Indices) -> list[Mistake]:
+    if len(texts) == len(rows):
+        example = next(iter(texts.values()))[:40]
+        told = f"{example!r} and so on is text in every row; name another column, or --rate instead of dates"
+        return [Mistake(where(name), told)]
     what = "is text in a column of numbers; mend or delete the row"
     shown = list(texts.items())[:SHOWN]
     mistakes = [Mistake(where(name, rows, k, k), f"{text[:40]!r} {what}") for k, text in shown]

@@ -18,6 +18,9 @@ from hammerstein.quantities import POSITION_UM
 if TYPE_CHECKING:
     import pandas as pd
 
+SHOWN = 80
+"""Characters of a line that a message shows."""
+
 
 def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     """Read a CSV file with a column ``time_s`` and one column an axis.
@@ -30,7 +33,12 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     text = read_limited(path, what="CSV file")
     frame = _table(text, path)
     if "time_s" not in frame.columns or frame.shape[1] < 2:
-        raise InputError(str(path), "needs a header with a column time_s and one column for each axis")
+        named = ",".join(map(str, frame.columns))
+        raise InputError(
+            str(path),
+            "needs a header with a column time_s and one column for each axis, separated by commas; "
+            f"its first line is {named[:SHOWN]!r}",
+        )
     lines = enumerate(text.splitlines(), start=1)
     rows = [number for number, line in lines if line.strip() and not line.lstrip().startswith("#")][1:]
     numbers = frame.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
