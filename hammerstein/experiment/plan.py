@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from hammerstein.compensators import (
-    Compensator,
+    ExactInverse,
     Feedback,
     HammersteinInverse,
     InverseMultiplicative,
@@ -21,10 +21,13 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.recording import STRETCH
 from hammerstein.experiment.sensitivity import evaluations, varying
 from hammerstein.experiment.set_up import Window, driven_axes, plant_of, scenario_axes
+from hammerstein.hysteresis import PrandtlIshlinskii, RateDependent
+from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
 from hammerstein.runtime.memory import COPIES, free_bytes, run_bytes
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec
+from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec, ModelSource
+from hammerstein.scenario.tested import TestedCompensator
 from hammerstein.scenario.uncertainty import Uncertainty
 
 # Of a two-axis actuator, on a processor that takes REFERENCE_S for what ``slowness`` lets it do.
@@ -33,6 +36,8 @@ SECONDS_A_SAMPLE = 8e-8
 SECONDS_A_PREDICTED_SAMPLE = 3e-8
 SECONDS_A_CASE = 1e-3
 SECONDS_A_PASS = 4e-8
+SECONDS_A_STEPPED_PASS = 2e-5  # around a block that is not of plays alone, which is stepped in Python
+SECONDS_A_RATE_DEPENDENT_SAMPLE = 9e-7  # of the exact inverse of such a block
 SECONDS_A_TAP = 2e-10
 SECONDS_A_LOOKED_AHEAD_SAMPLE = 5e-8
 SECONDS_A_FED_BACK_SAMPLE = 3.5e-7
@@ -182,12 +187,13 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
     axes = len(driven_axes(scenario, len(scenario_axes(scenario, plant.model))))
     others = scenario.sweep.others("frequency_hz")
     cases = samples = work = reading = longest = 0.0
+    a_sample = {c.label: _work(c, plant.sample_time_s) for c in scenario.compensators}
     for signal in scenario.signals(only="frequency_hz"):
         total = float(Window.of(scenario, signal, plant.sample_time_s).total)
         tested = [c for c in scenario.compensators if c.is_tested_at(signal.highest_frequency_hz)]
         runs = others * axes * (1 if scenario.drive is not None else len(tested))
         cases, samples, longest = cases + runs, samples + runs * total, max(longest, total)
-        done = [(c, others * axes * total * _work(c, plant.sample_time_s)) for c in tested]
+        done = [(c, others * axes * total * a_sample[c.label]) for c in tested]
         work += sum(seconds for _, seconds in done)
         reading += sum(seconds for c, seconds in done if isinstance(c, Feedback | Learned))
     models = len(scenario.models)
@@ -240,10 +246,14 @@ def _on_drawn(
         )
 
 
-def _work(compensator: Compensator, sample_time_s: float) -> float:
+def _work(compensator: TestedCompensator, sample_time_s: float) -> float:
     """Time [s] a sample of a law that works more on each than others."""
+    kind = _kind(compensator)
     if isinstance(compensator, InverseMultiplicative):
-        return SECONDS_A_PASS * compensator.iterations
+        a_pass = SECONDS_A_PASS if kind == PrandtlIshlinskii.kind else SECONDS_A_STEPPED_PASS
+        return a_pass * compensator.iterations
+    if isinstance(compensator, ExactInverse) and kind == RateDependent.kind:
+        return SECONDS_A_RATE_DEPENDENT_SAMPLE
     if isinstance(compensator, HammersteinInverse):
         taps = TAPS * 0.5 / (sample_time_s * compensator.filter_hz) if compensator.filter_hz else 0.0
         return SECONDS_A_LOOKED_AHEAD_SAMPLE + SECONDS_A_TAP * taps
@@ -252,6 +262,13 @@ def _work(compensator: Compensator, sample_time_s: float) -> float:
     if isinstance(compensator, Learned):
         return SECONDS_A_LEARNT_SAMPLE
     return 0.0
+
+
+def _kind(source: ModelSource) -> str:
+    """Kind of the hysteresis of a model, where it is not yet identified the one that is asked for."""
+    if source.identification is None:
+        return HammersteinModel.load(str(source.model)).hysteresis.kind
+    return getattr(source.identification, "hysteresis", None) or PrandtlIshlinskii.kind
 
 
 def size(number: float) -> str:
