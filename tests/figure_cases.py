@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
 
 from hammerstein.experiment.report import Report
@@ -33,8 +33,16 @@ def circles() -> Report:
     return report_of(reference=CIRCLE, sweep={"radius_um": [15.0, 40.0]}, compensators=[PAPER, NONE])
 
 
+class OnWholePixels(RendererAgg):
+    """As matplotlib draws, but that words begin on a whole pixel."""
+
+    def draw_text(self, gc: Any, x: float, y: float, *more: Any, **options: Any) -> None:
+        below = round(self.height - y)
+        super().draw_text(gc, round(x), self.height - below, *more, **options)
+
+
 def as_matplotlib_draws(figure: Figure) -> np.ndarray:
-    """Pixels (row, column, colour) of a figure, without a palette."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[:, :, :3].astype(int)
+    """Red, green, and blue (row, column, 3) of the figure as it is, words on whole pixels."""
+    renderer = OnWholePixels(*figure.bbox.size, figure.dpi)
+    figure.draw(renderer)
+    return np.asarray(renderer.buffer_rgba())[:, :, :3].astype(int)

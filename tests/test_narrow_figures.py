@@ -98,8 +98,23 @@ def test_what_was_kept_of_a_drawing_is_painted_as_matplotlib_draws_it(draw: Call
         painted = as_matplotlib_draws(drawing_of(figure).painted())
         figure.set_frameon(True)
         drawn = as_matplotlib_draws(figure)
-    assert np.abs(drawn - painted).max() <= 1
-    assert (drawn != painted).mean() < 1e-3
+    assert np.abs(drawn - painted).max() <= 2
+    assert (drawn != painted).mean() < 5e-3
+
+
+@pytest.mark.parametrize("draw", [_two_paths, _errors_of_three, lambda: _sweep_with_a_band(2)])
+def test_panels_have_what_their_labels_and_the_legend_leave(draw: Callable[[], Figure]) -> None:
+    with styled():
+        figure = draw()
+        FigureCanvasAgg(figure).draw()
+        taken = [axes.get_tightbbox() for axes in figure.axes] + [figure.legends[0].get_window_extent()]
+    for one, other in combinations(taken, 2):
+        apart = min(one.x1, other.x1) < max(one.x0, other.x0)
+        assert apart or min(one.y1, other.y1) < max(one.y0, other.y0)
+    whole, page = Bbox.union(taken), figure.bbox
+    margins = [whole.x0, whole.y0, page.x1 - whole.x1, page.y1 - whole.y1]
+    assert min(margins) > 0.0
+    assert max(margins) < 0.5 * figure.dpi
 
 
 def test_a_band_is_squeezed_with_its_curves() -> None:

@@ -47,12 +47,12 @@ def clocked(module, name, what):
 
 from hammerstein.experiment import batch, run as experiment
 from hammerstein.reporting import folder
-from hammerstein.reporting.figures import drawing, narrow, write
+from hammerstein.reporting.figures import choice, drawing, narrow, write
 clocked(experiment, "set_up", "models, kept from the run before, and laws")
 clocked(batch, "run", "run")
-clocked(write, "figures_of", "building the figures")
+clocked(choice, "figures_of", "building the figures")
 clocked(drawing, "drawing_of", "drawing them, layout included")
-clocked(narrow, "narrow_figure", "drawing legends for telephones")
+clocked(narrow, "narrow_figure", "drawing them below each other for telephones")
 clocked(write, "_svg", "drawing them as SVG")
 clocked(write, "_png", "drawing them as PNG")
 clocked(folder, "write_report", "write")

@@ -10,11 +10,14 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.backend_bases import FigureCanvasBase, GraphicsContextBase, RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
 from matplotlib.figure import Figure
+from matplotlib.textpath import text_to_path
 from matplotlib.transforms import Affine2D, Affine2DBase, Bbox, TransformedPath
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from matplotlib.font_manager import FontProperties
@@ -23,6 +26,8 @@ if TYPE_CHECKING:
 
 Pen = GraphicsContextBase
 Paint = Any  # a colour as matplotlib holds it
+
+SPARE_PX = 2  # round the measured room of a text: letters lean over it
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +80,15 @@ class Words:
     def paint(self, renderer: RendererBase, move: Affine2D, size: float) -> None:
         """Draw it with a renderer, its places moved [pixel]; size: of a pixel there."""
         x, y = move.transform((self.x, self.y))
-        below = renderer.get_canvas_width_height()[1] - y
         pen = _moved(self.pen, renderer, move)
-        renderer.draw_text(pen, x, below, self.text, self.font, self.angle, self.formula, self.source)
+        if isinstance(renderer, RendererAgg):
+            font, colour = self.font.copy(), pen.get_rgb()
+            stamp, right, above = _stamp(self.text, font, self.angle, self.formula, colour, renderer.dpi)
+            pen.set_alpha(1.0)  # the stamp has its own
+            renderer.draw_image(pen, round(x) + right, round(y) + above, stamp)
+            return
+        height = renderer.get_canvas_width_height()[1]
+        renderer.draw_text(pen, x, height - y, self.text, self.font, self.angle, self.formula, self.source)
 
     def box(self, renderer: RendererBase) -> Bbox:
         """Give the room that it takes; it stands level or upright."""
@@ -238,15 +249,40 @@ def _measured(text: str, font: FontProperties, formula: Any, dpi: float) -> tupl
     return width, height, depth
 
 
+@lru_cache(1024)
+def _stamp(
+    text: str, font: FontProperties, angle: float, formula: Any, colour: Paint, dpi: float
+) -> tuple[NDArray[np.uint8], int, int]:
+    """Pixels of a text (row from below, column, 4), and where they begin, right of and above where it does.
+
+    It stands on whole pixels, wherever it is. To paint letters takes longer than to paint all lines, and the
+    pictures of a run have most of their words in common.
+    """
+    width, height, depth = _measured(text, font, formula, dpi)
+    corners = Bbox.from_bounds(0.0, -depth, width, height).corners()
+    corners = Affine2D().rotate_deg(angle).transform(corners)
+    right, above = map(int, np.floor(corners.min(axis=0)) - SPARE_PX)
+    columns, rows = (np.ceil(corners.max(axis=0)) + SPARE_PX).astype(int) - (right, above)
+    renderer = cast("Any", RendererAgg)(columns, rows, dpi)
+    _know_formulas(renderer)
+    pen = renderer.new_gc()
+    pen.set_foreground(colour, isRGBA=True)
+    renderer.draw_text(pen, -right, rows + above, text, font, angle, formula)
+    return np.array(renderer.buffer_rgba())[::-1], right, above
+
+
 @cache
 def _ruler(dpi: float) -> Any:
     return cast("Any", RendererAgg)(1, 1, dpi)
 
 
 def _know_formulas(renderer: RendererBase) -> None:
-    """Let a renderer of pixels know the formulas of those before it: to read one takes long."""
+    """Let a renderer know the formulas of those before it: to read one takes long."""
+    outlines = getattr(renderer, "_text2path", None)  # of a renderer that has none, every formula is read
     if isinstance(renderer, RendererAgg):
-        renderer.mathtext_parser = _ruler(72.0).mathtext_parser
+        renderer.mathtext_parser = _ruler(renderer.dpi).mathtext_parser
+    elif outlines is not None:
+        outlines.mathtext_parser = text_to_path.mathtext_parser
 
 
 def _copied(pen: Pen) -> Pen:

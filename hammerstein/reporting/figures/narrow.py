@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal
 
 from matplotlib.transforms import Affine2D, Bbox, BboxTransform
 
-from hammerstein.reporting.figures.drawing import Drawing, Placed, Stroke, Words, empty, paint
+from hammerstein.reporting.figures.drawing import Drawing, Placed, Stroke, Words, drawing_of, empty, paint
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,20 +35,21 @@ TICK_PX = 7.0
 
 def narrow_figure(figure: Figure, drawing: Drawing) -> Figure:
     """Put the panels of a drawn figure below each other; those that share a horizontal axis together."""
-    made = empty((NARROW_PX / NARROW_DPI, 1.0), NARROW_DPI)
-    below_px = -sum(_narrow_legend(made, legend, drawing) for legend in figure.legends)
+    legends = empty((NARROW_PX / NARROW_DPI, 1.0), NARROW_DPI)
+    below_px = -sum(_narrow_legend(legends, legend, drawing) for legend in figure.legends)
     panels = list(_panels(figure, drawing))
     labels = [label for panel in panels for label in panel.labels]
     left = EDGE_PX + max([label.panel.x0 - label.room.x0 for label in labels] + [0.0])
     right = EDGE_PX + max([label.room.x1 - label.panel.x1 for label in labels] + [0.0])
-    strokes: list[Placed] = []
+    high_px, drawn = legends.bbox.height, drawing_of(legends).strokes
+    strokes: list[Placed] = [(stroke, Affine2D().translate(0.0, -high_px)) for stroke in drawn]
     for panel in panels:
         place = panel.sized(left, NARROW_PX - right)
         place = place.translated(0.0, below_px - panel.room(place).y1)
         strokes += panel.put(place)
         below_px = panel.room(place).y0 - (JOINED_PX if panel.joined else BETWEEN_PX)
     height_px = math.ceil(-below_px)
-    made.set_size_inches(NARROW_PX / NARROW_DPI, height_px / NARROW_DPI)
+    made = empty((NARROW_PX / NARROW_DPI, height_px / NARROW_DPI), NARROW_DPI)
     return paint(made, [(stroke, move.translate(0.0, height_px)) for stroke, move in strokes])
 
 
@@ -195,12 +196,12 @@ def _lent(side: Side, own_and_others: Sequence[Sequence[_Label]]) -> list[_Label
     return [] if found[0] else next(filter(None, found), [])
 
 
-def _narrow_legend(made: Figure, legend: Legend, drawing: Drawing) -> float:
+def _narrow_legend(legends: Figure, legend: Legend, drawing: Drawing) -> float:
     """Put a legend of short lines in the place of a wide one; gives its height [pixel]."""
     handles = [handle for handle in legend.legend_handles if handle is not None]
     words = ["\n".join(textwrap.wrap(text.get_text(), LEGEND_LETTERS)) for text in legend.get_texts()]
     title = "\n".join(textwrap.wrap(legend.get_title().get_text(), LEGEND_LETTERS))
     columns = 2 if max(map(len, words), default=0) <= LEGEND_LETTERS_OF_TWO else 1
-    narrow = made.legend(handles, words, loc="upper center", ncols=columns, title=title or None)
+    narrow = legends.legend(handles, words, loc="upper center", ncols=columns, title=title or None)
     narrow.get_title().set(fontweight="bold", multialignment="center")
     return narrow.get_window_extent(drawing.measures).height + BETWEEN_PX

@@ -31,7 +31,7 @@ Role = Literal["reading", "reference", "voltage", "error"]
 
 WIDTH_IN = 8.0  # at 100 pixels an inch the width of a page on a screen
 PNG_DPI = 125  # 1000 pixels wide
-LONGEST_TITLE = 80  # characters that fit the width
+LONGEST_LINE = 80  # characters that fit the width
 MOST_POINTS = 11_000  # of all curves of a figure together: keeps an SVG below 400 kB
 
 # Okabe and Ito's colours, told apart with any colour vision; the order keeps neighbours apart in grey.
@@ -77,8 +77,6 @@ STYLE: dict[str, Any] = {
     "lines.linewidth": 1.4,
     "lines.markersize": 4.0,
     "lines.solid_capstyle": "round",
-    "figure.constrained_layout.h_pad": 0.06,
-    "figure.constrained_layout.w_pad": 0.06,
     "svg.hashsalt": "hammerstein",
     "svg.fonttype": "path",
 }
@@ -116,7 +114,9 @@ def new_figure(height_in: float) -> Figure:
     """Give an empty figure of page width, without any window behind it."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(WIDTH_IN, height_in), dpi=PNG_DPI, layout="constrained")
+    from hammerstein.reporting.figures.layout import OneLook
+
+    return Figure(figsize=(WIDTH_IN, height_in), dpi=PNG_DPI, layout=OneLook())
 
 
 def line_style(number: int) -> dict[str, Any]:
@@ -200,20 +200,21 @@ def legend_above(figure: Figure, entries: dict[str, Artist], title: str = "") ->
     columns = math.ceil(len(entries) / math.ceil(len(entries) / most))
     legend = figure.legend(
         list(entries.values()),
-        list(entries),
+        ["\n".join(textwrap.wrap(label, LONGEST_LINE)) for label in entries],
         loc="outside upper center",
         ncols=columns,
-        title="\n".join(textwrap.wrap(title, LONGEST_TITLE)) or None,
+        title="\n".join(textwrap.wrap(title, LONGEST_LINE)) or None,
     )
     legend.get_title().set(fontweight="bold", multialignment="center")
 
 
 def few_ticks(axes: Axes) -> None:
     """Few ticks at round numbers on both linear axes."""
-    if axes.get_xscale() == "linear":  # a logarithmic axis has its own few
-        axes.locator_params(axis="x", nbins=6, steps=[1, 2, 5, 10])
-    if axes.get_yscale() == "linear":
-        axes.locator_params(axis="y", nbins=6, steps=[1, 2, 5, 10])
+    from hammerstein.reporting.figures.ticks import FewTicks
+
+    for axis in (axes.xaxis, axes.yaxis):
+        if axis.get_scale() == "linear":  # a logarithmic axis has its own few
+            axis.set_major_locator(FewTicks())
 
 
 def plain_numbers(axis: Axis) -> None:
