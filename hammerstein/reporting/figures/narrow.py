@@ -6,7 +6,6 @@ Nothing is drawn anew but the legend: lines are squeezed to the width, and words
 from __future__ import annotations
 
 import math
-import textwrap
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Literal
 from matplotlib.transforms import Affine2D, Bbox, BboxTransform
 
 from hammerstein.reporting.figures.drawing import Drawing, Placed, Stroke, Words, drawing_of, empty, paint
+from hammerstein.reporting.figures.style import in_lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -199,8 +199,8 @@ def _lent(side: Side, own_and_others: Sequence[Sequence[_Label]]) -> list[_Label
 def _narrow_legend(legends: Figure, legend: Legend, drawing: Drawing) -> float:
     """Put a legend of short lines in the place of a wide one; gives its height [pixel]."""
     handles = [handle for handle in legend.legend_handles if handle is not None]
-    words = ["\n".join(textwrap.wrap(text.get_text(), LEGEND_LETTERS)) for text in legend.get_texts()]
-    title = "\n".join(textwrap.wrap(legend.get_title().get_text(), LEGEND_LETTERS))
+    words = [in_lines(text.get_text(), LEGEND_LETTERS) for text in legend.get_texts()]
+    title = in_lines(legend.get_title().get_text(), LEGEND_LETTERS)
     columns = 2 if max(map(len, words), default=0) <= LEGEND_LETTERS_OF_TWO else 1
     narrow = legends.legend(handles, words, loc="upper center", ncols=columns, title=title or None)
     narrow.get_title().set(fontweight="bold", multialignment="center")

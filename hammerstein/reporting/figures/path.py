@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -20,6 +19,7 @@ from hammerstein.reporting.figures.style import (
     MOST_POINTS,
     WIDTH_IN,
     few_ticks,
+    in_lines,
     legend_above,
     letter,
     new_figure,
@@ -241,11 +241,6 @@ def _draw_plane(
     axes.set_ylabel(f"{symbol(names[1], 'reading')} [µm]")
 
 
-def _upright(label: str) -> str:
-    """Label in lines that are no longer than a panel is high."""
-    return "\n".join(textwrap.wrap(label, UPRIGHT_LETTERS))
-
-
 def _points(run: PathRun, most: int) -> int:
     """Most points of a path in the plane: enough for every turn of a smooth one."""
     return max(most, math.ceil(ENOUGH * run.period_s / run.lap_s)) if run.lap_s else most
@@ -272,7 +267,7 @@ def _draw_traces(
             time, values = thin_trace(runs[0].time_s[shown] * factor, runs[0].target_um[axis, shown], most)
             (entries[target],) = axes.plot(time, values, **TARGET)
         few_ticks(axes)
-        axes.set_ylabel(_upright(f"{symbol(names[axis], 'reading')} [µm]"))
+        axes.set_ylabel(in_lines(f"{symbol(names[axis], 'reading')} [µm]", UPRIGHT_LETTERS))
         axes.margins(x=0.0)
     traces[-1].set_xlabel(time_label)
     return entries
@@ -311,7 +306,9 @@ def _draw_errors(
     for i, (name, _) in enumerate(runs[0].drawn_errors()):
         panels[i].margins(x=0.0)
         few_ticks(panels[i])
-        panels[i].set_ylabel(LABELS.get(name) or _upright(f"{symbol(names[i], 'error')} [µm]"))
+        panels[i].set_ylabel(
+            LABELS.get(name) or in_lines(f"{symbol(names[i], 'error')} [µm]", UPRIGHT_LETTERS)
+        )
         _scale_distance(panels[i], name, runs)
     panels[-1].set_xlabel(time_label)
     return entries

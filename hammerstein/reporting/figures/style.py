@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import itertools
 import math
+import re
 import textwrap
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -31,6 +32,7 @@ Role = Literal["reading", "reference", "voltage", "error"]
 
 WIDTH_IN = 8.0  # at 100 pixels an inch the width of a page on a screen
 PNG_DPI = 125  # 1000 pixels wide
+JOINT = "\u00a0"  # a space at which no line ends
 LONGEST_LINE = 80  # characters that fit the width
 MOST_POINTS = 11_000  # of all curves of a figure together: keeps an SVG below 400 kB
 
@@ -166,6 +168,16 @@ def plain(label: str) -> str:
     return (" " if label.startswith("_") else "") + clean(label).replace("$", r"\$")
 
 
+def in_lines(text: str, letters: int) -> str:
+    r"""Text in lines of at most so many letters; a number and its unit stay together.
+
+    >>> in_lines("circle (worst 3.42 µm)", 20)
+    'circle (worst\n3.42 µm)'
+    """
+    joined = re.sub(r"(?<=\d) (?=(?:µm|nm|V|Hz|ms|s|%)(?!\w))", JOINT, text)
+    return "\n".join(textwrap.wrap(joined, letters)).replace(JOINT, " ")
+
+
 def column_words(column: str) -> str:
     """Name of a column without its unit, as a label: a bare number says little.
 
@@ -200,10 +212,10 @@ def legend_above(figure: Figure, entries: dict[str, Artist], title: str = "") ->
     columns = math.ceil(len(entries) / math.ceil(len(entries) / most))
     legend = figure.legend(
         list(entries.values()),
-        ["\n".join(textwrap.wrap(label, LONGEST_LINE)) for label in entries],
+        [in_lines(label, LONGEST_LINE) for label in entries],
         loc="outside upper center",
         ncols=columns,
-        title="\n".join(textwrap.wrap(title, LONGEST_LINE)) or None,
+        title=in_lines(title, LONGEST_LINE) or None,
     )
     legend.get_title().set(fontweight="bold", multialignment="center")
 
