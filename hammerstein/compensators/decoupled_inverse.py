@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -76,15 +77,15 @@ class DecoupledInverseLaw(Law[InverseState]):
         require_square(hysteresis.n_inputs, hysteresis.n_outputs, "decoupled_inverse")
         m = self.n_inputs = self.n_outputs = hysteresis.n_inputs
         self.range = DriveRange.of(range_v, model)
-        pairs = [[Pair.absent()] * m for _ in range(m)]
+        inverses = []
         self.jump_v = np.zeros(m)
         for k in range(m):
             direct = hysteresis.pairs[k][k]
             smallest = direct.thresholds_v[:1].sum()
             shifted = Pair(direct.thresholds_v - smallest, direct.weights_um_per_v)
-            pairs[k][k] = inverse_pair(shifted, f"Direct transfer {model.outputs[k]}")
+            inverses.append(inverse_pair(shifted, f"Direct transfer {model.outputs[k]}"))
             self.jump_v[k] = smallest
-        self.inverse = PrandtlIshlinskii(tuple(tuple(row) for row in pairs))
+        self.inverse = _alone(inverses)
         self._start, self.origin_um = self._at_start(hysteresis)
         self._frame = self._frame_of_steps()
         self._limits = np.stack([self.jump_v, *self.range.counted])
@@ -113,11 +114,8 @@ class DecoupledInverseLaw(Law[InverseState]):
         The inverse has gone through the positions that the voltages before the start led to.
         """
         history = self.range.history()
-        direct = [
-            PrandtlIshlinskii(((hysteresis.pairs[k][k],),)).respond(history[[k]])[0]
-            for k in range(self.n_inputs)
-        ]
-        passed = np.vstack(direct)
+        direct = _alone([hysteresis.pairs[k][k] for k in range(self.n_inputs)])
+        passed = direct.respond(history)[0]
         if history.shape[1] == 1:
             return InverseState(
                 self.inverse.rest(), np.zeros(self.n_inputs), np.zeros(self.n_inputs)
@@ -142,6 +140,14 @@ class DecoupledInverseLaw(Law[InverseState]):
         for first, stop in spans(v.shape[1]):
             respond_inverse_play(v, self.jump_v, *self.range.counted, last, direction, first, stop, drive)
         return drive, InverseState(plays, last, direction)
+
+
+def _alone(direct: Sequence[Pair]) -> PrandtlIshlinskii:
+    """Direct transfers without any coupling."""
+    absent = Pair.absent()
+    return PrandtlIshlinskii(
+        tuple(tuple(pair if i == k else absent for i in range(len(direct))) for k, pair in enumerate(direct))
+    )
 
 
 class DecoupledInverse(Compensator):
