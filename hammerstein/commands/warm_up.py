@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from hammerstein.arrays import Array
 from hammerstein.compiled import CHECKED, told_before_compiling
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.workers import Processes
+
+if TYPE_CHECKING:
+    from hammerstein.scenario import Scenario
 
 RANGE_V, SAMPLE_TIME_S, SAMPLES = 10.0, 50e-6, 800
 
@@ -34,9 +38,9 @@ def compile_once(say: Callable[[str], None], several: bool = False) -> None:
         return
     if not _must_compile():
         return
-    say("compiling the time loops, once after installation (15 to 25 s)")
+    say("compiling the time loops, once after installation (about 15 s)")
     with Processes(2) as processes:
-        wait([processes.submit(use) for use in (_use_the_others, _use_inverse)])
+        wait([processes.submit(use) for use in USES])
     # what is not compiled here is compiled when it is used
 
 
@@ -80,37 +84,60 @@ def _is_cached(loop: object) -> bool:
     return any(folder.glob(f"*.{name}-*{CHECKED}.nbi"))
 
 
+def _use_plays() -> None:
+    """What an actuator is, and how it is identified."""
+    from hammerstein.experiment.set_up import set_up
+    from hammerstein.identification.identify import identify
+    from hammerstein.identification.settings import Settings
+    from hammerstein.identification.static.regressors import Start, regressor_blocks
+    from hammerstein.records.record import Record
+
+    setup = set_up(_scenario({"kind": "sine", "amplitude_um": 10.0}, "none"))
+    responses = [setup.simulate(case) for case in setup.cases()]
+    records = [Record(found.drive_v, found.reading_um, SAMPLE_TIME_S) for found in responses]
+    identify(records, Settings(2, partition="time", dynamics="lag", creep_modes=0, error_curve=False))
+    for _ in regressor_blocks(_path(), Start("rest"), [np.zeros(1)] * 2, with_derivatives=True):
+        pass
+
+
 def _use_inverse() -> None:
-    """The exact inverse takes as long to compile as all the other loops together."""
     from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 
     law = HammersteinInverseLaw(HammersteinModel.load(DEFAULT), RANGE_V, SAMPLE_TIME_S, filter_hz=2000.0)
     law.drive_for(_path())
 
 
-def _use_the_others() -> None:
-    from hammerstein.experiment.set_up import set_up
-    from hammerstein.identification.identify import identify
-    from hammerstein.identification.settings import Settings
-    from hammerstein.identification.static.regressors import Start, regressor_blocks
-    from hammerstein.records.record import Record
+def _use_other_laws() -> None:
+    """Laws, and what is measured of a path."""
+    _run("inverse_multiplicative", "decoupled_inverse")
+
+
+def _use_feedback() -> None:
+    _run("feedback")
+
+
+USES = (_use_plays, _use_inverse, _use_other_laws, _use_feedback)
+"""What takes longest to compile comes first; the later ones need the plays, which are there by then."""
+
+
+def _run(*laws: str) -> None:
+    from hammerstein.experiment.run import run
+
+    run(_scenario({"kind": "circle", "radius_um": 10.0}, *laws))
+
+
+def _scenario(reference: dict[str, Any], *laws: str) -> Scenario:
+    """Laws on a simulated actuator."""
     from hammerstein.scenario import Scenario
 
-    laws = ("none", "inverse_multiplicative", "decoupled_inverse", "feedback")
-    scenario = Scenario.model_validate(
+    return Scenario.model_validate(
         {
             "question": "Does it run?",
             "actuator": DEFAULT,
-            "reference": {"kind": "sine", "amplitude_um": 10.0, "frequency_hz": 50.0},
+            "reference": {"frequency_hz": 50.0} | reference,
             "compensators": [{"label": law, "law": law, "model": DEFAULT} for law in laws],
         }
     )
-    setup = set_up(scenario)
-    responses = [setup.simulate(case) for case in setup.cases()]
-    records = [Record(found.drive_v, found.reading_um, SAMPLE_TIME_S) for found in responses[:2]]
-    identify(records, Settings(operators=5, dynamics="second_order", error_curve=False))
-    for _ in regressor_blocks(_path(), Start("rest"), [np.zeros(1)] * 2, with_derivatives=True):
-        pass
 
 
 def _path() -> Array:
