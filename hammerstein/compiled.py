@@ -14,6 +14,7 @@ from typing import Any
 
 import numba
 from numba.core import caching
+from numba.extending import register_jitable
 
 from hammerstein.errors import Notice
 
@@ -27,6 +28,8 @@ Loop = Callable[..., Any]
 SPAN, LEAST = 2**25, 2**5
 """Multiplications of one call, a tenth of a second, and the least that a sample counts for."""
 
+LEAN: dict[str, Any] = {"no_cfunc_wrapper": True}
+"""Nothing is made for C to call."""
 CHECKED = ".checked"
 """In the names of the files, which are not those of numba alone."""
 MARK = b"hammerstein sha256"
@@ -44,7 +47,7 @@ def compiled(reads: str = "", **options: Any) -> Callable[[Loop], Loop]:
     """
 
     def decorate(loop: Loop) -> Loop:
-        dispatcher = numba.njit(nogil=True, **options)(loop)
+        dispatcher = numba.njit(nogil=True, **LEAN, **options)(loop)
         places = list(inspect.signature(loop).parameters)
         dispatcher.compile = _OnceFor(dispatcher, [places.index(name) for name in reads.split()])
         try:
@@ -54,6 +57,16 @@ def compiled(reads: str = "", **options: Any) -> Callable[[Loop], Loop]:
         return dispatcher  # type: ignore[no-any-return]  # numba has no types
 
     return decorate
+
+
+def helper(**options: Any) -> Callable[[Loop], Loop]:
+    """Let compiled loops call a function; in Python it stays what it is.
+
+    What makes a compiled loop callable from Python costs the compiler as much as many a helper itself.
+
+    options : what ``numba.njit`` is told besides
+    """
+    return register_jitable(**LEAN, **options)
 
 
 class _OnceFor:

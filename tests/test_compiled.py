@@ -1,10 +1,12 @@
 """A loop is compiled once for arguments that are one to it."""
 
+from types import FunctionType
+
 import numpy as np
 import pytest
 from numba.core.errors import TypingError
 
-from hammerstein.compiled import compiled
+from hammerstein.compiled import compiled, helper
 
 
 @compiled(reads="values")
@@ -65,3 +67,20 @@ def test_a_loop_that_two_others_call_is_found_at_once():
 def test_a_loop_cannot_write_to_what_it_only_reads():
     with pytest.raises(TypingError, match="readonly"):
         wipe(np.ones(1))
+
+
+def test_a_helper_is_compiled_as_a_part_of_its_loop():
+    @helper(error_model="numpy")
+    def over(value):
+        return 1.0 / value
+
+    @compiled()
+    def all_over(values):
+        for i in range(len(values)):
+            values[i] = over(values[i])
+
+    values = np.array([2.0, 0.0])
+    all_over(values)
+    np.testing.assert_array_equal(values, [0.5, np.inf])
+    assert over(2.0) == 0.5
+    assert isinstance(over, FunctionType)  # there is nothing of its own to compile or to keep

@@ -12,8 +12,8 @@ kind = "sine"
 amplitude_v = 10
 frequency_hz = 50
 """
-MOST_LOOPS = 25
-"""Of about a hundred, helpers included: the plays alone have two forms."""
+MOST_LOOPS = 8
+"""Of about forty."""
 
 
 def test_one_scenario_compiles_what_it_needs_and_the_next_run_nothing(tmp_path):

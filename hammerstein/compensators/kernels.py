@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hammerstein.compiled import compiled
+from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.play_kernels import at, move, respond_turning_points
 
 # A step below this is no movement: two samples at equal distance from a peak differ in their last bits, and
@@ -107,7 +107,7 @@ def respond_inverse_play(v, r, low, high, last, sign, first, stop, u):  # type: 
             u[k, at(t)] = min(max(now + sign[k] * r[k], low[k]), high[k])
 
 
-@compiled()
+@helper()
 def to_sent(drive, frame, sent):  # type: ignore[no-untyped-def]
     """Put voltages (m, 1), from the working point, into those that are sent (m,); False if not finite.
 
@@ -124,7 +124,7 @@ def to_sent(drive, frame, sent):  # type: ignore[no-untyped-def]
     return sound
 
 
-@compiled()
+@helper()
 def from_rest(sample, frame, reference):  # type: ignore[no-untyped-def]
     """Put a sample (p,), counted from the start, into reference (p, 1), from rest; False if not finite."""
     sound = True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hammerstein.compiled import compiled
+from hammerstein.compiled import compiled, helper
 
 
 @compiled(reads="v")
@@ -21,7 +21,7 @@ def respond_copies(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
         _one(a, b, c, d, x[row], v[row], y[row])
 
 
-@compiled()
+@helper()
 def _four(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
     """Four copies side by side, which a processor works out at once: x (4, n), v and y (4, N)."""
     n = b.shape[0]
@@ -54,7 +54,7 @@ def _four(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
             x[k, i] = now[i, k]
 
 
-@compiled()
+@helper()
 def _one(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
     """One copy: x (n,), v and y (N,)."""
     n = b.shape[0]
@@ -85,7 +85,7 @@ def respond_paths(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
         _four_paths(a[k], b[k], c[k], d[k], x[k], v, y[4 * k : 4 * k + 4])
 
 
-@compiled()
+@helper()
 def _four_paths(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
     """Four paths: a (n, n, 4), b, c and x (n, 4), d (4,), v (N,) and y (4, N)."""
     n = b.shape[0]

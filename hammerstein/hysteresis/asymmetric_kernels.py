@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hammerstein.compiled import compiled
+from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.play_kernels import BLOCK, at
 
 
@@ -37,7 +37,7 @@ def add_dead_zones(  # type: ignore[no-untyped-def]
                 _add_lines(q, start, start, stop, ends[k], slope[k], intercept[k], y, outputs)
 
 
-@compiled()
+@helper()
 def _smallest(u, r, p, start, stop):  # type: ignore[no-untyped-def]
     """Smallest play after samples start to stop."""
     if r == 0.0:
@@ -47,7 +47,7 @@ def _smallest(u, r, p, start, stop):  # type: ignore[no-untyped-def]
     return p
 
 
-@compiled()
+@helper()
 def _smallest_block(u, r, p, start, stop, q):  # type: ignore[no-untyped-def]
     """Put the smallest play of samples start to stop into q; returns the last one."""
     for t in range(start, stop):
@@ -56,7 +56,7 @@ def _smallest_block(u, r, p, start, stop, q):  # type: ignore[no-untyped-def]
     return p
 
 
-@compiled()
+@helper()
 def _add_lines(q, shift, start, stop, ends, slope, intercept, y, outputs):  # type: ignore[no-untyped-def]
     """Add the lines of the zones that the smallest plays of samples start to stop stand in.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hammerstein.compiled import compiled
+from hammerstein.compiled import compiled, helper
 
 LONGEST = 0.015625
 """Largest step in parts of the voltage in which z relaxes; a longer movement is made of several."""
@@ -17,7 +17,7 @@ FEW = 4
 """Steps that take as long as an exponential."""
 
 
-@compiled()
+@helper()
 def moved(z, du, load, unload):  # type: ignore[no-untyped-def]
     """Give z after a movement du: dz = du - c |du| z, c = load while z grows and unload while it falls.
 
@@ -83,7 +83,7 @@ def lagging(u, load, unload, z, last, out):  # type: ignore[no-untyped-def]
     return z
 
 
-@compiled()
+@helper()
 def moved_far(z, du, load, unload):  # type: ignore[no-untyped-def]
     """Give z after a movement du as ``moved``, by the exponentials that its steps approach."""
     sign = 1.0 if du > 0.0 else -1.0
@@ -99,7 +99,7 @@ def moved_far(z, du, load, unload):  # type: ignore[no-untyped-def]
     return sign * _grown(own, left, load)
 
 
-@compiled()
+@helper()
 def _grown(z, d, c):  # type: ignore[no-untyped-def]
     """Solve dz = (1 - c z) dd."""
     return z + d if c == 0.0 else z + (z - 1.0 / c) * math.expm1(-c * d)

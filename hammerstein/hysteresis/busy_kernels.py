@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hammerstein.compiled import compiled
+from hammerstein.compiled import helper
 
 at = np.uint64  # see ``play_kernels``
 
@@ -39,7 +39,7 @@ whether operator 0 rested in the last sample, and in the busy form the last two 
 COLUMNS = 6
 
 
-@compiled()
+@helper()
 def respond_busy(u, start, stop, r, w, n, plays, window, kept, y, outputs):  # type: ignore[no-untyped-def]
     """Add to y what one input contributes from start to the end of its window or to stop; returns where.
 
@@ -59,7 +59,7 @@ def respond_busy(u, start, stop, r, w, n, plays, window, kept, y, outputs):  # t
     return stop
 
 
-@compiled()
+@helper()
 def _turns(u, start, stop, window):  # type: ignore[no-untyped-def]
     """Samples from start to stop with which the input turns."""
     turns, last, before = 0, window[LAST], window[BEFORE]
@@ -72,7 +72,7 @@ def _turns(u, start, stop, window):  # type: ignore[no-untyped-def]
     return turns
 
 
-@compiled()
+@helper()
 def _move_group(u, start, stop, r, plays, i, n, kept):  # type: ignore[no-untyped-def]
     """Move operators i, i+1, ... of n through the samples; what is missing has an infinite threshold."""
     ra, rb, rc, rd, re = r[i], np.inf, np.inf, np.inf, np.inf
@@ -97,7 +97,7 @@ def _move_group(u, start, stop, r, plays, i, n, kept):  # type: ignore[no-untype
         plays[j] = kept[j - i, stop - start - 1]
 
 
-@compiled()
+@helper()
 def _add_group(start, stop, w, i, n, o, kept, y):  # type: ignore[no-untyped-def]
     """Add the weighted plays of operators i, i+1, ... of n to output o."""
     a, b, c, d, e = w[i, o], 0.0, 0.0, 0.0, 0.0

@@ -38,7 +38,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.compiled import compiled
+from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.busy_kernels import (
     BEFORE,
     BUSY,
@@ -90,7 +90,7 @@ def search_guide(
     return guide, scale
 
 
-@compiled()
+@helper()
 def first_at_least(level, where, r, guide):  # type: ignore[no-untyped-def]
     """First operator with r[i] >= level, for a level from 0 to the largest threshold.
 
@@ -146,14 +146,14 @@ def move(i, u, r, w, rw, count, end, x, d, below, v):  # type: ignore[no-untyped
     count[i] = new + 1
 
 
-@compiled()
+@helper()
 def _wipes_out(i, u, direction, s, r, end, x, d):  # type: ignore[no-untyped-def]
     """Whether moving input i to u engages the last operator of segment s."""
     reach = (1.0 - direction * d[i, at(s)]) * r[i, at(end[i, at(s)] - 1)]
     return direction * (u - x[i, at(s)]) > reach
 
 
-@compiled()
+@helper()
 def _engaged(i, gap, factor, r, k, end):  # type: ignore[no-untyped-def]
     """First operator in k..end that a gap does not engage: factor r[i] >= gap (galloping search)."""
     low, high, step = k, end, 1
@@ -166,7 +166,7 @@ def _engaged(i, gap, factor, r, k, end):  # type: ignore[no-untyped-def]
     return low
 
 
-@compiled()
+@helper()
 def _direction(u, r, x, d, top):  # type: ignore[no-untyped-def]
     """+1 or -1 on the way to u, and whether operator 0 rests, as it does within its dead zone."""
     gap = u - x[at(top)]
@@ -174,7 +174,7 @@ def _direction(u, r, x, d, top):  # type: ignore[no-untyped-def]
     return direction, direction * gap <= (1.0 - direction * d[at(top)]) * r[0]
 
 
-@compiled()
+@helper()
 def _base(u, direction, r, top, end, x, d):  # type: ignore[no-untyped-def]
     """Uppermost segment that moving to u does not wipe out, and how many operators move above it."""
     same = d[at(top)] == direction
@@ -225,7 +225,7 @@ def respond_turning_points(  # type: ignore[no-untyped-def]
     return finish
 
 
-@compiled()
+@helper()
 def load(n, lines, count, end, x, d, ends, xs, ds, tips, outputs):  # type: ignore[no-untyped-def]
     """Copy a stack onto a floor of n operators at rest, and follow its tips from the floor upwards."""
     ends[0], xs[0], ds[0] = n, 0.0, 0.0
@@ -237,7 +237,7 @@ def load(n, lines, count, end, x, d, ends, xs, ds, tips, outputs):  # type: igno
             tips[s + 1, o] = _line(way, turn, end[s], o, s, lines, tips, outputs)
 
 
-@compiled()
+@helper()
 def plays_of(r, top, end, x, d, plays):  # type: ignore[no-untyped-def]
     """Outputs of all operators of a stack, from its top down to its floor."""
     first = 0
@@ -247,7 +247,7 @@ def plays_of(r, top, end, x, d, plays):  # type: ignore[no-untyped-def]
         first = end[s]
 
 
-@compiled()
+@helper()
 def stack_of(plays, lines, end, x, d, tip, outputs):  # type: ignore[no-untyped-def]
     """Stack of plays on its floor, one segment an operator; returns its top."""
     n = end[0]
@@ -258,7 +258,7 @@ def stack_of(plays, lines, end, x, d, tip, outputs):  # type: ignore[no-untyped-
     return n
 
 
-@compiled()
+@helper()
 def _save(lines, count, ends, xs, ds, end, x, d, below):  # type: ignore[no-untyped-def]
     """Copy the stack back without its floor, and add up what lies below each segment."""
     p = below.shape[1]
@@ -272,7 +272,7 @@ def _save(lines, count, ends, xs, ds, end, x, d, below):  # type: ignore[no-unty
                 below[s, o] = below[s - 1, o] + (x[s - 1] * slope - d[s - 1] * moment)
 
 
-@compiled()
+@helper()
 def _finite(u, start, stop):  # type: ignore[no-untyped-def]
     """Whether all samples from start to stop are finite."""
     if np.isfinite(_sum(u, start, stop)):
@@ -283,7 +283,7 @@ def _finite(u, start, stop):  # type: ignore[no-untyped-def]
     return bad == 0
 
 
-@compiled(fastmath={"reassoc"})
+@helper(fastmath={"reassoc"})
 def _sum(u, start, stop):  # type: ignore[no-untyped-def]
     """Sum in any order, for a question that does not depend on its last digits."""
     total = 0.0
@@ -292,7 +292,7 @@ def _sum(u, start, stop):  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled()
+@compiled(reads="u")  # by itself, for the closed loop has it too
 def respond_block(  # type: ignore[no-untyped-def]
     u, start, stop, r, guide, scale, lines, w, top, end, x, d, tip, plays, window, kept, y, outputs
 ):
@@ -312,7 +312,7 @@ def respond_block(  # type: ignore[no-untyped-def]
     return top
 
 
-@compiled()
+@helper()
 def _respond_branches(  # type: ignore[no-untyped-def]
     u, start, stop, r, guide, scale, lines, top, end, x, d, tip, window, y, outputs
 ):
@@ -393,7 +393,7 @@ def _respond_branches(  # type: ignore[no-untyped-def]
     return stop, top
 
 
-@compiled()
+@helper()
 def _branch(direction, base, r, end, x, d):  # type: ignore[no-untyped-def]
     """What is constant on a branch: where it begins, its turn, threshold per volt, level that ends it."""
     turn = direction - d[at(base)]
@@ -406,7 +406,7 @@ def _branch(direction, base, r, end, x, d):  # type: ignore[no-untyped-def]
     return x[at(base)], turn, unit, reach
 
 
-@compiled()
+@helper()
 def _line(way, turn, k, o, base, lines, tip, outputs):  # type: ignore[no-untyped-def]
     """Output o a way u - x' from the tip of the base, with the first k operators engaged."""
     return tip[at(base), at(o)] + (lines[at(k), at(o)] * way - turn * lines[at(k), at(len(outputs) + o)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hammerstein.compiled import compiled
+from hammerstein.compiled import compiled, helper
 
 CHUNK = 1024
 """Samples of one play after the other: what they add to stays in the cache."""
@@ -14,7 +14,7 @@ SERIES = tuple(1.0 / n for n in range(23, 0, -2))
 """Coefficients of artanh(s) / s in s^2, the highest power first: for |s| < 0.172 all that a double tells."""
 
 
-@compiled()
+@helper()
 def log_of_one_and(x):  # type: ignore[no-untyped-def]
     """Give log(1 + x) for x from 0 to 2^128 by sums and products alone: every machine gives the same bits.
 
@@ -34,14 +34,14 @@ def log_of_one_and(x):  # type: ignore[no-untyped-def]
     return doubled * LOG_TWO + 2.0 * (s * total)
 
 
-@compiled()
+@helper()
 def next_rate(k, sample_time, pole, last, rate):  # type: ignore[no-untyped-def]
     """Move the filtered rate of input k on by one sample; ``last`` holds its last two voltages."""
     slope = (last[k, 0] - last[k, 1]) / sample_time
     rate[k] = pole[k] * rate[k] + (1.0 - pole[k]) * slope
 
 
-@compiled()
+@helper()
 def size_of(k, lam, rate):  # type: ignore[no-untyped-def]
     """Give g(rate) of input k: |rate| or, where lambda is given, log(1 + lambda |rate|) / lambda."""
     size = abs(rate[k])
@@ -50,7 +50,7 @@ def size_of(k, lam, rate):  # type: ignore[no-untyped-def]
     return size
 
 
-@compiled()
+@helper()
 def threshold(k, i, r, b, lam, rate):  # type: ignore[no-untyped-def]
     """R = r + b g(rate)."""
     return r[k, i] + b[k, i] * size_of(k, lam, rate)
@@ -89,7 +89,7 @@ def play_outputs(u, sample_time, pole, r, b, lam, plays, last, rate, p):  # type
         plays[0, i] = _played(u[0], r[0, i], b[0, i], size, plays[0, i], 0, u.shape[1], p[i])
 
 
-@compiled()
+@helper()
 def _sizes(k, u, sample_time, pole, lam, last, rate, begin, end, size):  # type: ignore[no-untyped-def]
     """Give size (end - begin,) the g(rate) of each sample of input k, and move its memory on."""
     for t in range(begin, end):
@@ -98,7 +98,7 @@ def _sizes(k, u, sample_time, pole, lam, last, rate, begin, end, size):  # type:
         last[k, 1], last[k, 0] = last[k, 0], u[k, t]
 
 
-@compiled()
+@helper()
 def _played(u, r, b, size, held, begin, end, p):  # type: ignore[no-untyped-def]
     """Give p (end - begin,) the outputs of one play, which begins at ``held``, and where it ends.
 

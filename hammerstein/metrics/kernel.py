@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hammerstein.compiled import compiled
+from hammerstein.compiled import compiled, helper
 
 at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
 
@@ -34,7 +34,7 @@ def error_sums(path, target, squares, largest):  # type: ignore[no-untyped-def]
         tops[p] = max(tops[p], _top(distance, count))
 
 
-@compiled(fastmath={"reassoc"})
+@helper(fastmath={"reassoc"})
 def _sum(values, samples):  # type: ignore[no-untyped-def]
     """Sum of the first samples, in any order."""
     total = 0.0
@@ -43,7 +43,7 @@ def _sum(values, samples):  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled()
+@helper()
 def _top(values, samples):  # type: ignore[no-untyped-def]
     """Bits of the largest of the first samples, none below zero: such numbers are in the order of their bits.
 

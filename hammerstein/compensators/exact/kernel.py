@@ -42,7 +42,7 @@ from hammerstein.compensators.exact.pieces import (
     push,
 )
 from hammerstein.compensators.kernels import from_rest, to_sent
-from hammerstein.compiled import compiled
+from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.play_kernels import at
 
 GONE = 1e-12
@@ -123,7 +123,7 @@ def unloaded(w, here, stack, hand):  # type: ignore[no-untyped-def]
         hand[k, COUNT], hand[k, WANTED], hand[k, RAMP] = here[k].count, here[k].wanted, here[k].ramp
 
 
-@compiled(error_model="numpy")
+@helper(error_model="numpy")
 def drift(reference, t, a, b, x, new, w, here):  # type: ignore[no-untyped-def]
     """Move the distance x of the linear block by one sample; False once it is gone."""
     for s in range(x.shape[0]):
@@ -140,7 +140,7 @@ def drift(reference, t, a, b, x, new, w, here):  # type: ignore[no-untyped-def]
     return largest > GONE
 
 
-@compiled(error_model="numpy")
+@helper(error_model="numpy")
 def resume(w, here):  # type: ignore[no-untyped-def]
     """Put the walk where the memory is; True where ``stay`` may start from there."""
     ready = True
@@ -154,7 +154,7 @@ def resume(w, here):  # type: ignore[no-untyped-def]
     return ready and here[0].quality == 2
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def stay(w, here):  # type: ignore[no-untyped-def]
     """Solve within the pieces of the last sample; False, and no memory changed, where they do not hold q."""
     m = axes_of(here)
@@ -178,7 +178,7 @@ def stay(w, here):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled(error_model="numpy")
+@helper(error_model="numpy")
 def walk(ready, virtual, w, here):  # type: ignore[no-untyped-def]
     """Solve one sample from the memory, whatever it takes; drive and memory are those of what was reached.
 
@@ -213,7 +213,7 @@ def walk(ready, virtual, w, here):  # type: ignore[no-untyped-def]
     return ready
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def _aim(w, here):  # type: ignore[no-untyped-def]
     """Aim of the present pieces, J^-1 (y - c), corrected once against a poorly conditioned J."""
     m = axes_of(here)
@@ -234,13 +234,13 @@ def _aim(w, here):  # type: ignore[no-untyped-def]
         here[k].aim += more
 
 
-@compiled()
+@helper()
 def most_pieces(w):  # type: ignore[no-untyped-def]
     """Pieces after which a walk is given up; one in a model with an inverse ends far sooner."""
     return 64 + 8 * w.shape[0] * w.shape[1]
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def _to_target(w, here):  # type: ignore[no-untyped-def]
     """Walk to the target from the first pieces; False where the model lets no walk get there."""
     m = axes_of(here)
@@ -265,7 +265,7 @@ def _to_target(w, here):  # type: ignore[no-untyped-def]
     return False
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def _first_to_leave(w, here):  # type: ignore[no-untyped-def]
     """Input that leaves its piece first on the way to the aim, or m if none, and the share until then."""
     first, share = axes_of(here), 1.0
@@ -279,7 +279,7 @@ def _first_to_leave(w, here):  # type: ignore[no-untyped-def]
     return first, share
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def _fix_one(virtual, w, here):  # type: ignore[no-untyped-def]
     """Fix the input that is furthest outside its range at the range; False where none is outside.
 
@@ -309,7 +309,7 @@ def _fix_one(virtual, w, here):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def _ends(w, here, k):  # type: ignore[no-untyped-def]
     """Least and largest q that input k can get to from its memory."""
     at = here[k]
@@ -317,7 +317,7 @@ def _ends(w, here, k):  # type: ignore[no-untyped-def]
     return min(at.low, last), max(at.high, last)
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def _commit(w, here, k):  # type: ignore[no-untyped-def]
     """Put the end of the walk of input k into the memory, and its drive.
 

@@ -36,7 +36,7 @@ from typing import Any
 
 import numpy as np
 
-from hammerstein.compiled import compiled
+from hammerstein.compiled import helper
 
 SINGULAR, POOR = 1e-14, 1e3
 
@@ -68,13 +68,13 @@ def of_rows(m: int) -> np.dtype[Any]:
     return np.dtype(names + [(name, np.float64, (m,)) for name in each], align=True)
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def axes_of(here):  # type: ignore[no-untyped-def]
     """Number of inputs, as the compiler knows it."""
     return len(here[0].gain)
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def first_piece(w, here, k, direction):  # type: ignore[no-untyped-def]
     """Piece of input k that begins at its memory, in a direction or (0) in that of the last movement.
 
@@ -99,7 +99,7 @@ def first_piece(w, here, k, direction):  # type: ignore[no-untyped-def]
     return d != 0.0
 
 
-@compiled(error_model="numpy")
+@helper(error_model="numpy")
 def _zone(w, k, q, direction):  # type: ignore[no-untyped-def]
     """Zone of input k that begins at q, or holds it, on the way in a direction."""
     z = 0
@@ -108,7 +108,7 @@ def _zone(w, k, q, direction):  # type: ignore[no-untyped-def]
     return z
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def _zone_end(w, here, k):  # type: ignore[no-untyped-def]
     """Where input k leaves its zone of the dead-zones on its way."""
     at = here[k]
@@ -118,7 +118,7 @@ def _zone_end(w, here, k):  # type: ignore[no-untyped-def]
     return w[k, z - 1].zone_end if z > 0 else -np.inf
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def _describe(w, here, k):  # type: ignore[no-untyped-def]
     """End of the piece of input k, and what it adds to every row: slope q + constant."""
     at = here[k]
@@ -142,7 +142,7 @@ def _describe(w, here, k):  # type: ignore[no-untyped-def]
         here[k].constant[o] = below - direction * w[k, j].moment[o]
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def _below(w, k, i, j, o):  # type: ignore[no-untyped-def]
     """What the operators from j on add to row o while segment i and those under it stand still."""
     value = 0.0
@@ -154,7 +154,7 @@ def _below(w, k, i, j, o):  # type: ignore[no-untyped-def]
     return value
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def next_piece(w, here, k):  # type: ignore[no-untyped-def]
     """Input k passes the end of its piece: the next operators engage, or it enters another zone."""
     at = here[k]
@@ -175,7 +175,7 @@ def next_piece(w, here, k):  # type: ignore[no-untyped-def]
     _describe(w, here, k)
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def previous_piece(w, here, k):  # type: ignore[no-untyped-def]
     """Input k turns back over the beginning of its piece; from the memory itself it turns around."""
     at = here[k]
@@ -190,7 +190,7 @@ def previous_piece(w, here, k):  # type: ignore[no-untyped-def]
         _describe(w, here, k)
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def push(w, here, k):  # type: ignore[no-untyped-def]
     """Make the piece that input k stands on the top segment of its stack."""
     at = here[k]
@@ -205,7 +205,7 @@ def push(w, here, k):  # type: ignore[no-untyped-def]
     at.count = new + 1
 
 
-@compiled(error_model="numpy")
+@helper(error_model="numpy")
 def output(w, here, o):  # type: ignore[no-untyped-def]
     """Output of the memory in row o."""
     m = axes_of(here)
@@ -221,7 +221,7 @@ def output(w, here, o):  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def jacobian(here):  # type: ignore[no-untyped-def]
     """Sum of the constants and inverse of the Jacobian of the present pieces."""
     m = axes_of(here)
@@ -239,7 +239,7 @@ def jacobian(here):  # type: ignore[no-untyped-def]
     here[0].quality = _invert(here)
 
 
-@compiled(error_model="numpy", forceinline=True)
+@helper(error_model="numpy", forceinline=True)
 def _invert(here):  # type: ignore[no-untyped-def]
     """Inverse of the Jacobian by elimination with row exchange, and its quality (see above)."""
     m = axes_of(here)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hammerstein.compensators.exact.kernel import drift, walk
-from hammerstein.compiled import compiled
+from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.rate_dependent_kernels import next_rate, threshold
 
 
@@ -74,7 +74,7 @@ def respond_exact_rate(  # type: ignore[no-untyped-def]
             away = drift(reference, t, a, b, x, new, w, here)
 
 
-@compiled(error_model="numpy")
+@helper(error_model="numpy")
 def _zones_of(w, k, n, plays, reach, weights, events, owner, bend, order):  # type: ignore[no-untyped-def]
     """Put the map of one sample of input k into its zones: at their ends a play is let go or taken up."""
     rows, count = weights.shape[2], 0
@@ -101,7 +101,7 @@ def _zones_of(w, k, n, plays, reach, weights, events, owner, bend, order):  # ty
     w[k, count].zone_end = np.inf
 
 
-@compiled()
+@helper()
 def _sort(events, count, order):  # type: ignore[no-untyped-def]
     """Put the first ``count`` of order into the order of the events; equal ones in that of their numbers.
 

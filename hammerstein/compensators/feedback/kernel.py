@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hammerstein.blocks.instrument_kernels import converted
-from hammerstein.compiled import compiled
+from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.busy_kernels import BUSY, GROUP
 from hammerstein.hysteresis.play_kernels import load, plays_of, respond_block, stack_of
 
@@ -115,7 +115,7 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
             end[k, s], x[k, s], d[k, s] = ends[k, s + 1], xs[k, s + 1], ds[k, s + 1]
 
 
-@compiled()
+@helper()
 def _linear_step(rows, x, v, z, new, both):  # type: ignore[no-untyped-def]
     """One sample of a linear block, given by the non-zero entries of [[A, B], [C, D]]."""
     start, column, value = rows
