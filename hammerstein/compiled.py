@@ -17,6 +17,7 @@ from numba.core import caching
 from numba.extending import register_jitable
 
 from hammerstein.errors import Notice
+from hammerstein.garbage import uncollected
 
 types: Any = numba.types  # numba has no types
 FunctionCache: Any = caching.FunctionCache
@@ -87,7 +88,8 @@ class _OnceFor:
         for i in self.reads:
             if isinstance(plain[i], types.Array):
                 plain[i] = plain[i].copy(readonly=True)
-        entry = self.compile(tuple(plain))
+        with uncollected():
+            entry = self.compile(tuple(plain))
         if plain != list(given) and tuple(given) not in self.known:
             self.known.add(tuple(given))
             self.dispatcher._insert([one._code for one in given], entry, False)

@@ -1,5 +1,6 @@
 """A loop is compiled once for arguments that are one to it."""
 
+import gc
 from types import FunctionType
 
 import numpy as np
@@ -84,3 +85,22 @@ def test_a_helper_is_compiled_as_a_part_of_its_loop():
     np.testing.assert_array_equal(values, [0.5, np.inf])
     assert over(2.0) == 0.5
     assert isinstance(over, FunctionType)  # there is nothing of its own to compile or to keep
+
+
+def test_no_garbage_is_searched_while_a_loop_is_compiled():
+    @compiled()
+    def halve(value):
+        return 0.5 * value
+
+    searched = []
+
+    def search(phase, info):
+        searched.append(phase)
+
+    gc.callbacks.append(search)
+    try:
+        assert halve(1.0) == 0.5
+    finally:
+        gc.callbacks.remove(search)
+    assert not searched
+    assert gc.isenabled()

@@ -6,7 +6,6 @@ and puts the user's own style back.
 
 from __future__ import annotations
 
-import gc
 import itertools
 import math
 import re
@@ -20,6 +19,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.escaping import clean
+from hammerstein.garbage import uncollected
 from hammerstein.records.units import is_unit, without_unit
 
 if TYPE_CHECKING:
@@ -95,21 +95,10 @@ def styled() -> Iterator[None]:
     """
     import matplotlib as mpl
 
-    with _LOCK, _uncollected(), mpl.rc_context():
+    with _LOCK, uncollected(), mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(cast("Any", STYLE))
         yield
-
-
-@contextmanager
-def _uncollected() -> Iterator[None]:
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
 
 
 def new_figure(height_in: float) -> Figure:
