@@ -13,6 +13,7 @@ from record_faults import SHAPES, STEP_S, copied, measured
 from hammerstein.errors import HammersteinError
 from hammerstein.identification.identify import identify
 from hammerstein.identification.leftover import faults_left
+from hammerstein.records.faults import faults
 from hammerstein.records.record import Record
 
 WORDS = {
@@ -100,6 +101,13 @@ def test_a_fault_is_named_with_its_rows_and_none_of_the_others(fault, name, rows
     said = diagnosis(us, ys)
     assert suspicions(said) == {name}, said
     assert re.search(rows, said, re.DOTALL), said
+
+
+@pytest.mark.parametrize(("coupled", "told"), [(0.015, False), (0.5, True)])
+def test_a_bend_is_told_where_it_is_much_of_the_largest_range(coupled, told):
+    u = np.sin(2.0 * np.pi * np.arange(4000) / 1000) * np.linspace(1.0, 0.3, 4000)
+    record = Record([u], [100.0 * u, 100.0 * coupled * np.tanh(2.0 * u)], STEP_S, ("u_x",), ("x", "y"))
+    assert [fault.outputs for fault in faults(record) if "saturates" in fault.text] == told * [("y",)]
 
 
 def creeping_record():

@@ -26,7 +26,7 @@ DRIFT = 0.005
 DRIFT_EXPLAINS = 0.75
 """Part to which a trend in time must lower the error."""
 BENT = 0.01
-"""Error of a fit, in parts of the range, from which it is asked whether the output saturates."""
+"""Error of a fit, in parts of the largest range, from which it is asked whether an output saturates."""
 BENT_EXPLAINS = 0.6
 FLAT = 0.75
 """Slope at an end, in parts of the largest, below which an output saturates."""
@@ -87,12 +87,13 @@ def faults(record: Record) -> list[Fault]:
     if found or first > (1.0 - REMAINS) * samples:
         return found
     x = np.vstack([*blocks.values(), np.ones((1, samples))])[:, first:]
+    largest = float(np.ptp(record.y_um, axis=1).max())
     for o, name in enumerate(record.outputs):
         row = record.y_um[o, ::stride][first:]
         trial = _Trial.of(x, row - row.mean())
         rows = record.rows[::stride][first:]
-        moved = (_drift(trial, record), 0.0)
-        texts = (_drift_text(moved[0], rows, record), _saturation(trial, rows))
+        moved = (_drift(trial, largest), 0.0)
+        texts = (_drift_text(moved[0], rows, record), _saturation(trial, largest, rows))
         found += [
             Fault(record.source, (name,), f"{name} of {record.source} {t}", drift)
             for t, drift in zip(texts, moved, strict=True)
@@ -111,7 +112,6 @@ class _Trial(NamedTuple):
     position: Array
     time: Array
     reach: float
-    span: float
     plain: float
     trend: tuple[Array, float]
     bend: tuple[Array, float]
@@ -129,17 +129,17 @@ class _Trial(NamedTuple):
         every = Products.of(np.vstack([x, time, time**2, position**2, position**3, y]))
         slow, bent = [*range(n), n, n + 1], [*range(n), n + 2, n + 3]
         fits = (every.fit(columns, n + 4) for columns in (slow, bent, range(n + 4)))
-        return cls(position, time, reach, float(np.ptp(y)), plain, *fits)
+        return cls(position, time, reach, plain, *fits)
 
 
-def _drift(trial: _Trial, record: Record) -> float:
-    """How far a trend in time goes [um]; 0 if it explains little."""
+def _drift(trial: _Trial, largest_um: float) -> float:
+    """How far a trend in time goes [um]; 0 if it explains little, or is little of the largest range."""
     slow, bent, both = trial.trend[1], trial.bend[1], trial.both[1]
     if slow >= DRIFT_EXPLAINS * trial.plain and both >= DRIFT_EXPLAINS * bent:
         return 0.0
     a, b = trial.trend[0][-2:] if slow < bent else trial.both[0][-4:-2]
     drift = float(np.ptp(a * trial.time + b * trial.time**2))
-    return drift if drift > DRIFT * float(np.ptp(record.y_um, axis=1).max()) else 0.0
+    return drift if drift > DRIFT * largest_um else 0.0
 
 
 def _drift_text(drift_um: float, rows: Indices, record: Record) -> str:
@@ -152,11 +152,11 @@ def _drift_text(drift_um: float, rows: Indices, record: Record) -> str:
     )
 
 
-def _saturation(trial: _Trial, rows: Indices) -> str:
-    """Ends towards which the output moves less; empty if there are none."""
+def _saturation(trial: _Trial, largest_um: float, rows: Indices) -> str:
+    """Ends towards which the output moves less; empty if there are none, or the largest range hides it."""
     slow, bent, both = trial.trend[1], trial.bend[1], trial.both[1]
     bends = bent < BENT_EXPLAINS * trial.plain or both < BENT_EXPLAINS * slow
-    if trial.plain <= BENT * trial.span or not bends:
+    if trial.plain <= BENT * largest_um or not bends:
         return ""
     z = trial.position
     c2, c3 = (trial.bend if bent < slow else trial.both)[0][-2:]
