@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hammerstein.blocks.noise_kernel import draw
-from hammerstein.compiled import compiled
+from hammerstein.compiled import compiled, helper
 
 at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
 
@@ -68,7 +68,7 @@ def read_positions(generator, noise, largest, step, first, end, reading):  # typ
             _digitise(drawn[o, : stop - start], noise, largest, step, reading[o, start:stop])
 
 
-@compiled()
+@helper()
 def _digitise(drawn, noise, largest, step, reading):  # type: ignore[no-untyped-def]
     """Turn positions (N,) into readings, with the noise drawn for them (N,)."""
     for i in range(reading.shape[0]):

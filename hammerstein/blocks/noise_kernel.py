@@ -16,7 +16,7 @@ import numpy as np
 from numba.np.random import distributions, generator_core
 from numba.np.random._constants import fi_double, ki_double, wi_double, ziggurat_nor_inv_r, ziggurat_nor_r
 
-from hammerstein.compiled import compiled
+from hammerstein.compiled import helper
 
 next_uint64: Any = generator_core.next_uint64  # numba has no types
 next_double: Any = generator_core.next_double
@@ -27,7 +27,7 @@ at = np.uint64  # a word of the generator, and an index that is not tested for P
 PLACE = 0x000FFFFFFFFFFFFF
 
 
-@compiled()
+@helper()
 def draw(bits, samples, drawn):  # type: ignore[no-untyped-def]
     """Draw from a bit generator, sample by sample: drawn (p, N), overwritten from its beginning."""
     for i in range(samples):
@@ -41,7 +41,7 @@ def draw(bits, samples, drawn):  # type: ignore[no-untyped-def]
             drawn[at(o), at(i)] = x
 
 
-@compiled()
+@helper()
 def _beyond(bits, layer, place, x):  # type: ignore[no-untyped-def]
     """Number of a place that its layer alone does not decide: x, one of the tail, or another one."""
     if layer == 0:

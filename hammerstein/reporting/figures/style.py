@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.compiled import uncollected
 from hammerstein.escaping import clean
-from hammerstein.garbage import uncollected
 from hammerstein.records.units import is_unit, without_unit
 
 if TYPE_CHECKING:
