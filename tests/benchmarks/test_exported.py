@@ -10,13 +10,15 @@ import pytest
 from cases import sines
 from ratios import Row, Work
 
+from hammerstein.experiment.plan import slowness
 from hammerstein.export.code import CCode
 from hammerstein.export.compiling import compiler
 from hammerstein.export.request import Request
 from hammerstein.model import HammersteinModel
 
 GROUP = "exact_inverse exported as C, 2 x 2, 15 operators, 50 Hz sines"
-BUSY = 2.0  # times what is required before a step fails: a time, unlike a ratio, is the machine's too
+BUSY = 2.0
+"""Times what is required before a step fails, on a usual processor: a time is the machine's too."""
 
 
 @pytest.fixture(scope="module")
@@ -95,4 +97,4 @@ def test_a_step_in_python(bench, published, name, required_ns):
     row = Row(
         group, f"{name}, median", "required", middle, required_ns, "ns", middle / required_ns, "<=", 1.0
     )
-    assert bench.table.add(row).ratio <= BUSY
+    assert bench.table.add(row).ratio <= BUSY * max(1.0, slowness())
