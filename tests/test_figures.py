@@ -11,6 +11,7 @@ import theory
 from figure_cases import CIRCLE, NONE, PAPER, SINE_V, circles, loops, report_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from hammerstein.experiment.report import Report
 from hammerstein.identification.identify import identify
@@ -19,7 +20,7 @@ from hammerstein.records.record import Record
 from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure
 from hammerstein.reporting.figures.loop_data import legend_labels, legible_parts
 from hammerstein.reporting.figures.path import PathRun, path_figure
-from hammerstein.reporting.figures.style import line_style
+from hammerstein.reporting.figures.style import letter, line_style, new_figure, styled
 from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
 
 SINE_UM = {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 50.0}
@@ -355,3 +356,19 @@ def test_inputs_that_move_at_once_have_the_loop_of_each_pair_by_the_model() -> N
         assert np.ptp(drawn[1]) == pytest.approx(height, rel=0.01)
         area = theory.loop_area(thresholds[o][k], weights[o][k], 10.0)
         assert abs(theory.polygon_area(*drawn)) == pytest.approx(area, rel=0.01)
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3])
+def test_a_long_remark_leaves_the_letter_of_its_panel_alone(columns):
+    with styled():
+        figure = new_figure(2.0)
+        panels = np.ravel(figure.subplots(1, columns))
+        for number, axes in enumerate(panels):
+            letter(axes, number, "Spannung am Verstärker, Kanal 1 to Weg des Tisches (X)")
+        figure.draw_without_rendering()
+        for axes in panels:
+            name, remark = (
+                next(t for t in axes.findobj(Text) if t.get_text() == words)
+                for words in (axes.get_title("left"), axes.get_title("right"))
+            )
+            assert name.get_window_extent().x1 < remark.get_window_extent().x0

@@ -83,6 +83,8 @@ STYLE: dict[str, Any] = {
     "svg.fonttype": "path",
 }
 
+REMARK_LETTERS = 66
+"""Letters of a remark that fit above a panel as wide as the page, beside the panel's own."""
 _LOCK = threading.RLock()
 
 
@@ -187,11 +189,18 @@ def axis_label(column: str, unit: str) -> str:
 
 
 def letter(axes: Axes, number: int, remark: str = "") -> None:
-    """Write the panel's letter above its left corner, and a remark in grey above its right one."""
+    """Write the panel's letter above its left corner, and a remark in grey above its right one.
+
+    Names of columns may be long: a remark that would reach the letter is written smaller.
+    """
     name = f"({chr(ord('a') + number)})" if number < 26 else ""
+    place = axes.get_subplotspec()
+    share = len(place.colspan) / place.get_gridspec().ncols if place else 1.0
+    letters = len(re.sub(r"[$_{}\\]", "", remark))
+    size = STYLE["font.size"] * min(1.0, share * REMARK_LETTERS / max(letters, 1))
     # a given height spares the search for one above the ticks, which is slow
     axes.set_title(name, loc="left", y=1.0, fontweight="bold")
-    axes.set_title(remark, loc="right", y=1.0, color="#666666")
+    axes.set_title(remark, loc="right", y=1.0, color="#666666", fontsize=size)
 
 
 def legend_above(figure: Figure, entries: dict[str, Artist], title: str = "") -> None:
