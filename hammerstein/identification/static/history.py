@@ -24,8 +24,8 @@ CAUTION = 0.25
 """Part of the remaining record that is left out as well until the dynamics are known."""
 FASTER = 1.2
 """Ratio of the power of a motion's differences from which one part of a record counts as faster."""
-SAME_SWING, LONG = 1e-3, 2**62
-"""Part of a swing that may be missing, and samples that no record has."""
+SAME_SWING = 1e-3
+"""Part of a swing that may be missing."""
 FEWEST = 500
 """Samples of a record that are always kept."""
 WORTH = 0.02
@@ -294,8 +294,11 @@ def shortened(
     Longer ones of the records that show how far each input swings: a threshold that is engaged in the whole
     records is engaged in these as well.
     """
-    most = np.maximum(max(samples // len(records), FEWEST), _swung(records))
-    pairs = [_cut(*each) for each in zip(records, starts, most.tolist(), strict=True)]
+    most = max(samples // len(records), FEWEST)
+    if all(record.samples <= most for record in records):
+        return tuple(records), tuple(starts)
+    lengths = np.maximum(most, _swung(records)).tolist()
+    pairs = [_cut(*each) for each in zip(records, starts, lengths, strict=True)]
     return tuple(record for record, _ in pairs), tuple(start for _, start in pairs)
 
 
@@ -307,9 +310,10 @@ def _swung(records: Sequence[Record]) -> Array:
             np.maximum.accumulate(record.u_v[k]) - np.minimum.accumulate(record.u_v[k]) for record in records
         ]
         whole = (1.0 - SAME_SWING) * max(swing[-1] for swing in swings)
-        until = [int(np.argmax(swing >= whole)) + 1 if swing[-1] >= whole else LONG for swing in swings]
-        first = int(np.argmin(until))
-        needed[first] = max(needed[first], until[first])
+        until, first = min(
+            (int(np.argmax(x >= whole)) + 1, i) for i, x in enumerate(swings) if x[-1] >= whole
+        )
+        needed[first] = max(needed[first], until)
     return needed
 
 
