@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ import theory
 import hammerstein
 from hammerstein.commands.cli import main
 from hammerstein.comparison.fitting import KINDS
-from hammerstein.comparison.inverting import SETTLING
+from hammerstein.comparison.inverting import SETTLING, best_other
+from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.settings import Settings
@@ -257,3 +259,16 @@ def test_a_method_that_only_plays_have_is_a_reason_in_a_row(
 ) -> None:
     assert call("compare", "a.csv", *COLUMNS, *QUICK[2:], "--method", "closed_form", "--no-figures") == 0
     assert "closed_form cannot be had with hysteresis asymmetric" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_law_with_dynamics_is_played_on_an_actuator_that_has_some() -> None:
+    static, ringing = StaticDynamics(n_outputs=1), AxesDynamics(axes=(Axis(lag_s=1e-3),))
+
+    def fitted(hysteresis, dynamics):
+        return SimpleNamespace(hysteresis=hysteresis, model=SimpleNamespace(dynamics=dynamics))
+
+    plays, bent, loop = fitted("plays", ringing), fitted("asymmetric", static), fitted("bouc_wen", ringing)
+    assert best_other(plays, [plays, bent, loop]) is loop
+    assert best_other(loop, [plays, bent, loop]) is plays
+    assert best_other(plays, [bent, plays, loop]) is bent  # the best of all has none
+    assert best_other(plays, [plays, bent]) is bent
