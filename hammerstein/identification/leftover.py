@@ -48,7 +48,8 @@ def leftover_statements(
     found = []
     for o in np.flatnonzero((rms > FAR * noise) & (rms > LEAST_PART * span)):
         hz, slow = _strongest(records, [error[o] for error in left])
-        times = f"{rms[o] / noise[o]:.0f} times the noise" if noise[o] > 0.0 else "far above the noise"
+        above = float(f"{rms[o] / noise[o]:.2g}") if noise[o] > 0.0 else 0.0  # two digits, and no exponent
+        times = f"{above:g} times the noise" if above else "far above the noise"
         found.append(
             f"What the model leaves of {records[0].outputs[o]} ({rms[o]:.3g} um rms) is {times} "
             f"({noise[o]:.2g} um), most of it near {hz:.3g} Hz: something in the records is not in the "
