@@ -40,6 +40,23 @@ def convert(asked, steps, ends, step, drive, cut):  # type: ignore[no-untyped-de
 
 
 @compiled()
+def leaving(asked, rest, ends, left):  # type: ignore[no-untyped-def]
+    """Whether a voltage comes to an end of its range; ``left`` notes which inputs leave a voltage.
+
+    asked : (m, N) [V]; rest : (m,) voltage that they leave [V]; ends : (2, m) of the ranges; left : (m,)
+    """
+    reached = 0
+    for k in range(asked.shape[0]):
+        at_rest, low, high, moved = rest[k], ends[0, k], ends[1, k], 0
+        for t in range(asked.shape[1]):
+            value = asked[k, at(t)]
+            moved += value != at_rest
+            reached += (value <= low) | (value >= high)
+        left[k] |= moved > 0
+    return reached > 0
+
+
+@compiled()
 def outside(wire, first, stop, low, high):  # type: ignore[no-untyped-def]
     """How many values of a wire (axis, N) are not between two bounds, from sample first up to stop."""
     found = 0

@@ -142,6 +142,14 @@ class Hysteresis(ABC, Generic[S]):
             raise InputError("voltage", f"has shape {u.shape}; the model wants ({self.n_inputs}, samples)")
         return self._respond(u, self.rest() if start is None else start)
 
+    def carry_on(self, u_v: Array, start: S, first: int, stop: int, v_um: Array) -> S:
+        """Put outputs into v_um (p, sample) from one sample up to another, and give the memory after them.
+
+        They are those of ``respond`` for the voltages (m, sample) between the two.
+        """
+        v_um[:, first:stop], after = self.respond(u_v[:, first:stop], start)
+        return after
+
     def step(self, u_v: ArrayLike, state: S) -> tuple[Array, S]:
         """Outputs (output,) [um] for one sample (input,) [V], and the memory after it.
 

@@ -166,17 +166,22 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
         return plays
 
     def _respond(self, u_v: Array, start: PlayState) -> tuple[Array, PlayState]:
+        y = np.empty((self.n_outputs, u_v.shape[1]))
+        return y, self.carry_on(u_v, start, 0, u_v.shape[1], y)
+
+    def carry_on(self, u_v: Array, start: PlayState, first: int, stop: int, v_um: Array) -> PlayState:
+        """Put outputs into an array, without another one between; see ``Hysteresis.carry_on``."""
         from hammerstein.compiled import spans
         from hammerstein.hysteresis.play_kernels import respond_turning_points
 
-        y, b, s = np.empty((self.n_outputs, u_v.shape[1])), self.bank, start.copy()
+        b, s = self.bank, start.copy()
         bank = (b.r, b.guide, b.scale, b.n, b.lines, b.w)
         stack = (s.count, s.end, s.x, s.d, s.below, s.window)
-        for first, stop in spans(u_v.shape[1]):
-            done = respond_turning_points(u_v, *bank, *stack, first, stop, y, (0,) * self.n_outputs)
-            if done < stop:
+        for begin, end in spans(stop - first):
+            here = (first + begin, first + end)
+            if respond_turning_points(u_v, *bank, *stack, *here, v_um, (0,) * self.n_outputs) < here[1]:
                 refuse_not_finite(u_v)
-        return y, s
+        return s
 
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
         """Half heights of the settled loops (output, input) [um], in closed form."""

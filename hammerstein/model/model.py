@@ -244,6 +244,13 @@ class HammersteinModel(Pictured):
         rest = self.recorded.working_point_v
         return self.hysteresis.respond(drive_v - np.reshape(rest, (-1, 1)) if any(rest) else drive_v, start)
 
+    def static_part(self, drive_v: Array, start: Any, first: int, stop: int, v_um: Array) -> Any:
+        """Put such outputs into v_um (output, sample) from one sample up to another; give the state after."""
+        if not any(self.recorded.working_point_v):
+            return self.hysteresis.carry_on(drive_v, start, first, stop, v_um)
+        v_um[:, first:stop], after = self.static_response(drive_v[:, first:stop], start)
+        return after
+
     @classmethod
     def load(cls, path: str | Path) -> HammersteinModel:
         """Read a model file, or a packaged actuator by its name.

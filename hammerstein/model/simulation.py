@@ -320,10 +320,12 @@ class Plant:
         asked = np.ascontiguousarray(requested_v, dtype=np.float64)
         drive_v, saturated = self.instruments.drive.apply(asked, out)
         if by_law and asked.size:
-            low, high, rest = asked.min(axis=1), asked.max(axis=1), self.range.working_point_v
-            before = np.zeros(len(low), dtype=np.bool_) if left is None else left
-            left, (least, most) = before | (low != rest) | (high != rest), self.range.ends
-            if (low <= least).any() or (high >= most).any():  # where it stands at the range, it wanted more
+            from hammerstein.blocks.instrument_kernels import leaving
+
+            rest = self.range.working_point_v
+            before = np.zeros(len(asked), dtype=np.bool_) if left is None else left
+            left = before.copy()
+            if leaving(asked, rest, self.range.ends, left):  # where it stands at the range, it wanted more
                 away = np.logical_or.accumulate(asked != rest[:, None], axis=1) | before[:, None]
                 saturated |= self.range.reached(asked) & away
         return Driven(asked, drive_v, saturated, left)
@@ -335,7 +337,7 @@ class Plant:
         samples = driven.drive_v.shape[1]
         p = self.model.hysteresis.n_outputs
         paths = [] if reference_um is None else [reference_um]
-        given = ((VOLTAGE_V, [driven.requested_v, driven.drive_v]), (POSITION_UM, paths))
+        given = ((VOLTAGE_V, [driven.requested_v]), (POSITION_UM, paths))  # the drive stays within its range
         wires = room(3 * p, samples)
         v_um, moved_um, reading_um = wires[:p], wires[p:], wires[2 * p :]
         memory, linear, known = start.memory, start.linear.copy(), True
@@ -344,7 +346,7 @@ class Plant:
             known = known and all(within(*one, here.start, here.stop) for one in given)
             if not (known or np.isfinite(driven.drive_v).all()):
                 refuse_not_finite(driven.drive_v)
-            v_um[:, here], memory = self.model.static_response(driven.drive_v[:, here], memory)
+            memory = self.model.static_part(driven.drive_v, memory, here.start, here.stop, v_um)
             self.block.carry_on(v_um, linear, here.start, here.stop, moved_um)
             self.instruments.sensor.read_in_place(reading_um, start.noise, here.start, here.stop)
             known = known and within(POSITION_UM, [wires], here.start, here.stop)
