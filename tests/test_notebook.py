@@ -13,6 +13,7 @@ from PIL import Image
 
 import hammerstein
 from hammerstein.blocks.instruments import Instruments
+from hammerstein.compensators import COMPENSATORS
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
 from hammerstein.records.record import Record
@@ -59,6 +60,7 @@ def test_texts_are_short_and_say_what_it_is(model, response, record):
         repr(hammerstein.discretise(model.dynamics, 5e-5)): [
             "LinearBlock(order 4, 2 inputs, 2 outputs, 5e-05 s"
         ],
+        repr(model.dynamics.block()): ["LinearBlock(order 4, 2 inputs, 2 outputs, continuous)"],
         repr(response): ["Response(2000 samples of 0.0001 s, 2 inputs, 2 outputs; position -"],
         repr(record): ["Record('a & b.csv': 2000 samples of 0.0001 s; u <x> -8 to 8 V; x -"],
     }
@@ -70,6 +72,23 @@ def test_texts_are_short_and_say_what_it_is(model, response, record):
         [[hammerstein.Pair.linear(2.0), hammerstein.Pair([0.1, 2.0], [1.0, 1.0])]]
     )
     assert "2 inputs, 1 outputs, 1 to 2 operators a pair, thresholds 0 to 2 V" in repr(uneven)
+
+
+@pytest.mark.parametrize("law", COMPENSATORS.kinds.values())
+def test_a_designed_compensator_says_what_it_is(model, law):
+    text = repr(law().design(model, range_v=10.0, sample_time_s=5e-5))
+    assert re.fullmatch(r"\w+\(2 outputs, -10 to 10 V\)", text)
+
+
+def test_so_does_what_runs_and_what_it_gives(model):
+    law = hammerstein.ExactInverse().design(model, range_v=10.0, sample_time_s=5e-5)
+    assert repr(hammerstein.stream(law)) == f"Stream({law!r})"
+    found = model.compensate(np.zeros((2, 9)), law="exact_inverse")
+    said = "drive 0 to 0 V, predicted error up to 0 um"
+    assert repr(found) == f"Compensation(9 samples of {found.law!r}; {said})"
+    pair = hammerstein.PrandtlIshlinskii([[model.hysteresis.pairs[0][0]]])
+    described = repr(pair.to_describing_function(range_v=10.0))
+    assert described.startswith("HysteresisNonlinearity(amplitudes 0.07")
 
 
 def test_the_text_of_a_report_does_not_hold_its_rows():

@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import version
 
 import numpy as np
@@ -88,7 +89,45 @@ def test_a_model_simulates_and_compensates_by_a_method():
     response = model.simulate(found.drive_v, 50e-6)
     np.testing.assert_array_equal(response.position_um, found.shortfall.predicted_um)
     assert np.abs(response.position_um - path).max() < 0.05  # steps of the converter, 1 mV, through 12 um/V
+    same = model.compensate(path, law=hammerstein.HammersteinInverse())
+    np.testing.assert_array_equal(same.drive_v, found.drive_v)
+    with pytest.raises(hammerstein.InputError, match="give softening_v to HammersteinInverse itself"):
+        model.compensate(path, law=hammerstein.HammersteinInverse(), softening_v=0.1)
     with pytest.raises(hammerstein.InputError, match="did you mean softening_v"):
         model.compensate(path, softning_v=0.1)
     with pytest.raises(hammerstein.InputError, match=r"give \(2, samples\)"):
         model.simulate(np.zeros((3, 5)), 50e-6)
+
+
+@pytest.mark.parametrize("name", ["duo_bimorph_paper", "asymmetric_stack", "rate_dependent_stack"])
+def test_a_model_that_was_saved_and_loaded_is_equal(name, tmp_path):
+    model = hammerstein.HammersteinModel.load(name)
+    model.save(tmp_path / "model.json")
+    loaded = hammerstein.HammersteinModel.load(tmp_path / "model.json")
+    assert loaded == model
+    assert hash(loaded) == hash(model)
+    assert loaded.hysteresis == model.hysteresis
+    assert loaded.dynamics.block() == model.dynamics.block()
+    weights = [2.0 * np.asarray(w) for w in model.hysteresis.weights]
+    assert loaded.hysteresis.with_weights(weights) != model.hysteresis
+    assert replace(loaded, name="other") != model
+    assert model != name
+
+
+def test_a_fitted_model_is_equal_with_its_covariances(tmp_path):
+    time_s = 1e-3 * np.arange(3000)
+    u_v = 8.0 * np.sin(2.0 * np.pi * time_s)[None, :]
+    pair = hammerstein.Pair([0.0, 1.3, 3.1], [2.0, 0.7, 0.4])
+    y_um = hammerstein.PrandtlIshlinskii([[pair]]).respond(u_v)[0]
+    y_um += 0.01 * np.random.default_rng(1).normal(size=y_um.shape)
+    record = hammerstein.Record(u_v, y_um, 1e-3, ("u",), ("x",), "made")
+    model, _ = hammerstein.identify([record], hammerstein.Settings(dynamics="none"))
+    assert model.hysteresis.weight_covariance is not None
+    model.save(tmp_path / "model.json")
+    assert hammerstein.HammersteinModel.load(tmp_path / "model.json") == model
+
+
+def test_bouc_wen_blocks_are_compared_too():
+    a, b = (hammerstein.BoucWen([[hammerstein.BoucWenPair(2.0, d, 0.1, 0.05)]]) for d in (0.5, 0.6))
+    assert a != b
+    assert a == hammerstein.BoucWen(a.pairs)

@@ -20,7 +20,23 @@ if TYPE_CHECKING:
 S = TypeVar("S", bound=Memory)
 
 
-class Law(ABC, Generic[S]):
+class Designed(ABC):
+    """A compensator that was designed for a model with m inputs and p outputs, and a range of the drive."""
+
+    n_inputs: int
+    n_outputs: int
+    range: DriveRange
+
+    def __repr__(self) -> str:
+        inputs = [f"input {k + 1}" for k in range(self.n_inputs)]
+        return f"{type(self).__name__}({self.n_outputs} outputs, {self.range.words(inputs)})"
+
+    def statement(self) -> str:
+        """Say what a user must know of it before a run; empty if nothing."""
+        return ""
+
+
+class Law(Designed, Generic[S]):
     """A sensorless compensator of an actuator with m inputs and p outputs.
 
     ``respond`` and ``step`` work on a stream: what leaves at sample k is the drive for the reference
@@ -33,9 +49,6 @@ class Law(ABC, Generic[S]):
     (``range.start_v``); inside, a law counts from rest at the working point, as its model does.
     """
 
-    n_inputs: int
-    n_outputs: int
-    range: DriveRange
     origin_um: Array
     preview_samples: int = 0
     sample_time_s: float | None = None  # the grid it was designed for; None: any
@@ -54,10 +67,6 @@ class Law(ABC, Generic[S]):
 
         ``start`` is kept.
         """
-
-    def statement(self) -> str:
-        """Say what a user must know of the law before a run; empty if nothing."""
-        return ""
 
     def _from_rest(self, position_um: Array) -> Array:
         """Positions (p, N) counted from rest at the working point, from those counted from the start."""
@@ -146,15 +155,11 @@ class Law(ABC, Generic[S]):
         return BlockSystem(block, *wires, sample_time_s, name)
 
 
-class Controller(ABC, Generic[S]):
+class Controller(Designed, Generic[S]):
     """A compensator that reads the sensor: what it reads in one sample acts on the drive of the next.
 
     In each sample ``request`` gives the voltage, the actuator moves, and ``correct`` takes the reading.
     """
-
-    n_inputs: int
-    n_outputs: int
-    range: DriveRange
 
     @abstractmethod
     def rest(self) -> S:
@@ -176,20 +181,13 @@ class Controller(ABC, Generic[S]):
     def correct(self, reference_um: ArrayLike, reading_um: ArrayLike, state: S) -> S:
         """Take reference and reading (p,) of this sample."""
 
-    def statement(self) -> str:
-        """Say what a user must know of it before a run; empty if nothing."""
-        return ""
 
-
-class Learner(ABC):
+class Learner(Designed):
     """A compensator of a path that repeats: what a sensor read in one trial gives the drive of the next.
 
     A trial plays one period of voltages again and again. The sensor is there while it learns, not later.
     """
 
-    n_inputs: int
-    n_outputs: int
-    range: DriveRange
     trial: int = 1  # the trial that is measured, where nothing else is asked for
 
     @abstractmethod
@@ -206,10 +204,6 @@ class Learner(ABC):
         drive_v : (m, N) the period that was played
         reading_um : (p, periods N) settled periods that the sensor read
         """
-
-    def statement(self) -> str:
-        """Say what a user must know of it before a run; empty if nothing."""
-        return ""
 
 
 def checked_reference(reference_um: ArrayLike, n_outputs: int) -> Array:

@@ -44,6 +44,9 @@ class Stream:
         law.step(idle[:, 0], self.state)
         law.respond(idle, self.state)
 
+    def __repr__(self) -> str:
+        return f"Stream({self.law!r})"
+
     def step(self, reference_um: ArrayLike) -> Array:
         """Voltages (m,) to send now for one sample of reference (p,); the same array in every step.
 

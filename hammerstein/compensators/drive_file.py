@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law, checked_reference
 from hammerstein.blocks.driving import DriveRange
-from hammerstein.compensators import COMPENSATORS, Compensator
+from hammerstein.compensators import COMPENSATORS, Compensator, HammersteinInverse
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.reach import Reach, Shortfall, reach, require_reach, shortfall
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, SimulationError
@@ -28,6 +28,9 @@ CONTENT = Content("drive file", sign="time_s,drive_")
 
 HEADING = "Voltages to send, as they are: absolute, in V. Times in s, positions in um."
 FILTER_TRIALS, FILTER_DECADES = 16, 300.0
+
+LawLike = str | Compensator
+"""A law by its name in a scenario, or a compensator."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +54,13 @@ class Compensation:
     shortfall: Shortfall
     resampled: bool
     source: str
+
+    def __repr__(self) -> str:
+        drive, error = self.drive_v, self.shortfall.error_um
+        return (
+            f"Compensation({drive.shape[1]} samples of {self.law!r}; drive {drive.min():.4g} to "
+            f"{drive.max():.4g} V, predicted error up to {np.abs(error).max():.3g} um)"
+        )
 
     def unreached_samples(self) -> dict[str, int]:
         """Samples at the range, by input."""
@@ -195,7 +205,7 @@ def compensate(
 def compensation_of(
     model: HammersteinModel,
     reference_um: ArrayLike,
-    law: str,
+    law: LawLike,
     options: Mapping[str, Any],
     terms: Terms | None = None,
     source: str | None = None,
@@ -211,7 +221,8 @@ def compensation_of(
         update={"range_v": tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))}
     )
     reference = checked_reference(reference_um, len(model.outputs))
-    built = sensorless_law(law, options, model, limits, drive.sample_time_s)
+    compensator = compensator_of(law, options)
+    built = sensorless_law(compensator, {}, model, limits, drive.sample_time_s)
     asked = built.drive_for(reference)
     held, _ = drive.apply(asked)
     predicted = shortfall(model, built, reference, asked, drive.sample_time_s, held)
@@ -221,7 +232,7 @@ def compensation_of(
             require_reach(predicted, model.inputs, model.outputs)
         except SimulationError as error:
             volts = f"With {limits.words(model.inputs)} (--range), counted from the start (--start):"
-            remedy = _slower(model, limits, law, options, reference, drive.sample_time_s)
+            remedy = _slower(model, limits, compensator, reference, drive.sample_time_s)
             raise SimulationError(
                 f"{error} {volts} {reachable.statement(model.outputs)} {remedy}Or accept it with --clip."
             ) from None
@@ -312,13 +323,12 @@ def refuse_beyond(model: HammersteinModel, drive_v: Array) -> None:
 def _slower(
     model: HammersteinModel,
     limits: DriveRange,
-    law: str,
-    options: Mapping[str, Any],
+    compensator: Compensator,
     reference: Array,
     sample_time_s: float,
 ) -> str:
     """Bandwidth of the reference filter with which the path is within reach, as a sentence; or nothing."""
-    if law != "hammerstein_inverse" or options.get("filter_hz") is not None:
+    if not isinstance(compensator, HammersteinInverse) or compensator.filter_hz is not None:
         return ""
     nyquist = 0.5 / sample_time_s
     lowest = max(2.0 / (reference.shape[1] * sample_time_s), nyquist / FILTER_DECADES)
@@ -326,7 +336,8 @@ def _slower(
     for frequency in np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS):
         rounded = float(f"{frequency:.2g}")
         try:
-            built = sensorless_law(law, {**options, "filter_hz": rounded}, model, limits, sample_time_s)
+            filtered = compensator.model_copy(update={"filter_hz": rounded})
+            built = sensorless_law(filtered, {}, model, limits, sample_time_s)
             found = shortfall(model, built, reference, built.drive_for(reference), sample_time_s)
         except HammersteinError:
             break
@@ -363,20 +374,31 @@ def read_path(path: Path, model: HammersteinModel, sample_time_s: float) -> tupl
 
 
 def sensorless_law(
-    law: str, options: Mapping[str, Any], model: HammersteinModel, limits: DriveRange, sample_time_s: float
+    law: LawLike,
+    options: Mapping[str, Any],
+    model: HammersteinModel,
+    limits: DriveRange,
+    sample_time_s: float,
 ) -> Law[Any]:
     """Design the law that is named; InputError where it needs the sensor, or its options are wrong."""
-    built = compensator_of(law, options).design(model, limits, sample_time_s)
+    compensator = compensator_of(law, options)
+    built = compensator.design(model, limits, sample_time_s)
     if not isinstance(built, Law):
-        raise InputError("--law", f"{law} needs the sensor's readings: it has no drive to send ahead")
+        what = f"{compensator.law} needs the sensor's readings: it has no drive to send ahead"
+        raise InputError("--law", what)
     return built
 
 
-def compensator_of(law: str, options: Mapping[str, Any]) -> Compensator:
-    """Give the compensator that is named, with its options.
+def compensator_of(law: LawLike, options: Mapping[str, Any]) -> Compensator:
+    """Give the compensator that is named, with its options, or that is there already.
 
     Raises InputError for an unknown law or option.
     """
+    if isinstance(law, Compensator):
+        if options:
+            names = ", ".join(sorted(options))
+            raise InputError("compensate", f"give {names} to {type(law).__name__} itself")
+        return law
     given = {name: value for name, value in options.items() if value is not None}
     try:
         return COMPENSATORS.value({"law": law, **given})

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, Complex, Indices, freeze_fields
+from hammerstein.arrays import Array, ByValue, Complex, Indices, freeze_fields
 from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def unit_gain(n: int) -> LinearBlock:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearBlock:
+class LinearBlock(ByValue):
     """A discrete linear block on one sample grid: x[k+1] = A x[k] + B v[k], y[k] = C x[k] + D v[k].
 
     A : (n, n), B : (n, m), C : (p, n), D : (p, m)
@@ -54,10 +54,8 @@ class LinearBlock:
         freeze_fields(self, *"ABCD")
 
     def __repr__(self) -> str:
-        return (
-            f"LinearBlock(order {len(self.A)}, {self.n_inputs} inputs, {self.n_outputs} outputs, "
-            f"{self.sample_time_s:g} s a sample)"
-        )
+        grid = f"{self.sample_time_s:g} s a sample" if self.sample_time_s else "continuous"
+        return f"LinearBlock(order {len(self.A)}, {self.n_inputs} inputs, {self.n_outputs} outputs, {grid})"
 
     @property
     def n_inputs(self) -> int:

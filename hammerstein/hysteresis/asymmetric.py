@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, Indices, freeze, freeze_fields, frozen
+from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.bank import PlayState
@@ -24,7 +24,7 @@ from hammerstein.quantities import Offset, Weight, WeightError
 
 
 @dataclass(frozen=True, eq=False)
-class DeadZones:
+class DeadZones(ByValue):
     """One-sided dead-zones that stand beside the plays of one pair.
 
         D_q(u) = max(u - q, 0)

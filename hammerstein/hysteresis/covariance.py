@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hammerstein.arrays import Array, freeze_fields, frozen
+from hammerstein.arrays import Array, ByValue, freeze_fields, frozen
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.pair import WeightCovariance
 
 
 @dataclass(frozen=True, eq=False)
-class ThresholdCovariance:
+class ThresholdCovariance(ByValue):
     """How the errors of fitted thresholds, which all outputs share, hang together, and what follows them.
 
         r + d,   w + M d + (what the weights err by with given thresholds),   cov d = L L^T

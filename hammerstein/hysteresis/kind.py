@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ConfigDict, model_validator
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, ByValue
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis.pair import WeightCovariance
@@ -40,7 +40,7 @@ class Normals(Protocol):
 S = TypeVar("S", bound=Memory)
 
 
-class Hysteresis(ABC, Generic[S]):
+class Hysteresis(ByValue, ABC, Generic[S]):
     """A frozen value from m voltages, counted from the working point, to p displacements.
 
     Each output is linear in weights, whatever their operators are:

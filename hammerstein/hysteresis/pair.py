@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, freeze_fields, frozen
+from hammerstein.arrays import Array, ByValue, freeze_fields, frozen
 from hammerstein.errors import InputError, Mistake
 
 
@@ -83,7 +83,7 @@ def _line(name: str, values: ArrayLike) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class Pair(ByValue):
     """How one output responds to one input: a bank of play operators.
 
     A linear gain is a bank with the single threshold 0, for a play of threshold 0 passes its input
@@ -168,7 +168,7 @@ def weighted_mistakes(name: str, places_v: Array, w: Array, errors: Array | None
 
 
 @dataclass(frozen=True, eq=False)
-class WeightCovariance:
+class WeightCovariance(ByValue):
     """How the errors of all weights of one output hang together: their covariance L L^T.
 
     Where thresholds are fitted as well it holds for these thresholds, see ``ThresholdCovariance``.

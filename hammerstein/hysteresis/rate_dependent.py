@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, Indices, freeze_fields, frozen
+from hammerstein.arrays import Array, ByValue, Indices, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
@@ -22,7 +22,7 @@ from hammerstein.quantities import Bandwidth, Delay, Threshold, Weight
 
 
 @dataclass(frozen=True, eq=False)
-class RatePlays:
+class RatePlays(ByValue):
     """Plays of one input whose thresholds grow with its rate.
 
         R_i[k] = r_i + b_i g(rho[k]),   g(rho) = |rho|   or   log(1 + lambda |rho|) / lambda

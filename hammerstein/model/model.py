@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field, JsonValue, ValidationError, model_validator
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, ByValue
 from hammerstein.blocks.axis_names import unique
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.voltages import Verdict, Voltages
@@ -30,7 +30,7 @@ from hammerstein.validation import Strict, mistakes_of, suggestion
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.block_system import BlockSystem
-    from hammerstein.compensators.drive_file import Compensation
+    from hammerstein.compensators.drive_file import Compensation, LawLike
     from hammerstein.model.simulation import Plant, Response, Wire
 
 FORMAT = "hammerstein-model/2"
@@ -40,7 +40,7 @@ CONTENT = Content("model file", sign="hammerstein-model/")
 
 
 @dataclass(frozen=True, eq=False)
-class HammersteinModel(Pictured):
+class HammersteinModel(ByValue, Pictured):
     """An actuator or a model of one: hysteresis of some kind followed by linear dynamics.
 
         v = Gamma(u - u_0),    y = G v            (Hammerstein structure: paper, section 6)
@@ -153,7 +153,7 @@ class HammersteinModel(Pictured):
         self,
         reference_um: ArrayLike,
         *,
-        law: str = "hammerstein_inverse",
+        law: LawLike = "hammerstein_inverse",
         range_v: Sequence[float] | None = None,
         start_v: Sequence[float] | None = None,
         conditioned: bool = False,
@@ -168,7 +168,7 @@ class HammersteinModel(Pictured):
         ----------
         reference_um : (output, sample) positions, counted from where the actuator stands [um], on the sample
             time of the model's drive
-        law, options : a law and its options, by their names in a scenario
+        law, options : a law and its options, by their names in a scenario; or a compensator
         range_v, start_v, conditioned, clip, beyond_records, accept_flagged : see ``Terms``
 
         Raises

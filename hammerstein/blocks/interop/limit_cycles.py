@@ -43,6 +43,10 @@ class HysteresisNonlinearity(control.DescribingFunctionNonlinearity):  # type: i
         self._of_amplitude, self._move = of_amplitude, move
         self.span_v = span_v
 
+    def __repr__(self) -> str:
+        low, high = self.span_v
+        return f"HysteresisNonlinearity(amplitudes {low:.4g} to {high:.4g} V)"
+
     def __call__(self, value: float) -> float:
         """Output [um] of the next sample for a voltage [V]."""
         return self._move(float(value))
