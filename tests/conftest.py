@@ -37,9 +37,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(autouse=True, scope="session")
 def own_cache(tmp_path_factory):
-    """Keep results of identifications for this run of the tests only, and no results of runs."""
+    """Keep results of identifications for this run of the tests only, and no results of runs.
+
+    Processes that share the tests (pytest-xdist) share these, too.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HAMMERSTEIN_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("HAMMERSTEIN_CACHE", str(folder / "cache"))
         patch.setenv("HAMMERSTEIN_CACHE_MB", "0")
         yield
 
