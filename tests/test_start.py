@@ -288,5 +288,12 @@ def test_the_accepted_numbers_are_those_of_a_run(folder: Path) -> None:
     assert errors["hysteresis and dynamics"] < 0.2 * min(others)
 
 
+def test_its_best_compensator_leaves_little(folder: Path) -> None:
+    """With thresholds uniform in time 0.5 um would be left: those of the stage lie elsewhere."""
+    rows = json.loads((folder / "reports/circle/report.json").read_text())["rows"]
+    worst = max(row["max_true_um"] for row in rows if row["compensator"] == "hysteresis and dynamics")
+    assert worst < 0.15
+
+
 def test_completion_is_offered() -> None:
     assert "--install-completion" in help_of().output
