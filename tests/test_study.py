@@ -206,11 +206,15 @@ def test_the_table_is_the_same_as_csv_and_parquet_and_after_an_interruption(tmp_
 
 def test_a_dry_run_says_how_much_it_is(tmp_path, capsys):
     (tmp_path / "s.toml").write_text(TEXT.replace("= 8", "= 65536"))
-    assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--dry-run") == 0
-    assert "65536 runs of sobol values" in capsys.readouterr().err
+    assert called("sweep", tmp_path / "s.toml", "--dry-run") == 0  # nothing is written: no --out
+    assert re.search("65536 runs of sobol values, about [0-9.]+ [a-z]+, ", capsys.readouterr().err)
+    assert called("sweep", tmp_path / "s.toml", "--dry-run", "--jobs", "2") == 0
+    assert " with 2 jobs, " in capsys.readouterr().err
+    assert called("sweep", tmp_path / "s.toml") == 2
+    assert "--out: is missing; give the file that the rows go to" in capsys.readouterr().err
     (tmp_path / "s.toml").write_text(TEXT.partition("how")[0] + f'values = {{ "{CYCLES}" = [1, 1000000] }}')
     assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--dry-run") == 0
-    words = r"2 runs of product values, about ([\d.]+) (\w+) .* ([\d.]+) GB"
+    words = r"2 runs of product values, about ([\d.]+) (\w+), ([\d.]+) GB"
     said = re.search(words, capsys.readouterr().err)
     assert said is not None
     seconds = float(said[1]) * {"seconds": 1.0, "minutes": 60.0}[said[2]]
@@ -220,6 +224,13 @@ def test_a_dry_run_says_how_much_it_is(tmp_path, capsys):
 
 
 CYCLES = "measure.settle_cycles"
+
+
+IDENTIFIED = {
+    "question": "How far off is a circle?",
+    "actuator": "duo_bimorph",
+    "reference": {"kind": "circle", "radius_um": 5.0, "frequency_hz": 100.0},
+}
 
 
 def planned(values, **more):
@@ -256,6 +267,29 @@ def test_of_a_large_study_some_runs_tell_how_long_it_is():
         count = Study(how=how, values=values, **samples).count()
         assert found.seconds == pytest.approx(count * middle, rel=0.25)  # of 100 runs: 6 % of the mean
         assert found.bytes >= of_one({CYCLES: 999}).bytes
+
+
+def test_an_identification_that_runs_share_is_counted_once():
+    fitted = {"label": "law", "law": "exact_inverse", "identification": {"method": "hammerstein"}}
+    scenario = Scenario.model_validate(IDENTIFIED | {"compensators": [fitted]})
+
+    def seconds(values, **more):
+        with_study = scenario.model_copy(update={"study": Study.model_validate({"values": values} | more)})
+        return study.plan_of_study(with_study, "s").seconds
+
+    radius, records = "reference.radius_um", "compensators[1].identification.record_s"
+    parts = plan_of(study.varied(scenario, {radius: 5.0})).parts
+    (identified,) = [part.seconds for part in parts if part.once]
+    run = sum(part.seconds for part in parts if not part.once)
+    many = [5.0 + 0.01 * i for i in range(64)]
+    assert identified > 10.0 * run
+    assert seconds({radius: many}) == pytest.approx(identified + 64.0 * run)
+    sobol = seconds({radius: [5.0, 10.0]}, how="sobol", samples=64)
+    assert sobol == pytest.approx(identified + 64.0 * run)
+    assert seconds({radius: many[:4], "seed": [1, 2]}) == pytest.approx(2.0 * identified + 8.0 * run)
+    assert seconds({radius: many[:4], records: [0.1, 0.1]}) == pytest.approx(identified + 8.0 * run)
+    assert seconds({radius: many[:4], records: [0.1, 0.2, 0.3]}) > 3.0 * identified
+    assert seconds({"instruments.sensor.noise_um": [0.01, 0.02]}) == pytest.approx(2.0 * (identified + run))
 
 
 def test_a_single_long_run_of_many_is_seen():

@@ -23,7 +23,7 @@ LINES_AT_ONCE = 1000  # of a Parquet file
 
 def sweep(
     path: Annotated[Path, typer.Argument(help="Scenario file with a table [study].")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Rows, as .csv or .parquet.")],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Rows, as .csv or .parquet.")] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Runs side by side.")] = 1,
     cluster: Address = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Pass by what earlier runs kept.")] = False,
@@ -37,29 +37,21 @@ def sweep(
     Rows are written as they come: memory does not grow with their number. What was run is kept, and a sweep
     that was interrupted goes on there.
     """
-    from hammerstein.errors import InputError
-    from hammerstein.experiment.batch import load_all
     from hammerstein.experiment.study import sampled, study_of
-    from hammerstein.files import Content, refuse_overwriting, refuse_unwritable
     from hammerstein.runtime import store as kept_results
     from hammerstein.runtime.fanning import workers_of
 
-    refuse_unwritable("--out", out.parent)
-    refuse_overwriting(
-        "--out", out, Content("table of a sweep", "PAR1" if out.suffix in PARQUET else "sample,")
-    )
-    if path.is_dir():
-        raise InputError(str(path), "is a folder; give the file of one scenario")
-    ((_, scenario),) = load_all([path]).items()
+    table_file = _place_of(out, dry_run)
+    scenario = _scenario_of(path)
     study = study_of(scenario, str(path))
-    if dry_run:
+    if table_file is None:
         complain(_announced(scenario, path, jobs)[0])
         return
     store, useless = kept_results.opened(fresh)
     if useless:
         complain(useless)
     failed = 0
-    with workers(jobs, cluster) as asked, _written(out) as table:
+    with workers(jobs, cluster) as asked, _written(table_file) as table:
         told, seconds = _announced(scenario, path, workers_of(asked))
         announce(told, seconds, yes)
         if store is not None:
@@ -72,7 +64,32 @@ def sweep(
         complain(store.problem)
     if failed:
         complain(f"{failed} of {study.count()} runs were not possible; the column error says why")
-    tell(f"{study.count()} runs written in {out}")
+    tell(f"{study.count()} runs written in {table_file}")
+
+
+def _place_of(out: Path | None, dry_run: bool) -> Path | None:
+    """Where the rows go: a place that can be written to; None where nothing is written."""
+    from hammerstein.errors import InputError
+    from hammerstein.files import Content, refuse_overwriting, refuse_unwritable
+
+    if dry_run:
+        return None
+    if out is None:
+        raise InputError("--out", "is missing; give the file that the rows go to, as .csv or .parquet")
+    refuse_unwritable("--out", out.parent)
+    begins = "PAR1" if out.suffix in PARQUET else "sample,"
+    refuse_overwriting("--out", out, Content("table of a sweep", begins))
+    return out
+
+
+def _scenario_of(path: Path) -> Scenario:
+    from hammerstein.errors import InputError
+    from hammerstein.experiment.batch import load_all
+
+    if path.is_dir():
+        raise InputError(str(path), "is a folder; give the file of one scenario")
+    ((_, scenario),) = load_all([path]).items()
+    return scenario
 
 
 def _announced(scenario: Scenario, path: Path, jobs: int) -> tuple[str, float]:
@@ -82,10 +99,8 @@ def _announced(scenario: Scenario, path: Path, jobs: int) -> tuple[str, float]:
 
     (part,) = plan_of_study(scenario, str(path)).parts
     seconds = part.seconds / jobs
-    return (
-        f"{part.what}, about {duration(seconds)} with {jobs} jobs, {size(jobs * part.bytes)} of memory",
-        seconds,
-    )
+    side = f" with {jobs} jobs" if jobs > 1 else ""
+    return f"{part.what}, about {duration(seconds)}{side}, {size(jobs * part.bytes)} of memory", seconds
 
 
 class _Table(Protocol):

@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -57,12 +57,16 @@ LONG_S = 600.0
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a plan: what it is, what it needs, and the keys that make it smaller."""
+    """One part of a plan: what it is, what it needs, and the keys that make it smaller.
+
+    once : whether what comes out is kept, so that other runs do not do it again
+    """
 
     what: str
     bytes: float
     seconds: float
     keys: str
+    once: bool = False
 
 
 @dataclass(frozen=True)
@@ -149,6 +153,13 @@ def _trial_s() -> float:
     return time.process_time() - begun
 
 
+def experiments_of(scenario: Scenario) -> set[Hashable]:
+    """Identification experiments of a scenario; what is equal here is done once and kept."""
+    plant = plant_of(scenario)
+    specs = {source.identification for source in (*scenario.compensators, *scenario.models)} - {None}
+    return {(plant.model.digest(), plant.instruments, spec, scenario.seed) for spec in specs}
+
+
 def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
     """One part for each identification experiment."""
     m, p = plant.model.hysteresis.n_inputs, plant.model.hysteresis.n_outputs
@@ -165,7 +176,8 @@ def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
             samples = cycles / (spec.frequency_hz * step)
             words = f"the identification of {source.label!r}, a run of {samples:.3g} samples an input"
             needed, seconds = COPIES * run_bytes(samples, m, p), m * samples * SECONDS_A_SAMPLE
-            yield Part(words, needed, seconds, "its measured_cycles or settle_cycles, or raise frequency_hz")
+            keys = "its measured_cycles or settle_cycles, or raise frequency_hz"
+            yield Part(words, needed, seconds, keys, once=True)
         else:
             yield _joint_fit(spec, source.label, m, p, step)
 
@@ -178,6 +190,7 @@ def _joint_fit(spec: JointFitSpec, label: str, m: int, p: int, step: float) -> P
         COPIES * run_bytes(samples, m, p) + fitted,
         SECONDS_OF_A_FIT + samples * SECONDS_A_FITTED_SAMPLE * spec.operators / 15.0,
         "its record_s or the number of frequencies_hz, or raise sample_time_s",
+        once=True,
     )
 
 

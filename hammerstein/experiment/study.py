@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from hammerstein.errors import HammersteinError, InputError, Mistake
 from hammerstein.experiment.kept import rows_from
-from hammerstein.experiment.plan import Part, Plan, plan_of
+from hammerstein.experiment.plan import Part, Plan, experiments_of, plan_of
 from hammerstein.experiment.run import run
 from hammerstein.experiment.set_up import Progress
 from hammerstein.metrics import Row
@@ -104,7 +104,8 @@ def study_of(scenario: Scenario, name: str) -> Study:
 def plan_of_study(scenario: Scenario, name: str) -> Plan:
     """What the runs of a study need: the time of all of them, and the memory of the largest.
 
-    Of many runs some are looked at, and those in which a key has its least or largest value.
+    Of many runs some are looked at, and those in which a key has its least or largest value. What several
+    runs identify in the same way is identified once.
 
     Raises
     ------
@@ -113,20 +114,41 @@ def plan_of_study(scenario: Scenario, name: str) -> Plan:
     study = study_of(scenario, name)
     whole = _whole_keys(scenario, study, name)
 
-    def needs(values: Mapping[str, float]) -> tuple[float, float]:
+    def needs(values: Mapping[str, float]) -> tuple[float, float, float]:
         try:
             plan = plan_of(varied(scenario, _rounded(values, whole), name))
         except HammersteinError:
-            return 0.0, 0.0  # such a run is a row with an error
-        return plan.seconds, plan.bytes
+            return 0.0, 0.0, 0.0  # such a run is a row with an error
+        once_s = sum(part.seconds for part in plan.parts if part.once)
+        return plan.seconds - once_s, once_s, plan.bytes
 
-    count = study.count()
+    count, identified = study.count(), _identified(scenario, study, whole, name)
     some = [needs(values) for values in study.some(LOOKED_AT)]
     ends = [needs(values) for values in study.ends()] if count > LOOKED_AT else []
-    mean_s = sum(seconds for seconds, _ in some) / len(some)
-    longest_s, largest = (max(numbers) for numbers in zip(*some, *ends, strict=True))
+    run_s, once_s, _ = (sum(numbers) / len(some) for numbers in zip(*some, strict=True))
+    longest_s = max(run + once for run, once, _ in (*some, *ends))
+    largest = max(held for *_, held in (*some, *ends))
+    seconds = max(count * run_s + identified * once_s, longest_s)
     words = f"{count} runs of {study.how} values"
-    return Plan((Part(words, largest, max(count * mean_s, longest_s), "the values in [study]"),))
+    return Plan((Part(words, largest, seconds, "the values in [study]"),))
+
+
+def _identified(scenario: Scenario, study: Study, whole: set[str], name: str) -> int:
+    """In how many of the runs models are identified; the others share their experiment and find them kept."""
+
+    def moves(key: str) -> bool:
+        """Whether a key changes what is identified."""
+        ends = [_rounded({key: end}, whole) for end in (min(study.values[key]), max(study.values[key]))]
+        try:
+            low, high = (experiments_of(varied(scenario, end, name)) for end in ends)
+        except HammersteinError:
+            return True  # such a run is a row with an error: nothing is known of the others
+        return low != high
+
+    moving = [key for key in study.values if moves(key)]
+    if not moving:
+        return 1
+    return len({tuple(_rounded(point, whole)[key] for key in moving) for point in study.points()})
 
 
 def _whole_keys(scenario: Scenario, study: Study, name: str) -> set[str]:
