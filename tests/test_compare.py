@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -258,7 +259,9 @@ def test_a_method_that_only_plays_have_is_a_reason_in_a_row(
     files: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call("compare", "a.csv", *COLUMNS, *QUICK[2:], "--method", "closed_form", "--no-figures") == 0
-    assert "closed_form cannot be had with hysteresis asymmetric" in " ".join(capsys.readouterr().out.split())
+    printed = capsys.readouterr()
+    assert "closed_form cannot be had with hysteresis asymmetric" in " ".join(printed.out.split())
+    assert re.search(r"^comparing every kind of model on \d+ samples", printed.err, re.M)  # nobody watches
 
 
 def test_a_law_with_dynamics_is_played_on_an_actuator_that_has_some() -> None:

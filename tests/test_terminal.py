@@ -9,6 +9,9 @@ import time
 
 import pytest
 
+from hammerstein.commands import watch
+from hammerstein.commands.terminal import hush
+
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="closed and full files are made by a shell")
 
 ODD = """
@@ -139,3 +142,23 @@ cli.main([])
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert found.returncode == 130
     assert found.stderr == "interrupted; what was finished is written, and nothing else\n"
+
+
+def test_a_file_is_told_once_a_minute_what_is_done(capsys, monkeypatch):
+    now = [1000.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    with watch.Spinner("comparing") as spinner:
+        spinner.tell("a")
+        now[0] += 61.0
+        spinner.tell("b")
+        spinner.tell("c")
+    assert capsys.readouterr().err == "comparing\nb\n"
+    with watch.Spinner():
+        pass
+    hush(True)
+    try:
+        with watch.Spinner("comparing"):
+            pass
+    finally:
+        hush(False)
+    assert capsys.readouterr().err == ""

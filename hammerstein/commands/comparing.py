@@ -42,7 +42,9 @@ def compare(
     compile_once(complain)
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
-    with Spinner() as spinner:
+    samples = sum(record.samples for record in records)
+    begun = f"comparing every kind of model on {samples} samples; of long records that takes minutes"
+    with Spinner(begun) as spinner:
 
         def watch(what: str, done: int, total: int) -> None:
             spinner.tell(f"{what} ({done} of {total} fitted)" if done < total else what)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+import time
 from typing import TYPE_CHECKING, Any
 
-from hammerstein.commands.terminal import hushed
+from hammerstein.commands.terminal import complain, hushed
 from hammerstein.escaping import clean
 
 if TYPE_CHECKING:
@@ -50,16 +51,29 @@ class Watch:
             self.bar.update(self.inner, visible=False)
 
 
+EVERY_S = 60.0
+"""How often a file is told what is being done."""
+
+
 class Spinner:
-    """What is being done, on stderr, when a person watches."""
+    """What is being done, on stderr: all of it when a person watches, a line a minute in a file.
+
+    first : what is told at once, in a file as well: for work that is always long
+    """
+
+    def __init__(self, first: str = ""):
+        self.first = first
+        self.status: Any = None
+        self.told_s = time.monotonic()
 
     def __enter__(self) -> Spinner:
-        self.status = None
         if sys.stderr.isatty() and not hushed():
             from rich.console import Console
 
-            self.status = Console(stderr=True).status("reading")
+            self.status = Console(stderr=True).status(self.first or "reading")
             self.status.start()
+        elif self.first and not hushed():
+            complain(self.first)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -72,3 +86,6 @@ class Spinner:
             from rich.text import Text
 
             self.status.update(Text(clean(what)))
+        elif not hushed() and time.monotonic() - self.told_s >= EVERY_S:
+            self.told_s = time.monotonic()
+            complain(what)
