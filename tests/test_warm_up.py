@@ -3,6 +3,9 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
+
+from hammerstein.commands.warm_up import TAKES
 
 SCENARIO = """
 question = "How large is a loop?"
@@ -25,5 +28,10 @@ def test_one_scenario_compiles_what_it_needs_and_the_next_run_nothing(tmp_path):
         done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=300)
         assert done.returncode == 0
         told.append(done.stderr)
-    assert told == ["compiling time loops that are needed for the first time\n", ""]
+    assert told == [f"compiling time loops that are needed for the first time, {TAKES}\n", ""]
     assert 1 <= len(list((tmp_path / "loops").rglob("*.nbi"))) <= MOST_LOOPS
+
+
+def test_how_long_that_takes_is_said_in_one_way():
+    readme = (Path(__file__).resolve().parents[1] / "README.md").read_text()
+    assert TAKES in " ".join(readme.split())

@@ -20,6 +20,9 @@ from hammerstein.runtime.workers import Processes
 if TYPE_CHECKING:
     from hammerstein.scenario import Scenario
 
+TAKES = "at most about 15 s"
+"""How long it takes, as README.md says, too."""
+
 RANGE_V, SAMPLE_TIME_S, SAMPLES = 10.0, 50e-6, 800
 
 
@@ -34,11 +37,13 @@ def compile_once(say: Callable[[str], None], several: bool = False) -> None:
     several : whether several processes are about to begin
     """
     if not several:
-        told_before_compiling(lambda: say("compiling time loops that are needed for the first time"))
+        told_before_compiling(
+            lambda: say(f"compiling time loops that are needed for the first time, {TAKES}")
+        )
         return
     if not _must_compile():
         return
-    say("compiling the time loops, once after installation (about 15 s)")
+    say(f"compiling the time loops, once after installation, {TAKES}")
     with Processes(2) as processes:
         wait([processes.submit(use) for use in USES])
     # what is not compiled here is compiled when it is used
