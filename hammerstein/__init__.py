@@ -17,7 +17,7 @@ array([[58.4 ,  1.41],
        [ 2.08, 50.57]])
 """
 
-# Nothing is imported here: the command line must answer at once, and Ctrl-C must be heard from the start.
+# Nothing is imported here: the command line must answer at once, and Ctrl-C must work from the start.
 
 
 def __getattr__(name: str) -> object:

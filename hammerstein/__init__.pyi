@@ -30,7 +30,7 @@ from .errors import (
     ToleranceError as ToleranceError,
 )
 from .experiment.report import Report as Report
-from .experiment.run import run as run, simulate as simulate, simulate_in_stretches as simulate_in_stretches
+from .experiment.run import run as run, simulate as simulate, simulate_in_blocks as simulate_in_blocks
 from .hysteresis import (
     Asymmetric as Asymmetric,
     BoucWen as BoucWen,

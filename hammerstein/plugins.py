@@ -62,7 +62,7 @@ class Family(Generic[T]):
         self._users.append(model)
 
     def adapter(self) -> TypeAdapter[T]:
-        """What validates one of the kinds, told by its tag, from plain data."""
+        """What validates one of the kinds, chosen by its tag, from plain data."""
         return TypeAdapter(Annotated[self.base, self.field()])  # type: ignore[arg-type]
 
     def value(self, data: Any) -> T:
@@ -75,7 +75,7 @@ class Family(Generic[T]):
 
 
 class Choice:
-    """Annotation of a field that holds one kind of a family, told by its tag."""
+    """Annotation of a field that holds one kind of a family, chosen by its tag."""
 
     def __init__(self, family: Family[Any], form: Callable[[Any], type[BaseModel]]):
         self.family, self.form = family, form

@@ -8,7 +8,7 @@ TIME_S = STEP_S * np.arange(SAMPLES)
 R_V = 100.0 * np.array([0.0, 0.02, 0.05, 0.1, 0.17, 0.25, 0.35, 0.45])
 W_UM_PER_V = np.array([0.35, 0.08, 0.06, 0.05, 0.05, 0.05, 0.05, 0.05])
 COUPLING = np.array([[1.0, 0.03], [-0.02, 0.9]])
-"""Every output hears every input through the same bank of plays, by these parts."""
+"""Every output responds to every input through the same bank of plays, by these parts."""
 
 
 def hysteresis(u):

@@ -197,8 +197,8 @@ def test_loops_of_one_amplitude_leave_weights_that_hold_for_others(dead_zones):
 
 
 def test_the_error_left_out_is_that_of_plain_least_squares_on_coarser_grids():
-    """Stretch by stretch with plain columns, while the choice sums those of its finest grid."""
-    from hammerstein.identification.static.asymmetric_choice import DEAD_ZONES, PLAYS, STRETCHES, Folds
+    """Part by part with plain columns, while the choice sums those of its finest grid."""
+    from hammerstein.identification.static.asymmetric_choice import DEAD_ZONES, PARTS, PLAYS, Folds
     from hammerstein.identification.static.folds import FOLDS
 
     u = wave(samples=3000, turns=23.0)
@@ -210,7 +210,7 @@ def test_the_error_left_out_is_that_of_plain_least_squares_on_coarser_grids():
     columns = [theory.play(u, 0.5 * (high - low) * i / n) for i in range(n)]
     columns += [theory.dead_zone(u, low + (high - low) * k / (zones + 1)) for k in range(1, zones + 1)]
     rows = np.column_stack([*columns, y])
-    fold = np.arange(len(u)) * STRETCHES // len(u) % FOLDS
+    fold = np.arange(len(u)) * PARTS // len(u) % FOLDS
     parts = [rows[fold == f] - rows[fold == f].mean(axis=0) for f in range(FOLDS)]
     squares = 0.0
     for f, part in enumerate(parts):

@@ -13,7 +13,7 @@ from hammerstein.blocks.instruments import Drive, Instruments, Sensor, standard_
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.measure import _sensor_lag
-from hammerstein.experiment.run import run, simulate, simulate_in_stretches
+from hammerstein.experiment.run import run, simulate, simulate_in_blocks
 from hammerstein.experiment.set_up import set_up
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.metrics import Row
@@ -281,21 +281,21 @@ PATH = {"kind": "lissajous", "amplitude_um": 20.0, "frequency_x_hz": 60.0, "freq
     ],
 )
 @pytest.mark.parametrize("samples", [1, 777, 10_000])
-def test_a_run_in_stretches_is_the_run_in_one_piece(content, samples):
+def test_a_run_in_blocks_is_the_run_in_one_piece(content, samples):
     scenario = _scenario(actuator="duo_bimorph_creep", **LONG, **content)
     if samples == 1:
         scenario = scenario.model_copy(
             update={"measure": Measure(settle_cycles=0, settle_s=0.0, measured_cycles=1)}
         )
     whole = simulate(scenario)
-    parts = list(simulate_in_stretches(scenario, samples))
+    parts = list(simulate_in_blocks(scenario, samples))
     for name in ("requested_v", "drive_v", "hysteresis_um", "position_um", "reading_um", "saturated"):
         joined = np.concatenate([getattr(part, name) for part in parts], axis=1)
         assert (joined == getattr(whole, name)).all(), name
     assert (parts[0].reference_um is None) == (scenario.reference is None)
 
 
-def test_an_input_that_has_left_its_range_end_has_left_it_in_later_stretches_too():
+def test_an_input_that_has_left_its_range_end_has_left_it_in_later_blocks_too():
     """It rests at 0 V, the low end: what stands there before it moves is not cut, what comes back is."""
     model = replace(
         HammersteinModel.load("duo_bimorph_static"),
@@ -347,7 +347,7 @@ def test_a_long_run_that_leaves_all_bounds_says_where(value, told):
 def test_laws_that_need_the_whole_path_say_so(law):
     compensators = [{"label": "c", "law": law, "model": "duo_bimorph"}]
     with pytest.raises(InputError, match="works on the whole path"):
-        list(simulate_in_stretches(_scenario(reference=PATH, compensators=compensators)))
+        list(simulate_in_blocks(_scenario(reference=PATH, compensators=compensators)))
 
 
 def test_a_run_that_does_not_fit_the_memory_is_refused_before_it_begins():
@@ -366,8 +366,8 @@ def test_a_law_that_knows_the_actuator_itself_says_so():
     ]
 
 
-def test_samples_may_be_recorded_further_apart_than_a_stretch_is_long(monkeypatch):
-    monkeypatch.setattr("hammerstein.experiment.recording.STRETCH", 30)
+def test_samples_may_be_recorded_further_apart_than_a_block_is_long(monkeypatch):
+    monkeypatch.setattr("hammerstein.experiment.recording.RECORDED_BLOCK", 30)
     drive = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 10.0, "axis": 1}
     measure = {"settle_cycles": 1, "measured_cycles": 1, "record_every": 40}
     (trace,) = run(_scenario(actuator="duo_bimorph_static", drive=drive, measure=measure)).traces

@@ -102,7 +102,7 @@ def test_classical_blocks_side_by_side_are_a_classical_block() -> None:
 
 
 def test_wiping_out_holds_as_far_as_it_holds_for_every_part(stack: HammersteinModel) -> None:
-    """Plays and dead-zones forget what a larger swing covers; a part that hears the rate does not."""
+    """Plays and dead-zones forget what a larger swing covers; a part that knows the rate does not."""
     last = way(-9.0, 9.0, 2.0)
 
     def end(block: Parallel, past: np.ndarray) -> np.ndarray:

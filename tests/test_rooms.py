@@ -117,3 +117,17 @@ def test_a_class_name_stands_for_one_thing():
                 places.setdefault(node.name, []).append(str(file.relative_to(PACKAGE)))
     assert len(places) > 200
     assert {name: files for name, files in places.items() if len(files) > 1} == {}
+
+
+def test_plain_words_are_used():
+    """A set-up is no bench, a block of a signal no stretch; a model improves and responds."""
+    other = re.compile(r"\b(bench|benches|stretch|stretches|earns|hears?|heard)\b", re.IGNORECASE)
+    kinds = (".py", ".pyi", ".md", ".jinja", ".toml", ".html", ".json")
+    files = [file for file in PACKAGE.rglob("*") if file.suffix in kinds]
+    assert len(files) > 350
+    found = {}
+    for file in [*files, PACKAGE.parent / "README.md"]:
+        if words := other.findall(file.read_text(encoding="utf-8").replace("_", " ")):
+            found[file.name] = words
+    assert found.pop("plots.py", []) == ["stretch"] * 5  # Bokeh's stretch_width
+    assert found == {}

@@ -278,7 +278,7 @@ def test_error_curve_levels_off_at_the_true_number_of_operators():
     assert enough_operators(curve) == 8
 
 
-def test_error_curve_is_of_stretches_that_were_not_fitted():
+def test_error_curve_is_of_parts_that_were_not_fitted():
     generator = np.random.default_rng(14)
     u = random_walk(generator, 1, 400)
     noise = Record(u, generator.standard_normal((1, 400)), 1e-3)  # nothing to be learnt: more is worse

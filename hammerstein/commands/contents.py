@@ -1,4 +1,4 @@
-"""What a file holds, whatever it is of ours: told by its content, not by its name."""
+"""What a file holds, whatever it is of ours: known by its content, not by its name."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from hammerstein.compensators import (
 )
 from hammerstein.compensators.learning import Learned
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.experiment.recording import STRETCH
+from hammerstein.experiment.recording import RECORDED_BLOCK
 from hammerstein.experiment.sensitivity import evaluations, varying
 from hammerstein.experiment.set_up import Window, driven_axes, plant_of, scenario_axes
 from hammerstein.hysteresis import PrandtlIshlinskii, RateDependent
@@ -215,7 +215,7 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
     seconds *= 1 + (0 if scenario.assessment is None else scenario.assessment.runs)
     every = scenario.measure.record_every or 1
     whole = any(isinstance(c, HammersteinInverse | Feedback | Learned) for c in scenario.compensators)
-    at_once = longest if every == 1 or whole else min(longest, STRETCH)
+    at_once = longest if every == 1 or whole else min(longest, RECORDED_BLOCK)
     kept = run_bytes(samples / every, m, p + 2 * models)
     kept += COPIES * jobs * run_bytes(at_once, m, p + 2 * models)
     keys = (

@@ -16,7 +16,7 @@ from hammerstein.hysteresis import Memory
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response, refuse_unbounded
 
-STRETCH = 100_000  # samples that are simulated at once where not all are recorded; they fit the cache
+RECORDED_BLOCK = 100_000  # samples that are simulated at once where not all are recorded; they fit the cache
 
 
 class PredictionState(NamedTuple):
@@ -44,10 +44,10 @@ def recorded(setup: SetUp, case: Case) -> Recording:
     """
     every = setup.scenario.measure.record_every or 1
     long = every > 1 and setup.runs_on(case)
-    stretch, recorded_part = max(STRETCH // every, 1) * every, slice(None, None, every)
+    block, recorded_part = max(RECORDED_BLOCK // every, 1) * every, slice(None, None, every)
     parts, targets = [], []
     memory: Mapping[str, PredictionState] = {}
-    for part in setup.stretches(case, stretch) if long else [setup.simulate(case)]:
+    for part in setup.blocks(case, block) if long else [setup.simulate(case)]:
         found, memory = targets_of(setup, case, part, memory)
         parts.append(part.every(every))
         targets.append([None if target is None else target.part(recorded_part) for target in found])

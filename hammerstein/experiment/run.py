@@ -59,7 +59,7 @@ def simulate(
     return setup.simulate(case)
 
 
-def simulate_in_stretches(
+def simulate_in_blocks(
     scenario: ScenarioSource,
     samples: int = 1_000_000,
     compensator: str | None = None,
@@ -85,12 +85,12 @@ def simulate_in_stretches(
     >>> scenario = {
     ...     "question": "How far does it get?", "actuator": "duo_bimorph_static",
     ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}}
-    >>> parts = simulate_in_stretches(scenario, 600)
+    >>> parts = simulate_in_blocks(scenario, 600)
     >>> round(max(float(abs(part.position_um).max()) for part in parts), 2)
     58.4
     """
     setup, case = _chosen(scenario, compensator, excited_axis, values)
-    return setup.stretches(case, samples)
+    return setup.blocks(case, samples)
 
 
 def _chosen(

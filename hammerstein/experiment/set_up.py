@@ -169,7 +169,7 @@ class SetUp:
         law = None if self.scenario.drive is not None else self.laws[case.label]
         return law is None or (isinstance(law, Law) and not law.preview_samples)
 
-    def stretches(self, case: Case, samples: int) -> Iterator[Response]:
+    def blocks(self, case: Case, samples: int) -> Iterator[Response]:
         """Response of one case, part by part: for runs that do not fit the memory.
 
         Raises InputError where the law knows the reference ahead or reads the sensor.

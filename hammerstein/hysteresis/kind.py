@@ -277,7 +277,7 @@ def slopes_of(hysteresis: Hysteresis[Any], k: int, amplitude_v: float) -> Array:
 
 
 class HysteresisFile(Strict, ABC):
-    """One kind of hysteresis in a model file, told by its ``kind``; also made of the hysteresis itself."""
+    """One kind of hysteresis in a model file, chosen by its ``kind``; also made of the hysteresis itself."""
 
     model_config = ConfigDict(from_attributes=True)
 

@@ -10,7 +10,7 @@ with outputs
     p[i] = x - d r[i],      d = +1 rising, -1 falling, 0 never engaged since the start
 
 and the segments form a stack: the top one begins at operator 0, the bottom one ends at the last operator.
-Moving the input by a monotone stretch engages a prefix of the grid; the prefix becomes the new top segment
+Moving the input in one direction engages a prefix of the grid; the prefix becomes the new top segment
 and wipes out what it covers (the wiping-out property of Prandtl-Ishlinskii models). What is left below it
 ends in a segment (x', d') whose operator k engages when
 

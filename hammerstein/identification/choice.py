@@ -25,7 +25,7 @@ from hammerstein.identification.static.regressors import Filter, Start, delayed,
 from hammerstein.identification.static.static_block import SlopeColumns, path_filters
 from hammerstein.records.record import Record
 
-STRETCHES = 16
+PARTS = 16
 """Parts into which every record falls; where no record is held back, every fourth is left out in turn."""
 MOST_WORSE = 1.05
 """Rms error, in parts of the least, up to which a simpler model may be kept."""
@@ -148,12 +148,12 @@ def judged_squares(candidate: Candidate, records: Sequence[Record], starts: Sequ
     """Squared errors (part,) on records held back; infinite for a model that cannot be used."""
     span = ranges(records, starts)
     if not is_stable(candidate.dynamics, records[0].sample_time_s):
-        return np.full(STRETCHES * len(records), np.inf)
+        return np.full(PARTS * len(records), np.inf)
     found = []
     for record, start in zip(records, starts, strict=True):
         with np.errstate(over="ignore", invalid="ignore"):
             squares = ((candidate.residual(record, start) / span[:, None]) ** 2).mean(axis=0)
-        found += [float(part.mean()) for part in np.array_split(squares, STRETCHES)]
+        found += [float(part.mean()) for part in np.array_split(squares, PARTS)]
     values = np.array(found)
     return np.where(np.isfinite(values), values, np.inf)
 
@@ -203,4 +203,4 @@ def _folds(
     """Moments of each fold of one record."""
     blocks = regressor_blocks(delayed(record, start, delay), start, layout.grids, filters)
     columns = sum(map(len, layout.grids))
-    return moments_of_folds(blocks, record.y_um[[o]], start.first, columns, STRETCHES)
+    return moments_of_folds(blocks, record.y_um[[o]], start.first, columns, PARTS)

@@ -297,7 +297,7 @@ class ModelFile(Strict):
 
     format: Literal["hammerstein-model/2"] = "hammerstein-model/2"
     name: str
-    hysteresis: Annotated[HysteresisFile, HYSTERESIS.field(), Field(description="told by its kind")]
+    hysteresis: Annotated[HysteresisFile, HYSTERESIS.field(), Field(description="chosen by its kind")]
     dynamics: Dynamics
     amplitude_v: Size
     inputs: tuple[Name, ...]

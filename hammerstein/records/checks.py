@@ -121,10 +121,10 @@ def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Indices) -
     from the extreme; a quantised one stands still for about one step. Neither counts.
     """
     for name, column in zip(names, y, strict=True):
-        stretches = [*_clipped(u, column, 1.0), *_clipped(u, column, -1.0)]
-        if stretches:
-            start, stop = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
-            times = f" ({len(stretches)} such places)" if len(stretches) > 1 else ""
+        places = [*_clipped(u, column, 1.0), *_clipped(u, column, -1.0)]
+        if places:
+            start, stop = max(places, key=lambda place: place[1] - place[0])
+            times = f" ({len(places)} such places)" if len(places) > 1 else ""
             yield Mistake(
                 where(name, rows, start, stop),
                 f"stands at {column[start]:.6g} while the voltage goes on{times}: the sensor or the drive is "
@@ -134,14 +134,14 @@ def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Indices) -
 
 def _clipped(u: Array, column: Array, side: float) -> list[tuple[int, int]]:
     signed = side * column
-    stretches = runs(signed == signed.max())
-    stretches = stretches[stretches[:, 1] - stretches[:, 0] + 1 >= CLIPPED_RUN]
+    places = runs(signed == signed.max())
+    places = places[places[:, 1] - places[:, 0] + 1 >= CLIPPED_RUN]
     span = float(np.ptp(column))
-    if len(stretches) == 0 or span == 0.0:
+    if len(places) == 0 or span == 0.0:
         return []
     push = side * _straight_line(u, column)
     limit = max(0.01 * span, 3.0 * quantum(column))
-    return [(int(a), int(b)) for a, b in stretches if push[a : b + 1].max() - push[a] > limit]
+    return [(int(a), int(b)) for a, b in places if push[a : b + 1].max() - push[a] > limit]
 
 
 def _straight_line(u: Array, column: Array) -> Array:

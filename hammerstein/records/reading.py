@@ -86,7 +86,7 @@ def _chosen(
     rate_hz: float | None,
     time: str | None,
 ) -> tuple[Sequence[str], Sequence[str], str | None]:
-    """Columns as they were named; those that were not are told by their units."""
+    """Columns as they were named; those that were not are known by their units."""
     if inputs is not None and outputs is not None and (time is not None or rate_hz is not None):
         return inputs, outputs, time
     header, mistakes = Header.of(path), []

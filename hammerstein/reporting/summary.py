@@ -266,20 +266,20 @@ def _typical(values: dict[Condition, dict[str, float]], label: str) -> float:
 
 def _ranges(names: Sequence[str], winners: Sequence[str], quote: Quote) -> str:
     """``A from 10 Hz to 40 Hz and B at 50 Hz``; counts where that gets long."""
-    stretches: list[tuple[str, list[str]]] = []
+    groups: list[tuple[str, list[str]]] = []
     for name, label in zip(names, winners, strict=True):
-        if not stretches or stretches[-1][0] != label:
-            stretches.append((label, []))
-        stretches[-1][1].append(name)
-    if len(stretches) == 1:
+        if not groups or groups[-1][0] != label:
+            groups.append((label, []))
+        groups[-1][1].append(name)
+    if len(groups) == 1:
         return f"{quote(winners[0])} throughout"
-    if len(stretches) > MOST_CLAUSES:
+    if len(groups) > MOST_CLAUSES:
         order = sorted(dict.fromkeys(winners), key=winners.count, reverse=True)
         return listed([f"{quote(n)} in {winners.count(n)} of {len(winners)} runs" for n in order])
     return listed(
         [
             f"{quote(label)} {f'at {inside[0]}' if len(inside) == 1 else f'from {inside[0]} to {inside[-1]}'}"
-            for label, inside in stretches
+            for label, inside in groups
         ]
     )
 

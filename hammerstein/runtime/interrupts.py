@@ -12,7 +12,7 @@ from hammerstein.runtime.leaving import INTERRUPTS
 
 @contextmanager
 def deferred_interrupts() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM wait until the end; threads other than the main one never hear of them.
+    """Let Ctrl-C and SIGTERM wait until the end; threads other than the main one never see them.
 
     The handlers are exchanged and not the signals masked: a mask holds for one thread, and another one would
     take the signal to the main thread all the same.

@@ -135,7 +135,7 @@ class Processes(_Crew):
         for future, task in self._coming():
             try:
                 worker = self._done(future, task, worker)
-            except BaseException as error:  # of whatever kind: who waits for the task must hear of it
+            except BaseException as error:  # of whatever kind: who waits for the task must know it
                 worker = None
                 future.set_exception(error)
         if worker is not None:

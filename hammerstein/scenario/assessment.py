@@ -1,7 +1,7 @@
 """What a scenario may carry to have its numbers judged: the figures of a publication, or of a data sheet.
 
 Each kind plugs in (``register``, or the entry point group ``hammerstein.blocks``) and is a table
-``[assessment]`` of a scenario file, told by its ``kind``. Runs, reports and baselines know no kind: they ask
+``[assessment]`` of a scenario file, of some ``kind``. Runs, reports and baselines know no kind: they ask
 for what stands here.
 """
 
@@ -62,7 +62,7 @@ class Assessment(Strict, ABC):
     number_names: ClassVar[tuple[str, ...]] = ()
     """Names of the numbers of its judgements, for which a scenario may give tolerances."""
     reading_first: ClassVar[bool] = False
-    """Whether errors of the sensor's reading are told before those of the true position."""
+    """Whether errors of the sensor's reading are said before those of the true position."""
 
     @property
     def runs(self) -> int:

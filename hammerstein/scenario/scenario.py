@@ -129,7 +129,7 @@ class Scenario(Strict):
         default=None, description="other values of any numeric key, for hammerstein sweep"
     )
     answered_by: MetricName | None = Field(
-        default=None, description="figure of merit that answers the question; it is told and drawn first"
+        default=None, description="figure of merit that answers the question; it is said and drawn first"
     )
     tolerances: dict[NumberName, Tolerance] = Field(default_factory=dict)
     assessment: Annotated[Assessment, ASSESSMENTS.field()] | None = Field(

@@ -27,4 +27,4 @@ def _tested(kind: type[Compensator]) -> type[Compensator]:
 
 
 Tested = Annotated[TestedCompensator, COMPENSATORS.field(_tested)]
-"""Any compensator, told by its law."""
+"""Any compensator, chosen by its law."""

@@ -103,11 +103,11 @@ LINES = (
     Line("`identify`, 15 operators, 100,000 samples", WAIT, "identify, 2 x 2"),
     Line("`hammerstein --help`", WAIT, "hammerstein --help"),
     Line(
-        "20 million samples in stretches of a million",
+        "20 million samples in blocks of a million",
         "Peak memory",
-        "the same in stretches",
+        "whole experiment, a million",
         "arrays kept",
-        "{} times the arrays of a stretch",
+        "{} times the arrays of a block",
     ),
 )
 

@@ -60,14 +60,14 @@ wires = (r.reference_um, r.requested_v, r.drive_v, r.hysteresis_um, r.position_u
 kept = sum(wire.nbytes for wire in wires)
 """
 
-STRETCHES = (
+EXPERIMENT_IN_BLOCKS = (
     EXPERIMENT.split("def run")[0]
     + """
-from hammerstein import simulate_in_stretches
+from hammerstein import simulate_in_blocks
 kept = 0
 def run(cycles):
     global kept
-    for r in simulate_in_stretches(scenario(cycles), 1_000_000):
+    for r in simulate_in_blocks(scenario(cycles), 1_000_000):
         names = "reference_um requested_v drive_v hysteresis_um position_um reading_um saturated"
         kept = max(kept, sum(getattr(r, name).nbytes for name in names.split()))
         del r
@@ -90,7 +90,7 @@ print(peak - before, kept)
         ("hysteresis, 2 x 2, in one piece", WHOLE, 5_000_000, 3.0),
         ("the same in blocks of a million samples", BLOCKS, 100_000_000, 3.0),
         ("whole experiment, every wire kept", EXPERIMENT, 2_000_000, 3.0),
-        ("the same in stretches of a million samples", STRETCHES, 100_000_000, 3.0),
+        ("whole experiment, a million samples at a time", EXPERIMENT_IN_BLOCKS, 100_000_000, 3.0),
     ],
 )
 def test_memory(bench, what, program, samples, required):

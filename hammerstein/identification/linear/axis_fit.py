@@ -19,7 +19,7 @@ from hammerstein.identification.static.regressors import Filter, SideBySide, Sta
 from hammerstein.records.record import Record
 
 CREEP_OPERATORS = 6
-STRETCHES = 16
+PARTS = 16
 """Parts of a record within which errors may be related."""
 NEAR = 1.15
 """Ratio of frequencies that belong to a resonance."""
@@ -101,7 +101,7 @@ def standard_errors(task: AxisTask, point: Point) -> Array:
         ]
         moves = np.hstack([x[n:] - point.drag.T @ x[:n] for _, x in task.blocks(i, filters)])
         moves -= moves.mean(axis=1, keepdims=True)
-        ends = np.linspace(0, len(error), STRETCHES + 1).astype(int)
+        ends = np.linspace(0, len(error), PARTS + 1).astype(int)
         scores = [moves[:, a:b] @ error[a:b] for a, b in itertools.pairwise(ends)]
         spread += np.sum([np.outer(g, g) for g in scores], axis=0)
     related = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0))

@@ -151,5 +151,5 @@ def _weights(response: FrequencyResponse, weighting: Weighting) -> Array:
 
 def _warp(angle: float) -> float:
     """Factor a of the warping that moves the highest line to ``SPREAD`` of the half circle."""
-    stretch = math.tan(0.5 * math.pi * SPREAD) / math.tan(0.5 * angle)
-    return max(0.0, (stretch - 1.0) / (stretch + 1.0))
+    warp = math.tan(0.5 * math.pi * SPREAD) / math.tan(0.5 * angle)
+    return max(0.0, (warp - 1.0) / (warp + 1.0))

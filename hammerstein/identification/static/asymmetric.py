@@ -177,12 +177,12 @@ class AsymmetricTask(NamedTuple):
 
         return [pooled(parts) for parts in self._each(of_record, Moments.of_output)]
 
-    def folds(self, stretches: int) -> list[list[dict[int, Moments]]]:
+    def folds(self, parts: int) -> list[list[dict[int, Moments]]]:
         """Moments (output) (record) of each fold with all columns."""
 
         def of_record(i: int, outputs: Sequence[int]) -> dict[int, Moments]:
             y, first = self.records[i].y_um[list(outputs)], self.starts[i].first
-            return moments_of_folds(self._blocks(i, outputs[0]), y, first, self.columns, stretches)
+            return moments_of_folds(self._blocks(i, outputs[0]), y, first, self.columns, parts)
 
         return self._each(of_record, lambda folds, o: {f: m.of_output(o) for f, m in folds.items()})
 

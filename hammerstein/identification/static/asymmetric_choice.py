@@ -35,8 +35,8 @@ RIDGES = tuple(10.0**-i for i in range(2, 9))
 """Penalties of the weights that are tried, the smoothest slopes first; below, rounding errors decide."""
 BEGUN = RIDGES[-3]
 """Penalty with which the numbers are found: it decides nothing but what the records leave open."""
-STRETCHES = 64
-"""Stretches of a record that are left out in turn: short against the way from one breakpoint to the next
+PARTS = 64
+"""Parts of a record that are left out in turn: short against the way from one breakpoint to the next
 where the record is a single loop, or what only they tell of it would be missing."""
 NEAR = 5e-3
 """Part by which fewer columns or smoother slopes may leave more on what is left out."""
@@ -66,7 +66,7 @@ def chosen_asymmetric(
 ) -> AsymmetricChoice:
     """Fewest plays and dead-zones, then smoothest slopes, within half a percent of the least error left out.
 
-    Every record falls into 64 stretches; every fourth of them is left out in turn. Loops of one amplitude do
+    Every record falls into 64 parts; every fourth of them is left out in turn. Loops of one amplitude do
     not tell plays from dead-zones whose slopes are alike on both sides of the middle: what raises the one and
     lowers the other by the same amount changes nothing. Of all weights that leave as little, the least are
     taken: a penalty that is as large as half a percent of the error allows.
@@ -125,7 +125,7 @@ class Folds(NamedTuple):
         points = breakpoints_in(few, DEAD_ZONES[-1] if dead_zones is None else dead_zones)
         layout = SlopeColumns.of(fine)
         task = AsymmetricTask(few, begun, layout, tuple(points), delay_samples, tuple(through))
-        return cls(task, task.folds(STRETCHES), 1.0 / ranges(few, begun))
+        return cls(task, task.folds(PARTS), 1.0 / ranges(few, begun))
 
     def plays(self, number: int) -> list[list[Array]]:
         """So many thresholds (output, input) of the finest grids."""

@@ -16,9 +16,9 @@ FOLDS = 4
 
 
 def moments_of_folds(
-    blocks: Iterable[tuple[int, Array]], y: Array, first: int, columns: int, stretches: int
+    blocks: Iterable[tuple[int, Array]], y: Array, first: int, columns: int, parts: int
 ) -> dict[int, Moments]:
-    """Moments of each fold of one record: every fourth of its stretches, so that cycles lie on both sides.
+    """Moments of each fold of one record: every fourth of its parts, so that cycles lie on both sides.
 
     Parameters
     ----------
@@ -26,18 +26,18 @@ def moments_of_folds(
     y : (output, sample) readings
     first : sample from which the record counts
     columns : their number
-    stretches : parts of equal length into which the record falls
+    parts : parts of equal length into which the record falls
 
     Raises IdentificationError where a record is too short to leave anything out.
     """
-    ends = first + np.ceil((y.shape[1] - first) * np.arange(1, stretches + 1) / stretches).astype(int)
-    parts: dict[int, list[tuple[Array, Array]]] = {fold: [] for fold in range(FOLDS)}
+    ends = first + np.ceil((y.shape[1] - first) * np.arange(1, parts + 1) / parts).astype(int)
+    folds: dict[int, list[tuple[Array, Array]]] = {fold: [] for fold in range(FOLDS)}
     for k, x in blocks:
         inner = np.unique(ends[(k < ends) & (ends < k + x.shape[1])])  # of a short record some are empty
         edges = [k, *inner.tolist(), k + x.shape[1]]
         for a, b in itertools.pairwise(edges):
-            stretch = int(np.searchsorted(ends, a, side="right"))
-            parts[stretch % FOLDS].append((x[:, a - k : b - k], y[:, a:b]))
-    if sum(map(bool, parts.values())) < 2:
+            part = int(np.searchsorted(ends, a, side="right"))
+            folds[part % FOLDS].append((x[:, a - k : b - k], y[:, a:b]))
+    if sum(map(bool, folds.values())) < 2:
         raise IdentificationError("the records are too short to choose anything by what is left out of them")
-    return {fold: moments_of(part, columns, len(y)) for fold, part in parts.items() if part}
+    return {fold: moments_of(part, columns, len(y)) for fold, part in folds.items() if part}

@@ -35,9 +35,9 @@ from hammerstein.records.record import Record
 SEARCH_SAMPLES = 50_000
 """Samples with which growth and bandwidth are searched."""
 BLOCK = 8192
-STRETCHES = 8
+PARTS = 8
 TWO_RATES = 1.5
-"""Ratio of the fastest to the slowest stretch from which records have two rates."""
+"""Ratio of the fastest to the slowest part from which records have two rates."""
 FIRST_SHARES = (0.01, 0.03, 0.1, 0.25)
 """Growth tried first: parts of half the swing by which a threshold grows at the fastest rate."""
 FIRST_BANDWIDTHS = (0.5, 2.0, 8.0)
@@ -113,7 +113,7 @@ def _refuse_one_rate(records: Sequence[Record]) -> Array:
         rates = []
         swing = max(float(np.ptp(record.u_v[k])) for record in records)
         for record in records:
-            for part in np.array_split(record.u_v[k], STRETCHES):
+            for part in np.array_split(record.u_v[k], PARTS):
                 if len(part) > 2 and np.ptp(part) > 0.05 * swing:
                     slope = np.diff(part) / record.sample_time_s
                     rates.append(float(np.sqrt(np.mean(slope**2))) / (0.5 * swing))

@@ -1,6 +1,6 @@
 """Thresholds picked from a fine grid, by moving one at a time to where it lowers the error most.
 
-The error against the thresholds has many local minima: two of them may share a stretch where one is needed,
+The error against the thresholds has many local minima: two of them may share a span where one is needed,
 and none stands where two are. Steps downhill do not lead from one such place to another, but an exchange does
 (sequential replacement: Miller, Subset Selection in Regression, 2002, section 3.4). The sums over the samples
 are gathered once for the fine grid; a play enters or leaves the regression by one sweep of their matrix
