@@ -23,7 +23,7 @@ def converted(value, low, high, step):  # type: ignore[no-untyped-def]
     return held if step == 0.0 else np.rint(held / step) * step
 
 
-@compiled()
+@compiled(reads="asked steps ends")
 def convert(asked, steps, ends, step, drive, cut):  # type: ignore[no-untyped-def]
     """Voltages that leave the converter, and where the range cut them.
 
@@ -39,7 +39,7 @@ def convert(asked, steps, ends, step, drive, cut):  # type: ignore[no-untyped-de
             cut[k, at(t)] = (value < least) | (value > most)
 
 
-@compiled()
+@compiled(reads="asked rest ends")
 def leaving(asked, rest, ends, left):  # type: ignore[no-untyped-def]
     """Whether a voltage comes to an end of its range; ``left`` notes which inputs leave a voltage.
 
