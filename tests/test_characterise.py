@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -6,10 +6,13 @@ import theory
 
 from hammerstein.blocks.instruments import Drive, Instruments
 from hammerstein.blocks.voltages import Voltages
-from hammerstein.dynamics import discretise
-from hammerstein.errors import IdentificationError
+from hammerstein.commands.record_options import Identified
+from hammerstein.dynamics import StaticDynamics, discretise
+from hammerstein.errors import IdentificationError, InputError
 from hammerstein.experiment import simulated_identification
+from hammerstein.experiment.run import run
 from hammerstein.experiment.simulated_identification import identify_each
+from hammerstein.identification.settings import CHOICES, Settings
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
@@ -179,3 +182,50 @@ def test_an_option_that_is_not_given_is_no_part_of_the_seed_of_the_noise(spec, m
     with pytest.raises(Seeded) as told:
         simulated_identification._identified(actuator, spec.model_dump_json(), 0)
     assert not any(name in str(told.value) for name in simulated_identification.ADDED_LATER)
+
+
+OPTIONS = {
+    "operators": "auto",
+    "partition": "voltage",
+    "hysteresis": "asymmetric",
+    "dead_zones": 3,
+    "dynamics": "lag",
+    "creep_modes": 2,
+}
+
+
+@pytest.mark.parametrize(("name", "value"), OPTIONS.items())
+def test_an_option_of_identify_means_the_same_in_a_scenario(name, value):
+    given = {name: value} | ({"hysteresis": "asymmetric"} if name == "dead_zones" else {})
+    settings = JointFitSpec.model_validate({"method": "hammerstein"} | given).settings()
+    assert getattr(settings, name) == value == getattr(Settings(**given), name)
+
+
+def test_every_word_of_identify_is_one_of_a_scenario_and_of_the_command_line():
+    for name in ("partition", "hysteresis", "dynamics"):
+        for word in CHOICES[name]:
+            operators = {"operators": 5} if word == "state_space" else {}
+            JointFitSpec.model_validate({"method": "hammerstein", name: word} | operators)
+    shared = set(OPTIONS) - {"hysteresis", "dead_zones"}  # which are those of one command alone
+    assert shared <= {one.name for one in fields(Identified)}
+
+
+def test_what_does_not_go_together_is_refused_in_a_scenario_too():
+    wrong = {"method": "hammerstein", "dead_zones": 3}
+    scenario = {
+        "question": "Which options?",
+        "reference": {"kind": "circle", "radius_um": 5.0, "frequency_hz": 50.0},
+        "compensators": [{"label": "a", "law": "exact_inverse", "identification": wrong}],
+    }
+    with pytest.raises(InputError, match=r"\[1\].identification.*dead_zones belong to hysteresis"):
+        run(scenario)
+
+
+def test_another_linear_block_is_identified_for_a_scenario():
+    none = JointFitSpec(method="hammerstein", operators=6, dynamics="none")
+    assert isinstance(identified(_plant("duo_bimorph"), none, 1).dynamics, StaticDynamics)
+    creep = {"creep_modes": 1, "creep_record_s": 60.0}
+    model = identified(
+        _plant("duo_bimorph_creep"), JointFitSpec(method="hammerstein", dynamics="auto", **creep), 1
+    )
+    assert all(axis.creep for axis in model.dynamics.axes)

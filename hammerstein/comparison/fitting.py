@@ -14,11 +14,12 @@ import numpy as np
 
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.errors import HammersteinError
+from hammerstein.identification.choices import HysteresisKind
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.identify import identify
 from hammerstein.identification.kinds import several_rates
 from hammerstein.identification.score import Candidate
-from hammerstein.identification.settings import HysteresisKind, Settings
+from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record

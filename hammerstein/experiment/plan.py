@@ -48,6 +48,7 @@ SECONDS_A_DRAW, SECONDS_A_DRAWN_CASE, SECONDS_A_DRAWN_SAMPLE = 5e-4, 1.3e-4, 4.3
 BYTES_A_ROW = 3_000
 BYTES_OF_DRAWN_FIGURES = 200
 RESAMPLED_BYTES = 50_000
+TRIED_OPERATORS = 60  # where their number is found
 BYTES_A_FITTED_SAMPLE, BYTES_A_REGRESSOR = 200, 24
 TAPS = 13.5  # of a reference filter of half the sample rate
 TOLD_S = 60.0
@@ -184,11 +185,12 @@ def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
 
 def _joint_fit(spec: JointFitSpec, label: str, m: int, p: int, step: float) -> Part:
     samples = m * (len(spec.frequencies_hz) + 1) * spec.record_s / step
-    fitted = samples * (BYTES_A_FITTED_SAMPLE + BYTES_A_REGRESSOR * spec.operators)
+    operators = TRIED_OPERATORS if spec.operators == "auto" else spec.operators
+    fitted = samples * (BYTES_A_FITTED_SAMPLE + BYTES_A_REGRESSOR * operators)
     return Part(
         f"the identification of {label!r} from {samples:.3g} samples",
         COPIES * run_bytes(samples, m, p) + fitted,
-        SECONDS_OF_A_FIT + samples * SECONDS_A_FITTED_SAMPLE * spec.operators / 15.0,
+        SECONDS_OF_A_FIT + samples * SECONDS_A_FITTED_SAMPLE * operators / 15.0,
         "its record_s or the number of frequencies_hz, or raise sample_time_s",
         once=True,
     )

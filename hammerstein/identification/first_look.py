@@ -8,6 +8,7 @@ from dataclasses import replace
 from hammerstein.arrays import Array
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.identification.axes_candidates import guesses_of, with_checked_delay
+from hammerstein.identification.choices import StartMode
 from hammerstein.identification.linear.axis_search import FirstGuess
 from hammerstein.identification.operators import (
     CURVE_SAMPLES,
@@ -18,7 +19,7 @@ from hammerstein.identification.operators import (
 )
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.history import StartMode, found_starts, judged_starts, shortened
+from hammerstein.identification.static.history import found_starts, judged_starts, shortened
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.static_candidates import late_static

@@ -15,12 +15,12 @@ from hammerstein.hysteresis import BoucWen, Hysteresis, RateDependent
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.behind import Behind, search_behind, sure_behind
 from hammerstein.identification.choice import Trial, chosen, judged_squares, parameters_of
+from hammerstein.identification.choices import HysteresisKind
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_search import WORSE_DELAYS
 from hammerstein.identification.linear.axis_task import parameters_of as axis_parameters
 from hammerstein.identification.linear.delay import MOST_DELAY
 from hammerstein.identification.score import Candidate, score
-from hammerstein.identification.settings import HysteresisKind
 from hammerstein.identification.static.asymmetric import fit_asymmetric
 from hammerstein.identification.static.asymmetric_choice import AsymmetricChoice, chosen_asymmetric
 from hammerstein.identification.static.bouc_wen import fit_bouc_wen

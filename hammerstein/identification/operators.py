@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
+from hammerstein.identification.choices import Partition
 from hammerstein.identification.score import ranges
 from hammerstein.identification.static.history import shortened
 from hammerstein.identification.static.normal_equations import (
@@ -28,8 +28,6 @@ from hammerstein.identification.static.static_block import half_swing, path_filt
 from hammerstein.records.driven import driven_inputs
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import find_cycles
-
-Partition = Literal["auto", "time", "voltage", "fitted"]
 
 COUNTS = (1, 2, 3, 4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60)
 """Numbers of operators that are tried."""

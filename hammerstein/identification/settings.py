@@ -11,24 +11,26 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake
-from hammerstein.identification.operators import Partition, input_grids
-from hammerstein.identification.static.history import StartMode
+from hammerstein.identification.choices import (
+    MOST_DEAD_ZONES,
+    DynamicsKind,
+    HysteresisKind,
+    Method,
+    Partition,
+    StartMode,
+)
+from hammerstein.identification.operators import input_grids
 from hammerstein.quantities import DELAY_SAMPLES, FREQUENCY_HZ, RIDGE, THRESHOLD_V
 from hammerstein.records.record import Record
-
-Method = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
-DynamicsKind = Literal["auto", "none", "lag", "second_order", "state_space"]
-HysteresisKind = Literal["prandtl_ishlinskii", "asymmetric", "rate_dependent", "bouc_wen"]
 
 MOST_OPERATORS = 200
 MOST_CREEP_MODES = 5
 MOST_STATES = 100
-MOST_DEAD_ZONES = 50
-_CHOICES = {
-    "partition": ("auto", "time", "voltage", "fitted"),
-    "method": ("closed_form", "least_squares", "nonnegative", "invertible"),
-    "dynamics": ("auto", "none", "lag", "second_order", "state_space"),
-    "start": ("auto", "rest", "repeated"),
+CHOICES = {
+    "partition": get_args(Partition),
+    "method": get_args(Method),
+    "dynamics": get_args(DynamicsKind),
+    "start": get_args(StartMode),
     "hysteresis": get_args(HysteresisKind),
 }
 
@@ -94,7 +96,7 @@ class Settings:
     def _unknown_choices(self) -> list[Mistake]:
         return [
             Mistake(name, f"{getattr(self, name)!r} is not known; choose one of {', '.join(known)}")
-            for name, known in _CHOICES.items()
+            for name, known in CHOICES.items()
             if getattr(self, name) not in known
         ]
 

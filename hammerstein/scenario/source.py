@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from hammerstein.quantities import Cycles, FileName, Frequency, Length, Modes, Operators, SampleTime, Size
+from hammerstein.hysteresis.kind import refuse_unbuilt
+from hammerstein.identification.choices import MOST_DEAD_ZONES, DynamicsKind, HysteresisKind, Partition
+from hammerstein.quantities import (
+    Cycles,
+    FileName,
+    Frequency,
+    Length,
+    Modes,
+    Operators,
+    Range,
+    SampleTime,
+    Size,
+)
 from hammerstein.validation import Strict
 
+if TYPE_CHECKING:
+    from hammerstein.identification.settings import Settings
+
+DeadZoneCount = Annotated[int, Range(0, MOST_DEAD_ZONES)]
 Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=1000)]
 
 
@@ -48,20 +64,48 @@ class JointFitSpec(Strict):
     amplitude_v: Size | None = Field(
         default=None, description="about the middle of the actuator's range; all of that if not given"
     )
-    operators: Operators = 15
-    partition: Literal["time", "voltage", "fitted"] = "time"
+    operators: Operators | Literal["auto"] = 15
+    partition: Partition = "time"
     frequencies_hz: Frequencies = (50.0,)
     record_s: Length = Field(default=0.1, description="length of each sine, and of the multisine")
     sample_time_s: SampleTime | None = Field(
         default=None, description="sample time of this experiment, where it is not that of the run"
     )
-    hysteresis: Literal["prandtl_ishlinskii", "asymmetric", "rate_dependent", "bouc_wen"] | None = Field(
+    hysteresis: HysteresisKind | None = Field(
         default=None,
         description="kind of the static block: asymmetric adds dead-zones, rate_dependent lets thresholds "
         "grow with the rate, bouc_wen has none; plays if not given",
     )
+    dead_zones: DeadZoneCount | None = Field(
+        default=None, description="of each input, with hysteresis asymmetric; found if not given"
+    )
+    dynamics: DynamicsKind | None = Field(
+        default=None, description="linear block of each axis; second_order, a resonance, if not given"
+    )
     creep_modes: Modes = 0
     creep_record_s: Length = Field(default=600.0, description="length of the slow record")
+
+    def settings(self) -> Settings:
+        """The options of ``identify``: each has the name and the meaning that it has there.
+
+        Raises InputError for what does not go together.
+        """
+        from hammerstein.identification.settings import Settings
+
+        return Settings(
+            operators=self.operators,
+            partition=self.partition,
+            hysteresis=self.hysteresis or "prandtl_ishlinskii",
+            dead_zones=self.dead_zones,
+            dynamics=self.dynamics or "second_order",
+            creep_modes=self.creep_modes,
+            error_curve=False,
+        )
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> Self:
+        refuse_unbuilt(self.settings)
+        return self
 
     @property
     def highest_frequency_hz(self) -> float:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Literal
 
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.identification.choices import StartMode
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.driven import driven_inputs, moves_while_held, run_in
 from hammerstein.records.record import Record
-
-StartMode = Literal["auto", "rest", "repeated"]
 
 CLOSED_V = 0.01
 CLOSED_UM = 0.02
