@@ -16,6 +16,8 @@ from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
+from hammerstein.reporting.figures.identified import identified_figures
+from hammerstein.reporting.fit_page import fit_page
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +137,33 @@ def test_an_unstable_model_never_wins():
     assert np.isinf(squares).all()
     fine = judged_squares(Candidate(model.hysteresis, model.dynamics), [one], [Start("rest")])
     assert chosen([Trial("fine", 5, fine), Trial("grows", 2, squares)]) == 0
+
+
+@pytest.mark.parametrize(("gain", "kept"), [(0.0007, 0), (0.015, 0), (0.025, 1)])
+def test_a_sure_gain_is_worth_its_parameters_from_two_percent_on(gain, kept):
+    """A gain that is the same on every part is infinitely many standard errors; its size decides."""
+    squares = np.array([1.0, 1.3, 0.8, 0.9])
+    few, many = Trial("few", 11, squares), Trial("many", 31, (1.0 - gain) ** 2 * squares)
+    assert chosen([few, many]) == kept
+
+
+def test_the_model_that_is_kept_obeys_the_rule_on_its_page(stage_fit):
+    model, fit = stage_fit
+    assert "within 2 % of the least, or within 5 % and one standard error of it" in fit_page(model, fit)
+    told = [trial for trial in fit.trials if trial.told]
+    enough = [trial for trial in told if 0.98 * trial.percent <= min(t.percent for t in told)]
+    kept = next(trial for trial in fit.trials if trial.kept)
+    assert kept.parameters <= min(trial.parameters for trial in enough)
+
+
+def test_linear_dynamics_that_are_kept_alone_stand_on_the_page():
+    made = made_up.stage(4, loop=0.0, plays=2, resonances_hz=(150.0, 190.0), noise_um=0.02, rate_hz=5e3)
+    fitted, held = stage_records(made, np.random.default_rng(3), cycles=4, hz=5.0)
+    model, fit = identify(fitted, Settings(), validation=[held])
+    assert fit.kind == "linear_dynamics"
+    row = next(line for line in fit_page(model, fit).splitlines() if line.startswith("| y1 | 1"))
+    assert float(row.split("|")[2].split("±")[0]) == pytest.approx(150.0, rel=0.01)
+    assert "response" in identified_figures(fit)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

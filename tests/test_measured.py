@@ -10,6 +10,7 @@ from record_cases import message, plain
 
 from hammerstein.dynamics import StateSpaceDynamics
 from hammerstein.identification.identify import identify
+from hammerstein.identification.settings import Settings
 from hammerstein.records.driven import driven_inputs
 from hammerstein.records.leads import leads
 from hammerstein.records.readers import read_columns
@@ -66,6 +67,15 @@ def test_micromanipulator_moves_too_slowly_to_tell_a_resonance(micromanipulator)
     assert fit.kind == "static_hysteresis"
     assert model.dynamics.kind == "static"
     assert fit.not_identifiable[0].startswith("resonance and damping of 5")
+
+
+@needs_dbo
+def test_a_third_of_the_numbers_is_kept_where_the_others_gain_a_thousandth(micromanipulator):
+    _, fit = identify(micromanipulator[0], Settings())
+    kept = next(trial for trial in fit.trials if trial.kept)
+    larger = next(trial for trial in fit.trials if trial.name == "plays as begun with, lag")
+    assert larger.percent < kept.percent < 1.005 * larger.percent
+    assert 2 * kept.parameters < larger.parameters
 
 
 @needs_dbo

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from hammerstein.comparison.fitting import Failed
+from hammerstein.identification.choice import CLOSE, FELT, NO_BETTER, STRETCHES
 from hammerstein.identification.fit import finite
 from hammerstein.identification.score import Score
 from hammerstein.model import HammersteinModel
@@ -17,10 +18,10 @@ if TYPE_CHECKING:
 
 FORMAT = "hammerstein-comparison/1"
 RULE = (
-    "Recommended is the model with the fewest parameters whose mean squared error is within one standard "
-    "error of the least, and its rms error within 5 % of the least; one without an inverse only where none "
-    "with an inverse is within one standard error. The standard error is that of the mean difference to the "
-    "best model, from the differences on the 16 parts into which each judged record falls."
+    f"Recommended is the model with the fewest parameters whose rms error is {CLOSE}; one without an inverse "
+    f"only where none with an inverse is as good, which is one that is within {100.0 * FELT:.0f} % or one "
+    "standard error. The standard error is that of the mean difference of the squared errors to the best "
+    f"model, from the differences on the {STRETCHES} parts into which each judged record falls."
 )
 
 
@@ -54,7 +55,7 @@ class Compared:
     parameters : free numbers
     fitted, held : errors on the records that it was fitted to, and on those held back; None if there are none
     fitted_at, held_at : the same of the records at one frequency [Hz]
-    as_good : whether its error is within one standard error of the least
+    as_good : whether its error is within 2 % or one standard error of the least
     seconds : of its identification; that with plays gives the linear models, too
     ns_a_sample : time of one sample of the model, all outputs together [ns]
     has_inverse : whether a compensator inverts it exactly
@@ -151,8 +152,7 @@ class Comparison:
         ]
         if best is not chosen:
             said.append(
-                f"{best.name} leaves {best.judged.mean_percent:.3g} % with {best.parameters}: no better by "
-                "more than chance."
+                f"{best.name} leaves {best.judged.mean_percent:.3g} % with {best.parameters}: {NO_BETTER}."
                 if chosen.as_good
                 else f"{best.name} leaves {best.judged.mean_percent:.3g} %, but has no inverse."
             )

@@ -13,6 +13,7 @@ from hammerstein.dynamics import (
     AxesDynamics,
     Axis,
 )
+from hammerstein.identification.choice import FELT
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_delay import checked_delay
 from hammerstein.identification.linear.axis_fit import AxesFit, AxisFit, fit_axes, fit_axis
@@ -46,7 +47,7 @@ from hammerstein.identification.static_candidates import (
     without_dynamics,
 )
 from hammerstein.identification.task import Blocks, Built, Found, Progress, Task, thresholds_of
-from hammerstein.identification.verdict import FELT, axis_identified, creep_identified
+from hammerstein.identification.verdict import axis_identified, creep_identified
 from hammerstein.records.record import Record
 
 GROWN_SAMPLES = 200_000
@@ -99,7 +100,7 @@ def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> Built:
     gains = static_blocks(task, task.linear_thresholds(), alone, "least_squares")
     found: dict[Kind, Found] = {
         **static.found,
-        "linear_dynamics": Found(task.candidate(gains.chosen.hysteresis, alone), gains),
+        "linear_dynamics": Found(task.candidate(gains.chosen.hysteresis, alone), gains, linear.axes),
         "hammerstein": Found(task.candidate(blocks.chosen.hysteresis, dynamics), blocks, axes),
     }
     return Built(found, "hammerstein", axes, notes, (*others, *tried))

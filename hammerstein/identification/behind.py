@@ -17,6 +17,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.hysteresis import Hysteresis
+from hammerstein.identification.choice import FELT
 from hammerstein.identification.linear.axis_delay import best_delay
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
 from hammerstein.identification.linear.axis_search import (
@@ -37,7 +38,7 @@ from hammerstein.identification.linear.axis_task import (
 from hammerstein.identification.score import begun, path_before
 from hammerstein.identification.static.regressors import Regressors, Start
 from hammerstein.identification.task import Task
-from hammerstein.identification.verdict import FELT, axis_identified, creep_identified
+from hammerstein.identification.verdict import axis_identified, creep_identified
 from hammerstein.records.record import Record
 
 MOST_CREEP = 3

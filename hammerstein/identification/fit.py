@@ -120,6 +120,11 @@ class Fit(Pictured):
         """Errors that the verdict rests on: on records held back, if there are any."""
         return self.validation or self.fit
 
+    @property
+    def is_static(self) -> bool:
+        """Whether the model that is kept has no linear block."""
+        return self.kind in ("linear", "static_hysteresis")
+
     def as_dict(self) -> dict[str, Any]:
         """Give plain values for JSON: ``fit`` and ``validation`` hold the errors of each kind of model."""
         plain = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in _OWN_FORM}

@@ -13,6 +13,7 @@ from hammerstein.dynamics import (
 )
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.identification.choice import FELT
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.coupled import fit_linear, fit_static_coupled, refit_linear
 from hammerstein.identification.score import Candidate, score
@@ -21,7 +22,6 @@ from hammerstein.identification.static.static_block import (
 )
 from hammerstein.identification.static_candidates import build_static, without_dynamics
 from hammerstein.identification.task import Blocks, Built, Found, Task
-from hammerstein.identification.verdict import FELT
 
 MOST_ROUNDS = 8
 """Most times that the two blocks are fitted in turn; each must gain a fiftieth."""

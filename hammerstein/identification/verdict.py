@@ -14,6 +14,7 @@ from hammerstein.dynamics import Dynamics, StateSpaceDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.invertibility import invertibility
+from hammerstein.identification.choice import FELT, NO_BETTER
 from hammerstein.identification.fit import KIND_NAMES, Kind
 from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.score import Candidate, Score
@@ -41,8 +42,6 @@ FASTER, WIDER, WIDER_PERCENT = 1.5, 1.15, 1.0
 UNSURE_PERCENT = 5.0
 UNSURE_DAMPING_PERCENT = 30.0
 UNSURE_LAG_PERCENT = 30.0
-FELT = 0.02
-"""Part by which dynamics must lower the error to be told at all."""
 SURE_CREEP = 3.0
 """Standard errors that the gain of a creep mode must have, if it was not asked for."""
 LOST = 1e-3
@@ -95,8 +94,7 @@ the model: it lowers the error from 7.4 to 0.8 %.
     largest = next(reversed([kind for kind in KIND_NAMES if kind in errors and kind != "classical"]))
     if kept is not None and kept != largest:
         sentences.append(
-            f"Kept is {KIND_NAMES[kept]}: {KIND_NAMES[largest]} is no better by more than chance, with more "
-            "parameters."
+            f"Kept is {KIND_NAMES[kept]}: {KIND_NAMES[largest]} is {NO_BETTER}, with more parameters."
         )
     sentences[:0] = leftover
     if flags:

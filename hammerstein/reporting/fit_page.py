@@ -14,6 +14,7 @@ from hammerstein.arrays import Array
 from hammerstein.escaping import markdown, markdown_page
 from hammerstein.experiment.selection import percent
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii, slopes_of
+from hammerstein.identification.choice import CLOSE
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.model import HammersteinModel
 
@@ -89,6 +90,7 @@ def fit_body(model: HammersteinModel, fit: Fit) -> str:
         "fit_body.md.jinja",
         fit=fit,
         kinds=KIND_NAMES,
+        close=CLOSE,
         infinity=math.inf,
         rates_hz=dict.fromkeys(f"{record.rate_hz:.6g} Hz" for record in fit.records),
         longest_s=max(record.samples * record.sample_time_s for record in fit.records),

@@ -71,7 +71,7 @@ def identified_figures(fit: Fit) -> dict[str, Figure]:
         figures["loops"] = loops
     if fit.error_curve:
         figures["operators"] = operators_figure(fit)
-    if fit.kind == "hammerstein":
+    if not fit.is_static:
         with contextlib.suppress(IdentificationError):  # sines alone tell no response at the lines between
             figures["response"] = response_figure(fit, measured_response(_longest(fit.records)))
     return figures
