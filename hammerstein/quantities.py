@@ -85,6 +85,7 @@ SAMPLE_TIME_S = Range(1e-9, 1e4)
 SCALE = Range(-1e12, 1e12)
 THRESHOLD_V = Range(0.0, 1e6)
 DELAY_SAMPLES = Range(0, 10**6)
+DELAY_S = Range(0.0, 1e4)
 RATE_HZ = Range(1e-4, 1e9)
 RIDGE = Range(0.0, 1e12)
 SEED = Range(0, 2**53)  # as large as JSON keeps whole numbers
@@ -106,7 +107,7 @@ Scale = Annotated[float, SCALE]
 # Times
 Wait = Annotated[float, Range(1e-9, 1e8, or_zero=True)]
 Length = Annotated[float, Range(1e-6, 1e8)]
-Delay = Annotated[float, Range(0.0, 1e4)]
+Delay = Annotated[float, DELAY_S]
 TimeConstant = Annotated[float, Range(1e-9, 1e10)]
 
 # Of models

@@ -11,6 +11,7 @@ from record_cases import plain
 from hammerstein.dynamics import AxesDynamics, Axis, discretise
 from hammerstein.identification.choice import Trial, chosen, judged_squares
 from hammerstein.identification.identify import identify
+from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
@@ -119,7 +120,7 @@ def test_an_axis_with_a_low_pass_has_the_response_of_theory():
     w = 2.0 * np.pi * 300.0
     theory = w**2 / (s**2 + 0.2 * w * s + w**2) / (1.0 + 1e-3 * s) * np.exp(-s * 0.5e-5)
     assert np.abs(block.response(s.imag / (2.0 * np.pi))[:, 0, 0] - theory).max() < 2e-3
-    quick = AxisTask((), (), (np.zeros(1),), 0, AxisShape(lag=True), 0, None)
+    quick = AxisTask((), (), (np.zeros(1),), 0, AxisShape(lag=True), 0, KnownSensor())
     x = np.log([300.0, 0.1, 1e-3])
     hz = [0.0, 50.0, 900.0]
     assert np.abs(quick.path(x, 1e-5).response(hz) - block.response(hz)).max() < 1e-9

@@ -172,6 +172,7 @@ def test_a_mistake_in_an_option_names_the_option(tmp_path, capsys, csv):
     for more, told in (
         (options, ("--creep-modes", "must be 0 to 5")),
         (options, ("--sensor-bandwidth", "must be")),
+        (["--sensor-delay", "-1e-5"], ("--sensor-delay", "must be 0 to 10000")),
         (["--operators", "x"], ("--operators", "'x' is neither a number nor auto")),
         (["--thresholds", "x"], ("--thresholds", "'x' are no voltages")),
         (["--thresholds", "3,1"], ("--thresholds", "each larger than the one before")),

@@ -144,6 +144,10 @@ class Identified:
     sensor_bandwidth: Annotated[
         float | None, typer.Option(metavar="HZ", help="Of the sensor, from its data sheet.")
     ] = None
+    sensor_delay: Annotated[
+        float,
+        typer.Option(metavar="SECONDS", help="By which the sensor reports late: kept out of the model."),
+    ] = 0.0
 
     def settings(self, **more: Any) -> Settings:
         """The settings, with what one command alone asks for."""
@@ -152,5 +156,6 @@ class Identified:
 
         asked = asdict(self)
         asked["sensor_bandwidth_hz"] = asked.pop("sensor_bandwidth")
+        asked["sensor_delay_s"] = asked.pop("sensor_delay")
         with told_by_options("identification"):
             return settings_of(**asked, **more)

@@ -17,6 +17,7 @@ _OPTIONS = {
     "range_v": "range",
     "start_v": "start",
     "sensor_bandwidth_hz": "sensor-bandwidth",
+    "sensor_delay_s": "sensor-delay",
     "thresholds_v": "thresholds",
 }
 

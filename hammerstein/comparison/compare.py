@@ -71,8 +71,10 @@ def compare(
     (1, 6)
     """
     tell = progress or (lambda what, done, total: None)
-    ready, held = from_last_rest(records), from_last_rest(validation) if validation else ()
-    fitted, failed = fit_all(records, settings or Settings(), validation, jobs, tell)
+    settings = settings or Settings()
+    ready = from_last_rest(records, settings.sensor)
+    held = from_last_rest(validation, settings.sensor) if validation else ()
+    fitted, failed = fit_all(records, settings, validation, jobs, tell)
     tell("playing the compensators", 1, 1)
     judged = held or ready
     grid_s = judged[0].sample_time_s

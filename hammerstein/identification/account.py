@@ -86,6 +86,7 @@ def account(
         delay_samples=delay_in_samples(best.dynamics.input_delay_s, record.sample_time_s),
         sample_time_s=record.sample_time_s,
         sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
+        sensor_delay_s=settings.sensor_delay_s,
         offsets_um=tuple(tuple(row) for row in _offsets(best, task).tolist()),
         starts=task.starts,
         held_starts=held_starts,

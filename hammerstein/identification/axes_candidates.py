@@ -152,7 +152,7 @@ def guesses_of(
             starts,
             grids=grids,
             delay_samples=settings.delay_samples,
-            sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
+            sensor=settings.sensor,
             resonance=resonance,
             lag=lag,
             progress=tell,
@@ -169,7 +169,7 @@ def with_checked_delay(task: Task, guess: FirstGuess) -> FirstGuess:
         task.starts,
         SlopeColumns.of(task.thresholds_v).grids,
         guess,
-        sensor_bandwidth_hz=task.settings.sensor_bandwidth_hz,
+        sensor=task.settings.sensor,
     )
 
 
@@ -190,7 +190,7 @@ def _axes(task: Task, thresholds_v: Thresholds, guess: FirstGuess, every: int) -
         task.starts,
         guess,
         creep_modes=settings.creep_modes if isinstance(settings.creep_modes, int) else None,
-        sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
+        sensor=settings.sensor,
         every=every,
         progress=task.progress,
     )
@@ -265,9 +265,7 @@ def _with(task: Task, grids: tuple[Array, ...], blocks: Blocks, o: int, old: Axi
         shape, x = AxisShape(False), np.empty(0)
     if step == "lag" and (shape.lag or not shape.resonance):
         return old
-    full = AxisTask(
-        task.records, task.starts, grids, o, shape, task.delay_samples, task.settings.sensor_bandwidth_hz
-    )
+    full = AxisTask(task.records, task.starts, grids, o, shape, task.delay_samples, task.settings.sensor)
     row = blocks.chosen.hysteresis.pairs[o]
     slopes = SlopeColumns.of(thresholds_of(blocks)).merge[o] @ np.concatenate([pair.slopes for pair in row])
     few, begun = shortened(task.records, task.starts, GROWN_SAMPLES)

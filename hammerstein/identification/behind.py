@@ -170,7 +170,7 @@ def _axis_tasks(task: Task, hysteresis: Hysteresis[Any], o: int, numbers: Sequen
     each = zip(task.records, task.starts, strict=True)
     raw = [_columns(hysteresis, record, start, o) for record, start in each]
     told = _told(raw, every)
-    sensor = task.settings.sensor_bandwidth_hz
+    sensor = task.settings.sensor
 
     def with_columns(number: int) -> AxisTask:
         mix = told if len(told) <= number else np.vstack([hysteresis.weights[o], told[-number:]])

@@ -186,10 +186,7 @@ def crossed_squares(candidate: Candidate, records: Sequence[Record], starts: Seq
     columns = sum(map(len, layout.grids))
     whole, part_s = split_delay(candidate.dynamics.input_delay_s, records[0].sample_time_s)
     prompt = candidate.dynamics.model_copy(update={"input_delay_s": part_s})
-    sensor = candidate.sensor_bandwidth_hz
-    blocks = [discretise(prompt, record.sample_time_s, sensor) for record in records]
-    if isinstance(prompt, StaticDynamics) and sensor is None:
-        blocks = []
+    blocks = candidate.sensor.paths(prompt, records)
     total = np.zeros((len(records), FOLDS))
     for o in range(p):
         merge = layout.merge[o]

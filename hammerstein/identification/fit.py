@@ -58,9 +58,10 @@ class Fit(Pictured):
     amplitude_v : largest half swing of an input in the records [V]
     amplitudes_v : (input,) half swing of each one [V]
     voltages : working point and range of the records
-    delay_samples : samples by which the outputs come late
+    delay_samples : samples by which the outputs come late, beside the sensor's delay
     sample_time_s : time between samples of the records [s]
     sensor_bandwidth_hz : what the sensor was taken for [Hz]
+    sensor_delay_s : time by which its readings were taken to be late [s]; not in ``delay_samples``
     offsets_um : (record, output) readings that belong to an output of zero [um]
     starts : what went before each record
     held_starts : the same for the records held back
@@ -91,6 +92,7 @@ class Fit(Pictured):
     delay_samples: float
     sample_time_s: float
     sensor_bandwidth_hz: float | None
+    sensor_delay_s: float
     offsets_um: tuple[tuple[float, ...], ...]
     starts: tuple[Start, ...]
     held_starts: tuple[Start, ...]

@@ -18,6 +18,7 @@ from hammerstein.identification.excitation import refuse_noise, refuse_one_way, 
 from hammerstein.identification.first_look import first_task, settle_s_of, start_mode
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.kinds import with_hysteresis
+from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_search import FirstGuess
 from hammerstein.identification.recorded import counted, voltages_of
 from hammerstein.identification.score import score
@@ -109,8 +110,8 @@ def identify(
     if settings.hysteresis == "rate_dependent" and settings.delay_samples is None:
         settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
     tell = progress or (lambda _: None)
-    ready = from_last_rest(records)
-    held = from_last_rest(validation) if validation else ()
+    ready = from_last_rest(records, settings.sensor)
+    held = from_last_rest(validation, settings.sensor) if validation else ()
     _refuse_mixed([*ready, *held])
     if not settings.shapes and settings.dynamics != "state_space":
         refuse_one_way(ready)
@@ -168,13 +169,17 @@ def _kept(
     return replace(built, kind=kind, found={**built.found, kind: with_errors(task, found)}), marked
 
 
-def from_last_rest(records: Sequence[Record]) -> tuple[Record, ...]:
-    """Records from where they last rested, with their voltages counted from there."""
+def from_last_rest(records: Sequence[Record], sensor: KnownSensor | None = None) -> tuple[Record, ...]:
+    """Records from where they last rested, with their voltages counted from there.
+
+    sensor : whose known delay is taken off the readings, in whole samples; none if not given
+    """
     if not records:
         raise InputError("records", "none was given")
     _refuse_mixed(records)
     refuse_swapped(records)
-    return tuple(counted(_without_dead_start(record)) for record in records)
+    prompt = [(sensor or KnownSensor()).prompt(record) for record in records]
+    return tuple(counted(_without_dead_start(record)) for record in prompt)
 
 
 def _without_dead_start(record: Record) -> Record:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import Dynamics, discretise
+from hammerstein.dynamics import Dynamics
 from hammerstein.hysteresis import Hysteresis
+from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 
-_block = lru_cache(maxsize=16)(discretise)
+_path = lru_cache(maxsize=16)(KnownSensor.path)
 """Many starts are tried with one and the same model."""
 
 
@@ -25,11 +26,11 @@ class Candidate:
 
     hysteresis: Hysteresis[Any]
     dynamics: Dynamics
-    sensor_bandwidth_hz: float | None = None
+    sensor: KnownSensor = field(default_factory=KnownSensor)
 
     def predict(self, record: Record, start: Start) -> Array:
         """Readings (output, sample) to the voltages of a record, without offset [um]."""
-        block = _block(self.dynamics, record.sample_time_s, self.sensor_bandwidth_hz)
+        block = _path(self.sensor, self.dynamics, record.sample_time_s)
         hysteresis = self.hysteresis.counted_from(record.rest_v).on_grid(record.sample_time_s)
         before = begun(hysteresis, record, start)
         v, memory = hysteresis.respond(record.u_v, before)

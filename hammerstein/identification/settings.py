@@ -19,8 +19,9 @@ from hammerstein.identification.choices import (
     Partition,
     StartMode,
 )
+from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.operators import input_grids
-from hammerstein.quantities import DELAY_SAMPLES, FREQUENCY_HZ, RIDGE, THRESHOLD_V
+from hammerstein.quantities import DELAY_S, DELAY_SAMPLES, FREQUENCY_HZ, RIDGE, THRESHOLD_V
 from hammerstein.records.record import Record
 
 MOST_OPERATORS = 200
@@ -55,8 +56,10 @@ class Settings:
         ``state_space``, or ``auto``: what lowers the error of the first three, or a resonance with a low-pass
     order : number of states of a state-space model; None: as many as the records tell
     creep_modes : slow modes of each axis; ``auto``: one where it lowers the error
-    delay_samples : whole samples by which the outputs come late; None: found
+    delay_samples : whole samples by which the outputs come late, beside the sensor's delay; None: found
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; None: unlimited
+    sensor_delay_s : time by which the sensor reports late beside that [s], from its data sheet: kept out of
+        the model, whose own delay is what the readings come late more
     start : what went before each record: ``rest``, ``repeated`` (the like of it), or ``auto``: found out
     hysteresis : kind of the static block: ``prandtl_ishlinskii``, or ``asymmetric`` with one-sided dead-zones
         beside the plays, ``rate_dependent`` with thresholds that grow with the rate, or ``bouc_wen``
@@ -74,6 +77,7 @@ class Settings:
     creep_modes: int | Literal["auto"] = "auto"
     delay_samples: int | None = None
     sensor_bandwidth_hz: float | None = None
+    sensor_delay_s: float = 0.0
     start: StartMode = "auto"
     hysteresis: HysteresisKind = "prandtl_ishlinskii"
     dead_zones: int | None = None
@@ -102,6 +106,10 @@ class Settings:
 
     def _misfits(self) -> list[Mistake]:
         mistakes = []
+        if self.dynamics == "state_space":
+            told = {"sensor_bandwidth_hz": self.sensor_bandwidth_hz, "sensor_delay_s": self.sensor_delay_s}
+            why = "cannot be taken out of dynamics state_space; choose others, or its states hold it, too"
+            mistakes += [Mistake(name, why) for name, value in told.items() if value]
         if self.dynamics != "state_space" and self.order is not None:
             mistakes.append(Mistake("order", "belongs to dynamics state_space"))
         if self.creep_modes not in (0, "auto") and self.dynamics in ("none", "state_space"):
@@ -164,6 +172,7 @@ class Settings:
             "creep_modes": self.creep_modes != "auto" and not 0 <= int(self.creep_modes) <= MOST_CREEP_MODES,
             "delay_samples": self.delay_samples is not None and not DELAY_SAMPLES.holds(self.delay_samples),
             "sensor_bandwidth_hz": bandwidth is not None and not FREQUENCY_HZ.holds(bandwidth),
+            "sensor_delay_s": not DELAY_S.holds(self.sensor_delay_s),
             "ridge": not RIDGE.holds(self.ridge),
             "dead_zones": self.dead_zones is not None and not 0 <= self.dead_zones <= MOST_DEAD_ZONES,
             "thresholds": not all(map(THRESHOLD_V.holds, thresholds)) or not _rises(self.thresholds_v),
@@ -174,11 +183,17 @@ class Settings:
             "creep_modes": f"must be 0 to {MOST_CREEP_MODES}",
             "delay_samples": DELAY_SAMPLES.words(),
             "sensor_bandwidth_hz": f"{FREQUENCY_HZ.words()}; leave it out for a sensor without lag",
+            "sensor_delay_s": DELAY_S.words(),
             "ridge": RIDGE.words(),
             "dead_zones": f"must be 0 to {MOST_DEAD_ZONES}",
             "thresholds": f"{THRESHOLD_V.words()}, each larger than the one before",
         }
         return [Mistake(name, limits[name]) for name, is_wrong in wrong.items() if is_wrong]
+
+    @property
+    def sensor(self) -> KnownSensor:
+        """What is known of the sensor."""
+        return KnownSensor(self.sensor_bandwidth_hz, self.sensor_delay_s)
 
     @property
     def fits_thresholds(self) -> bool:

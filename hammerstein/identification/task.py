@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import Dynamics, LinearBlock, StaticDynamics, discretise
+from hammerstein.dynamics import Dynamics, LinearBlock
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_fit import AxisFit
@@ -28,7 +28,8 @@ Progress = Callable[[str], None]
 class Task:
     """Records with all that is known before the candidates are fitted.
 
-    ``static_delay_samples`` is the delay that suits a model without dynamics, where it is another.
+    Delays are those beside the sensor's. ``static_delay_samples`` is the delay that suits a model without
+    dynamics, where it is another.
     """
 
     records: tuple[Record, ...]
@@ -67,15 +68,12 @@ class Task:
         """Discrete path of each record from the static block to the reading, with the part of a sample."""
         part_s = (self.delay_samples - self.whole_delay) * self.records[0].sample_time_s
         prompt = dynamics.model_copy(update={"input_delay_s": part_s})
-        sensor = self.settings.sensor_bandwidth_hz
-        if isinstance(prompt, StaticDynamics) and sensor is None:
-            return []
-        return [discretise(prompt, record.sample_time_s, sensor) for record in self.records]
+        return self.settings.sensor.paths(prompt, self.records)
 
     def candidate(self, hysteresis: Hysteresis[Any], dynamics: Dynamics) -> Candidate:
         """Static block and linear block as a model with the delay of the task."""
         late = dynamics.model_copy(update={"input_delay_s": self.delay_s})
-        return Candidate(hysteresis, late, self.settings.sensor_bandwidth_hz)
+        return Candidate(hysteresis, late, self.settings.sensor)
 
 
 @dataclass(frozen=True, eq=False)

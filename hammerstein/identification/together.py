@@ -172,7 +172,7 @@ class _Search:
 
     def _axis_task(self, o: int, kept: tuple[Regressors, ...]) -> AxisTask:
         task, (shape, _) = self.task, parameters_of(self.found.axes[o])
-        sensor, every = task.settings.sensor_bandwidth_hz, thinning(task.records)
+        sensor, every = task.settings.sensor, thinning(task.records)
         return AxisTask(task.records, task.starts, (), o, shape, task.delay_samples, sensor, every, kept)
 
     def _columns(self, block: RateDependent) -> tuple[Regressors, ...]:

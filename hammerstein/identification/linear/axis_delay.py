@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_search import GUESS_SAMPLES, TINY, FirstGuess, thinning
 from hammerstein.identification.linear.axis_steps import Point, refine
 from hammerstein.identification.linear.axis_task import AxisTask
@@ -33,7 +34,7 @@ def checked_delay(
     grids: Sequence[Array],
     guess: FirstGuess,
     *,
-    sensor_bandwidth_hz: float | None = None,
+    sensor: KnownSensor | None = None,
 ) -> FirstGuess:
     """Guess with the delay that is best with all thresholds; the guess itself if that is the one it has.
 
@@ -45,7 +46,7 @@ def checked_delay(
     records, starts : as for the search
     grids : thresholds of each input [V]
     guess : what the search has found; nothing is done if the delay was given
-    sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; none if not given
+    sensor : what is known of it; nothing if not given
     """
     if not len(guess.delay_rms_um):
         return guess
@@ -54,7 +55,7 @@ def checked_delay(
 
     def points(delay: float, begins: Sequence[Array]) -> list[Point]:
         tasks = [
-            AxisTask(quick, begun, tuple(grids), o, shape, delay, sensor_bandwidth_hz, every)
+            AxisTask(quick, begun, tuple(grids), o, shape, delay, sensor or KnownSensor(), every)
             for o, shape in enumerate(guess.shapes)
         ]
         return [refine(task, x) for task, x in zip(tasks, begins, strict=True)]

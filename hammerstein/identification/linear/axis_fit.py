@@ -12,6 +12,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis
+from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_search import FirstGuess, Progress, uniform_grids
 from hammerstein.identification.linear.axis_steps import Point, alone, refine, residuals
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of, duration_s
@@ -56,7 +57,7 @@ class AxisFit:
 def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
     """Fit one axis from parameters near the best ones; creep is begun anew if ``begin`` holds none."""
     shape = task.shape
-    static = alone(task, task.sensor)[1]
+    static = alone(task, task.sensor_path)[1]
     x = begin if len(begin) == shape.parameters else np.concatenate([begin[: shape.slow], _first_creep(task)])
     if not shape.parameters:
         return AxisFit(Axis(), None, None, (), static, static)
@@ -151,7 +152,7 @@ def fit_axes(
     guess: FirstGuess,
     *,
     creep_modes: int | None = 0,
-    sensor_bandwidth_hz: float | None = None,
+    sensor: KnownSensor | None = None,
     every: int = 1,
     progress: Progress | None = None,
 ) -> AxesFit:
@@ -164,7 +165,7 @@ def fit_axes(
     starts : what went before each record
     guess : where to begin
     creep_modes : slow modes of each axis; None: as many as the guess has
-    sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz]
+    sensor : what is known of it; nothing if not given
     every : samples of which one is counted in the sums
     progress : told what is being done
     """
@@ -179,7 +180,7 @@ def fit_axes(
             o,
             shape if creep_modes is None else replace(shape, creep_modes=creep_modes),
             guess.delay_samples,
-            sensor_bandwidth_hz,
+            sensor or KnownSensor(),
             every,
         )
         fits.append(fit_axis(task, begin))

@@ -11,6 +11,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics
+from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_steps import Point, alone, refine, residuals, rms_behind
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, duration_s
 from hammerstein.identification.linear.delay import MOST_DELAY, shortest_delay
@@ -81,7 +82,7 @@ def search_axes(
     *,
     grids: Sequence[Array] | None = None,
     delay_samples: int | None = 0,
-    sensor_bandwidth_hz: float | None = None,
+    sensor: KnownSensor | None = None,
     lag: bool = False,
     resonance: bool = True,
     progress: Progress | None = None,
@@ -95,7 +96,7 @@ def search_axes(
     grids : thresholds of each input [V]; uniform in voltage if not given
     delay_samples : whole samples by which the outputs come late; None: found, if all
         records have one sample time
-    sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; none if not given
+    sensor : what is known of it; nothing if not given
     lag, resonance : what each axis consists of
     progress : told what is being done
     """
@@ -108,7 +109,7 @@ def search_axes(
     for o, name in enumerate(records[0].outputs):
         tell(f"searching the {'resonance' if resonance else 'lag'} of {name}")
         shape = AxisShape(resonance, lag)
-        full = AxisTask(quick, begun, plays, o, shape, delay_samples or 0, sensor_bandwidth_hz, every)
+        full = AxisTask(quick, begun, plays, o, shape, delay_samples or 0, sensor or KnownSensor(), every)
         task, x = _searched(full, closely=grids is not None)
         tasks.append(task)
         begins.append(x)
@@ -125,7 +126,7 @@ def search_axes(
 def _searched(full: AxisTask, closely: bool) -> tuple[AxisTask, Array]:
     """Axis near the best one, and the task with few columns that it was found with."""
     shape = full.shape
-    task = full.mixed(alone(full, full.sensor)[0])
+    task = full.mixed(alone(full, full.sensor_path)[0])
     x = np.empty(0)
     for turn in range(SEARCH_TURNS):
         if shape.resonance:
@@ -184,9 +185,9 @@ def ringing_hz(task: AxisTask) -> list[float]:
     """Frequencies at which what a static block leaves stands out of its neighbourhood, clearest first."""
     from scipy.signal import find_peaks, welch
 
-    slopes, _ = alone(task, task.sensor)
+    slopes, _ = alone(task, task.sensor_path)
     found: list[tuple[float, float]] = []
-    for record, left in zip(task.records, residuals(task, task.sensor, slopes), strict=True):
+    for record, left in zip(task.records, residuals(task, task.sensor_path, slopes), strict=True):
         if len(left) < 2 * LEAST_WINDOW:
             continue
         frequency_hz, power = welch(left, 1.0 / record.sample_time_s, nperseg=min(len(left), WINDOW))

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import Axis, CreepMode, LinearBlock
+from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.static.normal_equations import Moments, moments_of, pooled
 from hammerstein.identification.static.regressors import (
     Filter,
@@ -136,7 +137,7 @@ class AxisTask:
 
     ``every`` leaves out samples of the sums, not of the signals: 3 takes every third. ``kept`` takes the
     place of the columns of all thresholds, see ``mixed``. Whole samples of the delay shift the columns, the
-    rest of it belongs to the path.
+    rest of it belongs to the path; so does what the sensor is late beside it.
     """
 
     records: tuple[Record, ...]
@@ -145,7 +146,7 @@ class AxisTask:
     output: int
     shape: AxisShape
     delay_samples: float
-    sensor_bandwidth_hz: float | None
+    sensor: KnownSensor
     every: int = 1
     kept: tuple[Regressors, ...] = ()
 
@@ -181,7 +182,7 @@ class AxisTask:
     def blocks(self, number: int, filters: Sequence[Filter]) -> Iterator[tuple[int, Array]]:
         """First sample and columns of each block of a record behind the filters."""
         record, start = self.records[number], self.starts[number]
-        whole = math.floor(self.delay_samples)
+        whole, _ = self.late(record.sample_time_s)
         if self.kept:
             return self.kept[number].blocks(start, whole, filters)
         return regressor_blocks(delayed(record, start, whole), start, self.grids, filters)
@@ -203,20 +204,25 @@ class AxisTask:
     def path(self, x: Array, sample_time_s: float) -> LinearBlock:
         """Discrete path from the static block to the reading: what ``discretise`` gives, but quickly."""
         a, b, c, d = axis_matrices(self.shape, x)
-        if self.sensor_bandwidth_hz is not None:
-            s = 2.0 * math.pi * self.sensor_bandwidth_hz
+        if self.sensor.bandwidth_hz is not None:
+            s = 2.0 * math.pi * self.sensor.bandwidth_hz
             a = np.block([[a, np.zeros((len(a), 1))], [s * c, np.full((1, 1), -s)]])
             b = np.vstack([b, s * d])
             c, d = np.eye(len(a))[-1:], np.zeros((1, 1))
-        return held(a, b, c, d, sample_time_s, self.delay_samples % 1.0)
+        return held(a, b, c, d, sample_time_s, self.late(sample_time_s)[1])
 
-    def sensor(self, sample_time_s: float) -> LinearBlock:
+    def late(self, sample_time_s: float) -> tuple[int, float]:
+        """Whole samples by which a reading comes late, and the part of one, by the sensor's delay, too."""
+        samples = self.delay_samples + self.sensor.part_s(sample_time_s) / sample_time_s
+        return math.floor(samples), samples % 1.0
+
+    def sensor_path(self, sample_time_s: float) -> LinearBlock:
         """Discrete path of an axis without dynamics: the sensor alone."""
-        late, one = self.delay_samples % 1.0, np.ones((1, 1))
-        if self.sensor_bandwidth_hz is None:
+        (_, late), one = self.late(sample_time_s), np.ones((1, 1))
+        if self.sensor.bandwidth_hz is None:
             none = np.empty((0, 0))
             return held(none, np.empty((0, 1)), np.empty((1, 0)), one, sample_time_s, late)
-        s = 2.0 * math.pi * self.sensor_bandwidth_hz * one
+        s = 2.0 * math.pi * self.sensor.bandwidth_hz * one
         return held(-s, s, one, 0.0 * one, sample_time_s, late)
 
     def derivatives(self, x: Array, slopes: Array, sample_time_s: float) -> Derivatives:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hammerstein.arrays import Array, Complex
-from hammerstein.dynamics import discretise
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.linear.coupled import measured_response
@@ -291,7 +290,7 @@ def _draw_spectrum(axes: Axes, frequency_hz: Array, values: Array, number: int) 
 
 def model_response(model: Candidate, fit: Fit, frequency_hz: Array) -> Complex:
     """Linearised response (frequency, output, input) of a model with its sensor [um/V]."""
-    block = discretise(model.dynamics, fit.sample_time_s, fit.sensor_bandwidth_hz)
+    block = model.sensor.path(model.dynamics, fit.sample_time_s)
     p = len(fit.outputs)
     linear = block.response(frequency_hz)[:, block.n_outputs - p :]
     return np.asarray(linear @ describing_gain(model, fit.amplitudes_v))

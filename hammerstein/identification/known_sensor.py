@@ -1,0 +1,74 @@
+"""The sensor of a set-up as its data sheet says: what it does to a reading is not the actuator's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hammerstein.dynamics import Dynamics, LinearBlock, StaticDynamics, discretise, split_delay
+from hammerstein.errors import InputError
+from hammerstein.records.checks import FEWEST_SAMPLES
+from hammerstein.records.record import Record
+
+
+@dataclass(frozen=True)
+class KnownSensor:
+    """Sensor whose readings lag and come late by what is known.
+
+    A reading that is late by so many samples and a part of one is that of voltages as late: whole samples are
+    taken off a record before anything else is done with it, each by its own sample time, and the part that is
+    left stands in the path from the voltages to the reading.
+
+    Parameters
+    ----------
+    bandwidth_hz : of a first-order sensor [Hz]; None: unlimited
+    delay_s : time by which its readings come late beside that [s]
+    """
+
+    bandwidth_hz: float | None = None
+    delay_s: float = 0.0
+
+    def part_s(self, sample_time_s: float) -> float:
+        """What whole samples leave of the delay [s]."""
+        return split_delay(self.delay_s, sample_time_s)[1]
+
+    def prompt(self, record: Record) -> Record:
+        """The record with its readings earlier by the whole samples of the delay; their row numbers stay.
+
+        A period that is repeated goes on at its beginning; of any other record the last voltages go, whose
+        readings are not known.
+
+        Raises InputError for a record that is hardly longer than the delay.
+
+        Examples
+        --------
+        >>> u = np.sin(np.linspace(0.0, 12.0, 300))
+        >>> late = Record([u[2:]], [u[:-2]], 1e-3)
+        >>> prompt = KnownSensor(delay_s=2.3e-3).prompt(late)
+        >>> prompt.samples, bool((prompt.u_v == prompt.y_um).all()), prompt.rows[:2]
+        (296, True, array([3, 4]))
+        """
+        samples, _ = split_delay(self.delay_s, record.sample_time_s)
+        if samples == 0:
+            return record
+        if record.samples - samples < FEWEST_SAMPLES:
+            what = f"has {record.samples} samples, and the sensor is said to come {samples} late"
+            raise InputError(record.source, f"{what} ({self.delay_s:g} s); check its delay, or record longer")
+        if record.period_samples is not None and record.samples % record.period_samples == 0:
+            return replace(record, y_um=np.roll(record.y_um, -samples, axis=1), verified=True)
+        kept = record.part(samples, record.samples)
+        return replace(kept, u_v=record.u_v[:, : kept.samples], verified=True)
+
+    def path(self, dynamics: Dynamics, sample_time_s: float) -> LinearBlock:
+        """Discrete path from the static block to the reading of a prompt record."""
+        late = {"input_delay_s": dynamics.input_delay_s + self.part_s(sample_time_s)}
+        return discretise(dynamics.model_copy(update=late), sample_time_s, self.bandwidth_hz)
+
+    def paths(self, dynamics: Dynamics, records: Sequence[Record]) -> list[LinearBlock]:
+        """Path of each record; none at all where nothing stands between static block and reading."""
+        late = dynamics.input_delay_s or any(self.part_s(record.sample_time_s) for record in records)
+        if isinstance(dynamics, StaticDynamics) and self.bandwidth_hz is None and not late:
+            return []
+        return [self.path(dynamics, record.sample_time_s) for record in records]

@@ -1,0 +1,94 @@
+"""A sensor that is known to report late: its delay is no part of the model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from record_cases import message, plain
+from test_second_order import AXES, SENSOR_HZ, R, T, campaign, record_of
+
+from hammerstein.comparison.compare import compare
+from hammerstein.identification.identify import identify
+from hammerstein.identification.known_sensor import KnownSensor
+from hammerstein.identification.settings import Settings
+from hammerstein.records.record import Record
+from hammerstein.reporting.fit_page import fit_page
+
+PARTS = 8
+"""Parts of a sample in which the truth is computed."""
+
+
+def late_records(late: int, noise: float = 0.02, every: int = 1) -> list[Record]:
+    """The campaign with readings so many eighths of a sample late; ``every`` takes a coarser grid."""
+    generator, found = np.random.default_rng(3), []
+    for record in campaign(0.0):
+        held = np.repeat(record.u_v[:, ::every], every, axis=1)
+        fine = record_of(np.repeat(held, PARTS, axis=1), 0.0, generator, delay=late, sample_time_s=T / PARTS)
+        y = fine.y_um[:, :: PARTS * every]
+        y = y + noise * generator.standard_normal(y.shape)
+        found.append(Record(record.u_v[:, ::every], y, T * every))
+    return found
+
+
+def known(late: int, **options) -> Settings:
+    """Second-order axes behind the true thresholds, and a sensor so many eighths of a sample late."""
+    sensor = {"sensor_bandwidth_hz": SENSOR_HZ, "sensor_delay_s": late / PARTS * T}
+    return plain(dynamics="second_order", thresholds_v=R, **(sensor | options))
+
+
+@pytest.mark.parametrize(("sensor", "actuator"), [(19, 0), (19, 5), (6, 0), (8, 8)])
+def test_a_known_delay_of_the_sensor_is_not_the_actuators(sensor, actuator):
+    model, fit = identify(late_records(sensor + actuator), known(sensor))
+    assert model.dynamics.input_delay_s == pytest.approx(actuator / PARTS * T, abs=0.05 * T)
+    assert fit.delay_samples == pytest.approx(actuator / PARTS, abs=0.05)
+    for axis, (resonance_hz, damping) in zip(model.dynamics.axes, AXES, strict=True):
+        assert axis.resonance_hz == pytest.approx(resonance_hz, rel=2e-3)
+        assert axis.damping_ratio == pytest.approx(damping, rel=1e-2)
+    assert max(fit.fit["hammerstein"].rms_um) < 0.03
+    page = fit_page(model, fit)
+    assert f"| sensor delay, as given | {sensor / PARTS * T:.4g} s" in page
+    assert "beside the sensor's" in page
+    assert "taken as the actuator's" not in page
+
+
+def test_records_of_several_sample_times_have_one_delay():
+    late = 19
+    records = [*late_records(late), *late_records(late, every=2)]
+    model, fit = identify(records, known(late, delay_samples=0))
+    for axis, (resonance_hz, _) in zip(model.dynamics.axes, AXES, strict=True):
+        assert axis.resonance_hz == pytest.approx(resonance_hz, rel=2e-3)
+    assert max(fit.fit["hammerstein"].rms_um) < 0.03
+    assert model.dynamics.input_delay_s == 0.0
+
+
+def test_a_comparison_judges_with_the_sensor_that_is_given():
+    found = compare(late_records(16), known(16, delay_samples=0), validation=late_records(16)[:2])
+    assert found["prandtl_ishlinskii with dynamics"].judged.rms_um[0] < 0.03
+
+
+def test_static_plays_see_whole_samples_and_parts():
+    u = 10.0 * np.sin(2.0 * np.pi * np.arange(1500) / 300.0)
+    late = Record([u[2:]], [3.0 * u[:-2]], 1e-3)  # held voltages: a reading 1.4 samples late is two late
+    model, fit = identify([late], plain(operators=1, sensor_delay_s=1.4e-3))
+    first = 3.0 * (u[2] - u[1])  # what went before the record is not known
+    assert fit.fit[fit.kind].rms_um[0] < 1.01 * abs(first) / np.sqrt(late.samples)
+    assert model.dynamics.input_delay_s == 0.0
+
+
+def test_a_period_goes_on_at_its_beginning():
+    u = np.sin(2.0 * np.pi * np.arange(200) / 100.0)
+    record = Record([u], [np.roll(2.0 * u, 3)], 1e-3, period_samples=100)
+    prompt = KnownSensor(delay_s=3e-3).prompt(record)
+    assert prompt.samples == 200
+    assert np.array_equal(prompt.y_um, 2.0 * prompt.u_v)
+
+
+def test_mistakes_name_the_delay():
+    for wrong in (-1e-6, float("nan"), float("inf")):
+        assert "sensor_delay_s" in message(lambda wrong=wrong: Settings(sensor_delay_s=wrong))
+    for sensor in ({"sensor_delay_s": 1e-4}, {"sensor_bandwidth_hz": 2000.0}):
+        said = message(lambda sensor=sensor: Settings(dynamics="state_space", **sensor))
+        assert f"{next(iter(sensor))}  cannot be taken out of dynamics state_space" in said
+    record = late_records(0)[0]
+    said = message(lambda: identify([record], plain(sensor_delay_s=0.995 * record.samples * T)))
+    assert "the sensor is said to come 1492 late" in said
