@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from hammerstein.comparison.fitting import Failed
-from hammerstein.identification.choice import CLOSE, FELT, NO_BETTER, STRETCHES
+from hammerstein.identification.choice import CLOSE, FELT, NO_BETTER, PARTS
 from hammerstein.identification.fit import finite
 from hammerstein.identification.score import Score
 from hammerstein.model import HammersteinModel
@@ -21,7 +21,7 @@ RULE = (
     f"Recommended is the model with the fewest parameters whose rms error is {CLOSE}; one without an inverse "
     f"only where none with an inverse is as good, which is one that is within {100.0 * FELT:.0f} % or one "
     "standard error. The standard error is that of the mean difference of the squared errors to the best "
-    f"model, from the differences on the {STRETCHES} parts into which each judged record falls."
+    f"model, from the differences on the {PARTS} parts into which each judged record falls."
 )
 
 
