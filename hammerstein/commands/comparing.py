@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,9 @@ from hammerstein.commands.grouped import grouped
 from hammerstein.commands.record_options import AsJson, HeldBack, Identified, RecordFiles
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Spinner
+
+if TYPE_CHECKING:
+    from hammerstein.comparison.result import Comparison
 
 
 @grouped
@@ -28,7 +31,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Fit every kind of hysteresis and the linear models to the same records, and recommend one."""
-    from hammerstein.commands.tables import comparison_table, failed_table, kept_aside, rates_table
+    from hammerstein.commands.tables import kept_aside
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.comparison.compare import compare as compared
     from hammerstein.files import refuse_unwritable
@@ -55,6 +58,14 @@ def compare(
     if as_json:
         tell_json(json.loads(found.to_json()), indent=1, sort_keys=True)
         return
+    _show_comparison(found)
+    tell(f"comparison in {out}, look at {out / 'compare.html'}")
+
+
+def _show_comparison(found: Comparison) -> None:
+    """Print the tables, and what is recommended."""
+    from hammerstein.commands.tables import comparison_table, failed_table, rates_table
+
     show(comparison_table(found))
     if len(found.frequencies_hz) > 1:
         show(rates_table(found))
@@ -62,4 +73,3 @@ def compare(
         show(failed_table(found))
     for sentence in found.sentences():
         tell(sentence)
-    tell(f"comparison in {out}, look at {out / 'compare.html'}")

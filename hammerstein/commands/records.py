@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,6 +18,7 @@ from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Spinner
 
 if TYPE_CHECKING:
+    from hammerstein.identification.fit import Fit
     from hammerstein.records.loops import Loop
 
 MOST_NAMED = 3
@@ -71,12 +72,7 @@ def loops(
         for lost in record.outliers:
             complain(f"{record.source}: outliers of {lost.column} are left out: {lost.describe()}")
     if as_json:
-        plain = [
-            {"file": source, **asdict(loop), "width_percent": loop.width_percent}
-            for source, loops_found in found.items()
-            for loop in loops_found
-        ]
-        tell_json({"loops": plain})
+        tell_json({"loops": _plain(found)})
     else:
         show(gains_table(gains))
         if len(empty) < len(records):
@@ -87,6 +83,15 @@ def loops(
         figure = loops_of_records(records, [found[record.source] for record in records])
         for path in save_figures({"loops": figure} if figure else {}, folder, LOOPS):
             (complain if as_json else tell)(str(path))
+
+
+def _plain(found: Mapping[str, Sequence[Loop]]) -> list[dict[str, Any]]:
+    """The loops of each file as plain JSON."""
+    return [
+        {"file": source, **asdict(loop), "width_percent": loop.width_percent}
+        for source, loops_found in found.items()
+        for loop in loops_found
+    ]
 
 
 def _show_loops(found: Mapping[str, Sequence[Loop]]) -> None:
@@ -123,7 +128,7 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify a model from measured records, and say how far it can be trusted."""
-    from hammerstein.commands.tables import fit_table, gains_table, kept_aside
+    from hammerstein.commands.tables import gains_table, kept_aside
     from hammerstein.commands.warm_up import compile_once
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.identify import identify as identify_model
@@ -151,11 +156,18 @@ def identify(
         tell_json(json.loads(fit_json(model, fit)), indent=1, sort_keys=True)
         return
     show(gains_table(gains))
+    _show_fit(fit)
+    tell(f"model in {out}, fit report in {folder}")
+
+
+def _show_fit(fit: Fit) -> None:
+    """Print the errors, the verdict, and what else must be known of a model."""
+    from hammerstein.commands.tables import fit_table
+
     show(fit_table(fit))
     tell(fit.verdict)
     for text in (fit.invertibility, *fit.flags, *fit.not_identifiable, *fit.notes):
         tell(f"* {text}")
-    tell(f"model in {out}, fit report in {folder}")
 
 
 @grouped
