@@ -46,10 +46,10 @@ def records_of(block, noise=0.0):
     return found
 
 
-@pytest.mark.parametrize("method", ["least_squares", "invertible"])
-def test_weights_of_both_are_found_again_from_records_with_working_points_of_their_own(method):
+@pytest.mark.parametrize("solver", ["least_squares", "invertible"])
+def test_weights_of_both_are_found_again_from_records_with_working_points_of_their_own(solver):
     block = truth()
-    fit = fit_asymmetric(records_of(block), [[R, R]] * 2, [Q, Q], method=method)
+    fit = fit_asymmetric(records_of(block), [[R, R]] * 2, [Q, Q], solver=solver)
     for ours, theirs in zip(fit.hysteresis.weights, block.weights, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-8)
     np.testing.assert_allclose(fit.offsets_um, [[11.0, -7.0]] * 2, atol=1e-8)
@@ -58,7 +58,7 @@ def test_weights_of_both_are_found_again_from_records_with_working_points_of_the
 
 def test_it_is_plain_least_squares_on_plays_and_dead_zones():
     record = records_of(truth(), 0.05)[0]
-    fit = fit_asymmetric([record], [[R, R]] * 2, [Q, Q], method="least_squares")
+    fit = fit_asymmetric([record], [[R, R]] * 2, [Q, Q], solver="least_squares")
     sent = record.u_v + record.rest_v[:, None]
     columns = [theory.play(record.u_v[k], r) for k in range(2) for r in R]
     columns += [theory.dead_zone(sent[k], q) for k in range(2) for q in Q]
@@ -79,7 +79,7 @@ def test_standard_errors_are_those_of_repeated_records():
             theory.asymmetric([u], [[R]], [[[3.0, 0.5, 0.6, 0.7]]], [[Q]], [[[0.6, -0.9, 0.5]]], [0.0])
         )
         y = y + 0.05 * np.random.default_rng(seed).standard_normal(y.shape)
-        fit = fit_asymmetric([Record([u], y, 1e-3)], [[R]], [Q], method="least_squares")
+        fit = fit_asymmetric([Record([u], y, 1e-3)], [[R]], [Q], solver="least_squares")
         found.append(fit.hysteresis.weights[0])
         told = fit.hysteresis.weight_covariance[0].covariance
     np.testing.assert_allclose(np.std(found, axis=0), np.sqrt(np.diag(told)), rtol=0.35)
@@ -139,7 +139,7 @@ def test_through_a_linear_block_the_weights_are_found_all_the_same():
     u = np.stack([wave(), wave(turns=7.3, decay=0.5)])
     path = discretise(dynamics, 1e-3)
     y = path.respond(block.respond(u)[0])[0][:2]
-    fit = fit_asymmetric([Record(u, y, 1e-3)], [[R, R]] * 2, [Q, Q], method="least_squares", through=[path])
+    fit = fit_asymmetric([Record(u, y, 1e-3)], [[R, R]] * 2, [Q, Q], solver="least_squares", through=[path])
     for ours, theirs in zip(fit.hysteresis.weights, block.weights, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-7)
 
@@ -189,7 +189,7 @@ def test_loops_of_one_amplitude_leave_weights_that_hold_for_others(dead_zones):
             zones,
             ridge=ridge,
             starts=[Start("repeated")],
-            method="least_squares",
+            solver="least_squares",
         )
         left = other.y_um - fit.hysteresis.respond(other.u_v)[0]
         error[ridge] = 100.0 * float(np.std(left[0, 1000:])) / np.ptp(other.y_um[0, 1000:])

@@ -258,7 +258,7 @@ def test_other_peoples_files_stay(files: tuple[str, ...], capsys: pytest.Capture
 def test_a_method_that_only_plays_have_is_a_reason_in_a_row(
     files: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call("compare", "a.csv", *COLUMNS, *QUICK[2:], "--method", "closed_form", "--no-figures") == 0
+    assert call("compare", "a.csv", *COLUMNS, *QUICK[2:], "--solver", "closed_form", "--no-figures") == 0
     printed = capsys.readouterr()
     assert "closed_form cannot be had with hysteresis asymmetric" in " ".join(printed.out.split())
     assert re.search(r"^comparing every kind of model on \d+ samples", printed.err, re.M)  # nobody watches

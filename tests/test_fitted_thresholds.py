@@ -103,7 +103,7 @@ def task_of(*records, through=()):
 
 
 def rms_um(record, grids):
-    return fit_static([record], [list(grids)] * 2, method="least_squares").rms_um
+    return fit_static([record], [list(grids)] * 2, solver="least_squares").rms_um
 
 
 # Derivatives ------------------------------------------------------------------------------------------------
@@ -156,7 +156,7 @@ def test_most_models_return_from_the_time_partition(count, least):
         found = fit_thresholds(task_of(record), begin)
         assert (rms_um(record, found) <= rms_um(record, begin)).all()
         if len(found[0]) == count and np.abs(found[0] - grids[0]).max() < 1e-6:
-            fit = fit_static([record], [list(found)] * 2, method="least_squares")
+            fit = fit_static([record], [list(found)] * 2, solver="least_squares")
             for row, wanted in zip(fit.hysteresis.pairs, weights, strict=True):
                 np.testing.assert_allclose(row[0].weights_um_per_v, wanted[0], atol=1e-5)
             returned += 1
@@ -264,7 +264,7 @@ def test_auto_takes_the_number_from_the_time_partition():
     ("options", "match"),
     [
         ({"dynamics": "state_space", "order": 4}, "state_space cannot be had with partition fitted"),
-        ({"method": "closed_form"}, "closed_form cannot be had with partition fitted"),
+        ({"solver": "closed_form"}, "closed_form cannot be had with partition fitted"),
         ({"thresholds_v": [0.0, 1.0]}, "cannot be given with partition fitted"),
         ({"operators": [[3, 4]]}, "must be one number with partition fitted"),
     ],

@@ -175,15 +175,15 @@ def test_weights_behind_a_known_coupled_block_come_back():
     u = np.random.default_rng(4).uniform(-3.0, 3.0, (2, 2000))
     record = Record(u, responses(a, b, c, theory.prandtl_ishlinskii(u, [[r] * 2] * 2, w)), 1e-3)
     block = LinearBlock(a, b, c, np.zeros((2, 2)), 1e-3)
-    for method in ("least_squares", "invertible"):
-        fit = fit_static_coupled([record], [[r] * 2] * 2, block, [Start("rest")], method=method)
+    for solver in ("least_squares", "invertible"):
+        fit = fit_static_coupled([record], [[r] * 2] * 2, block, [Start("rest")], solver=solver)
         found = np.array([[pair.weights_um_per_v for pair in row] for row in fit.hysteresis.pairs])
         assert np.abs(found - w).max() < 1e-8
     falling = w.copy()
     falling[0, 0] = [-0.4, 2.4]  # whose first slope falls, and with it the determinant
     record = Record(u, responses(a, b, c, theory.prandtl_ishlinskii(u, [[r] * 2] * 2, falling)), 1e-3)
-    for method, comes_back in (("least_squares", True), ("invertible", False)):
-        fit = fit_static_coupled([record], [[r] * 2] * 2, block, [Start("rest")], method=method)
+    for solver, comes_back in (("least_squares", True), ("invertible", False)):
+        fit = fit_static_coupled([record], [[r] * 2] * 2, block, [Start("rest")], solver=solver)
         found = np.array([[pair.weights_um_per_v for pair in row] for row in fit.hysteresis.pairs])
         assert (np.abs(found - falling).max() < 1e-8) == comes_back
         assert (found[0, 0, 0] > 0.0) != comes_back
@@ -215,7 +215,7 @@ def test_a_lagging_loop_never_gives_a_model_without_inverse_silently():
     assert min(model.hysteresis.pairs[0][0].slopes) > 0.0
     assert "held at a bound" in fit.notes[0]
     assert "phase lag" not in fit.notes[0]  # one rate cannot tell it from hysteresis
-    free, said = identify([record], plain(delay_samples=0, method="least_squares"))
+    free, said = identify([record], plain(delay_samples=0, solver="least_squares"))
     assert min(free.hysteresis.pairs[0][0].slopes) < 0.0
     assert not said.invertible
     assert "no inverse" in said.invertibility
@@ -326,12 +326,12 @@ def test_progress_is_told():
 def test_settings_name_every_mistake_at_once():
     with pytest.raises(InputError) as caught:
         plain(
-            operators=0, method="best", dynamics="none", order=4, creep_modes=2, ridge=-1.0, delay_samples=-1
+            operators=0, solver="best", dynamics="none", order=4, creep_modes=2, ridge=-1.0, delay_samples=-1
         )
     wheres = [mistake.where for mistake in caught.value.mistakes]
-    assert wheres == ["method", "order", "creep_modes", "operators", "delay_samples", "ridge"]
+    assert wheres == ["solver", "order", "creep_modes", "operators", "delay_samples", "ridge"]
     with pytest.raises(InputError, match="closed_form sees no dynamics"):
-        plain(method="closed_form", dynamics="second_order")
+        plain(solver="closed_form", dynamics="second_order")
     with pytest.raises(InputError, match="give a number or auto"):
         plain(operators="some")
 
@@ -392,7 +392,7 @@ def test_closed_form_takes_thresholds_uniform_in_voltage():
     u = 10.0 * np.sin(2.0 * np.pi * np.arange(1600) / 800)
     y = theory.prandtl_ishlinskii([u], [[[0.0, 2.5, 5.0, 7.5]]], [[[3.0, 1.0, 0.5, 0.5]]])
     record = Record([u], y, 1e-3)
-    settings = plain(method="closed_form", partition="voltage", operators=4)
+    settings = plain(solver="closed_form", partition="voltage", operators=4)
     model, _ = identify([record], settings)
     pair = model.hysteresis.pairs[0][0]
     np.testing.assert_allclose(pair.thresholds_v, [0.0, 2.5, 5.0, 7.5])

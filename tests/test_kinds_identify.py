@@ -71,7 +71,7 @@ def test_the_model_counts_from_where_the_actuator_stood_and_is_compensated(tmp_p
     [
         ({"hysteresis": "preisach"}, "is not known"),
         ({"hysteresis": "asymmetric", "dynamics": "state_space", "order": 4}, "state_space cannot be had"),
-        ({"hysteresis": "asymmetric", "method": "closed_form"}, "closed_form cannot be had"),
+        ({"hysteresis": "asymmetric", "solver": "closed_form"}, "closed_form cannot be had"),
         ({"dead_zones": 3}, "belong to hysteresis asymmetric"),
         ({"hysteresis": "asymmetric", "dead_zones": 99}, "must be 0 to 50"),
     ],

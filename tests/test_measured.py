@@ -44,7 +44,7 @@ def micromanipulator():
     [
         ({"delay_samples": 0}, 0.85, 1.4),
         ({}, 0.85, 1.2),
-        ({"method": "closed_form"}, 1.5, 1.4),
+        ({"solver": "closed_form"}, 1.5, 1.4),
     ],
 )
 def test_micromanipulator_is_followed_by_15_operators(

@@ -63,7 +63,7 @@ def test_noise_free_records_return_their_weights(inputs, outputs, seed):
     thresholds, weights = random_model(generator, inputs, outputs)
     offset = 100.0 * generator.standard_normal((outputs, 1))
     record = record_of(random_walk(generator, inputs), thresholds, weights, offset)
-    fit = fit_static([record], thresholds, method="least_squares")
+    fit = fit_static([record], thresholds, solver="least_squares")
     assert worst(fit.hysteresis, weights) < 1e-8
     assert np.abs(fit.offsets_um - offset.T).max() < 1e-7
     assert fit.open == ()
@@ -73,7 +73,7 @@ def test_an_output_without_a_direct_input_has_no_bounds():
     generator = np.random.default_rng(5)
     thresholds, weights = [[np.zeros(1)], [np.zeros(1)]], [[np.array([4.0])], [np.array([0.3])]]
     record = record_of(random_walk(generator, 1), thresholds, weights, noise=0.1, generator=generator)
-    fit = fit_static([record], thresholds, method="invertible")
+    fit = fit_static([record], thresholds, solver="invertible")
     assert worst(fit.hysteresis, weights) < 0.01
 
 
@@ -97,7 +97,7 @@ def test_several_records_with_their_own_offsets_are_one_problem():
         u = np.zeros((2, 2000))
         u[k] = random_walk(generator, 1, 2000)[0]
         alone.append(record_of(u, thresholds, weights, offset))
-    fit = fit_static(alone, thresholds, method="least_squares")
+    fit = fit_static(alone, thresholds, solver="least_squares")
     assert worst(fit.hysteresis, weights) < 1e-8
     assert np.abs(fit.offsets_um - [[-30.0, -30.0], [12.0, 12.0]]).max() < 1e-7
     assert fit.samples == 4000
@@ -122,7 +122,7 @@ def test_standard_errors_cover_the_truth():
     scores = []
     for _ in range(40):
         record = Record(u, clean + 0.04 * generator.standard_normal(clean.shape), 5e-5)
-        pair = fit_static([record], r, method="least_squares").hysteresis.pairs[0][0]
+        pair = fit_static([record], r, solver="least_squares").hysteresis.pairs[0][0]
         scores.append((pair.weights_um_per_v - w[0][0]) / pair.weight_errors_um_per_v)
     assert np.std(scores) == pytest.approx(1.0, abs=0.1)  # 600 normal scores: 0.03 each way
     assert abs(np.mean(scores)) < 0.2
@@ -137,14 +137,14 @@ def lagging_record():
 
 def test_invertible_keeps_every_slope_of_the_direct_pair_positive():
     record = lagging_record()
-    free = fit_static([record], [[theory.R_V]], method="least_squares").hysteresis.pairs[0][0]
+    free = fit_static([record], [[theory.R_V]], solver="least_squares").hysteresis.pairs[0][0]
     fit = fit_static([record], [[theory.R_V]])
     pair = fit.hysteresis.pairs[0][0]
     assert free.slopes.min() < 0.0
     gain = free.amplitude(10.0) / 10.0
     assert pair.slopes.min() == pytest.approx(0.05 * gain, rel=1e-6)
     assert (0, 0, 0) in fit.bounded
-    assert fit.rms_um[0] > fit_static([record], [[theory.R_V]], method="least_squares").rms_um[0]
+    assert fit.rms_um[0] > fit_static([record], [[theory.R_V]], solver="least_squares").rms_um[0]
 
 
 def test_invertible_leaves_negative_weights_alone_where_slopes_are_positive():
@@ -161,7 +161,7 @@ def test_nonnegative_gives_every_weight_the_sign_of_the_gain():
     thresholds = [[np.array([0.0, 1.0, 2.0, 4.0])] * 2] * 2
     weights = [[np.array([3.0, -1.0, 1.0, 0.5]), np.array([-2.0, 0.5, -0.5, 0.1])]] * 2
     fit = fit_static(
-        [record_of(random_walk(generator, 2), thresholds, weights)], thresholds, method="nonnegative"
+        [record_of(random_walk(generator, 2), thresholds, weights)], thresholds, solver="nonnegative"
     )
     for row in fit.hysteresis.pairs:
         assert (row[0].weights_um_per_v >= 0.0).all()
@@ -178,8 +178,8 @@ def test_ridge_makes_up_for_thresholds_that_the_record_cannot_tell_apart():
     u = 10.0 * np.sin(2.0 * np.pi * np.arange(200) / 40)[None]  # 40 samples a cycle, 60 thresholds
     r = [[10.0 * np.arange(60) / 60]]
     record = record_of(u, [[[0.0, 3.0]]], [[[2.0, 1.0]]], 0.0, 0.05, np.random.default_rng(5))
-    bare = fit_static([record], r, method="least_squares")
-    calm = fit_static([record], r, method="least_squares", ridge=1e-3)
+    bare = fit_static([record], r, solver="least_squares")
+    calm = fit_static([record], r, solver="least_squares", ridge=1e-3)
     assert bare.open == ((0, 0),)
     assert np.abs(calm.hysteresis.pairs[0][0].weights_um_per_v[1:]).max() < 1.0
     assert calm.rms_um[0] < 0.3
@@ -197,9 +197,9 @@ def test_weights_behind_a_linear_block_come_back():
     u = random_walk(generator, 2)
     v = theory.prandtl_ishlinskii(u, thresholds, weights)
     lagging = Record(u, lfilter([0.1], [1.0, -0.9], v), 1e-3, verified=True)
-    fit = fit_static([lagging], thresholds, method="least_squares", through=one_pole(0.9))
+    fit = fit_static([lagging], thresholds, solver="least_squares", through=one_pole(0.9))
     assert worst(fit.hysteresis, weights) < 1e-8
-    assert fit_static([lagging], thresholds, method="least_squares").rms_um[0] > 0.1
+    assert fit_static([lagging], thresholds, solver="least_squares").rms_um[0] > 0.1
 
 
 def test_the_path_of_one_axis_keeps_only_the_states_it_needs():
@@ -259,9 +259,9 @@ def test_a_repeated_start_takes_the_record_for_its_own_past():
     u = np.tile(10.0 * np.sin(2.0 * np.pi * np.arange(400) / 400), 2)[None]
     y = theory.prandtl_ishlinskii(u, [[theory.R_V]], [[theory.W_XX]])[:, 400:]
     record = Record(u[:, 400:], y, 5e-5)
-    fit = fit_static([record], [[theory.R_V]], method="least_squares", starts=[Start("repeated")])
+    fit = fit_static([record], [[theory.R_V]], solver="least_squares", starts=[Start("repeated")])
     assert worst(fit.hysteresis, [[theory.W_XX]]) < 1e-8
-    assert fit_static([record], [[theory.R_V]], method="least_squares").rms_um[0] > 0.1
+    assert fit_static([record], [[theory.R_V]], solver="least_squares").rms_um[0] > 0.1
 
 
 def test_error_curve_levels_off_at_the_true_number_of_operators():
@@ -309,14 +309,14 @@ def decays(k):
     return u
 
 
-@pytest.mark.parametrize("method", ["least_squares", "nonnegative", "invertible"])
-def test_decaying_sines_one_axis_at_a_time_are_no_inseparable_inputs(method):
+@pytest.mark.parametrize("solver", ["least_squares", "nonnegative", "invertible"])
+def test_decaying_sines_one_axis_at_a_time_are_no_inseparable_inputs(solver):
     """Thresholds that the late swings do not engage depend on each other; their sums are told."""
     grid = np.linspace(0.0, 8.0, 20)
     rows, weights = [[grid, grid]] * 2, [[np.ones(20), 0.1 * np.ones(20)], [0.2 * np.ones(20), np.ones(20)]]
     records = [Record(decays(k), theory.prandtl_ishlinskii(decays(k), rows, weights), 1e-3) for k in (0, 1)]
     starts = [Start("repeated", 1200)] * 2
-    fit = fit_static(records, rows, method=method, starts=starts)
+    fit = fit_static(records, rows, solver=solver, starts=starts)
     assert (fit.rms_um < 0.15).all()
     assert fit.open
 
@@ -330,8 +330,8 @@ def test_bounds_hold_beside_plays_that_never_move():
     y = theory.prandtl_ishlinskii(u, rows, weights) + 0.05 * rng.standard_normal((2, u.shape[1]))
     start = [Start("repeated", 300)]
     free, bound = (
-        fit_static([Record(u, y, 1e-3)], rows, method=method, starts=start)
-        for method in ("least_squares", "invertible")
+        fit_static([Record(u, y, 1e-3)], rows, solver=solver, starts=start)
+        for solver in ("least_squares", "invertible")
     )
     np.testing.assert_allclose(free.rms_um, 0.05, rtol=0.05)
     np.testing.assert_allclose(bound.rms_um, free.rms_um, rtol=1e-6)

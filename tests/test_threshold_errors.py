@@ -39,12 +39,12 @@ def record(seed, noise_um=0.03, weights=W, through=None):
     return Record(u, y + noise_um * np.random.default_rng(seed).standard_normal(y.shape), T)
 
 
-def refitted(seed, method="least_squares", **options):
+def refitted(seed, solver="least_squares", **options):
     own = record(seed, **options)
     through = options.get("through")
     task = ThresholdTask([own], [Start("rest")], 0, [] if through is None else [through])
     grids = list(search_near(task, tuple(R)).grids)
-    fit = fit_static([own], [grids] * 2, method=method, through=through)
+    fit = fit_static([own], [grids] * 2, solver=solver, through=through)
     return with_threshold_errors(task, fit).hysteresis
 
 

@@ -25,11 +25,11 @@ def drives(samples=900):
     return np.stack([4.0 * np.sin(2 * np.pi * t), 3.0 * np.sin(2 * np.pi * 1.618 * t)])
 
 
-def refitted(seed, method="least_squares", weights=W, r=R):
+def refitted(seed, solver="least_squares", weights=W, r=R):
     u = drives()
     y = theory.prandtl_ishlinskii(u, r, weights)
     noisy = y + NOISE_UM * np.random.default_rng(seed).standard_normal(y.shape)
-    return fit_static([Record(u, noisy, 1e-3)], r, method=method)
+    return fit_static([Record(u, noisy, 1e-3)], r, solver=solver)
 
 
 def all_weights(fit):
@@ -56,7 +56,7 @@ def test_covariance_is_that_of_refits():
 def test_at_a_bound_it_is_the_covariance_of_the_free_weights():
     """The middle slope of the truth is negative: held at its bound, it has no error of its own."""
     bent = [[np.array([3.0, -3.2, 3.0]), W[0][1]]]
-    fit = refitted(1, method="invertible", weights=bent)
+    fit = refitted(1, solver="invertible", weights=bent)
     (known,) = fit.hysteresis.weight_covariance
     assert known.slopes_at_bound == len(fit.bounded) == 1
     sums = np.zeros(5)

@@ -125,7 +125,7 @@ class Identified:
     thresholds: Annotated[
         str | None, typer.Option(metavar="V[,V]", help="Thresholds in V for all pairs, instead of these.")
     ] = None
-    method: Annotated[
+    solver: Annotated[
         str, typer.Option(help="Weights: invertible, least_squares, nonnegative or closed_form.")
     ] = "invertible"
     ridge: Annotated[float, typer.Option(help="Penalty of the weights; 0: none.")] = 0.0

@@ -78,7 +78,7 @@ def account(
         kind=built.kind,
         fit=fitted,
         validation=judged,
-        method=settings.method,
+        solver=settings.solver,
         operators=best.hysteresis.operators,
         amplitude_v=float(swing.max()),
         amplitudes_v=tuple(swing.tolist()),
@@ -109,7 +109,7 @@ def account(
 def _bounds(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
     """Slopes that the inverse needs and the records would have otherwise."""
     settings, blocks = task.settings, built.best.blocks
-    if settings.method != "invertible" or settings.hysteresis != "prandtl_ishlinskii":
+    if settings.solver != "invertible" or settings.hysteresis != "prandtl_ishlinskii":
         return []
     spoiled = {name for fault in named for name in fault.outputs}
     return bound_notes(task.records, blocks.chosen, blocks.free, built.kind == "hammerstein", spoiled)
@@ -203,7 +203,7 @@ def model_of(
         instruments=instruments,
         provenance={
             "records": [Path(r.source).name for r in task.records],
-            "method": fit.method,
+            "solver": fit.solver,
             "amplitudes_v": list(fit.amplitudes_v),
             "delay_samples": fit.delay_samples,
             "invertible": fit.invertible,

@@ -73,7 +73,7 @@ def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> Built:
     settings, may_creep = task.settings, task.settings.creep_modes == "auto"
     static = begun_static(without_dynamics(task))
     task, guess, axes, others = _first_axes(task, guesses)
-    blocks = static_blocks(task, task.thresholds_v, dynamics_of(axes), settings.method)
+    blocks = static_blocks(task, task.thresholds_v, dynamics_of(axes), settings.solver)
     if not may_creep and not _felt(static.best.blocks.chosen, blocks.chosen):
         unfelt = [
             replace(axis, rms_um=axis.static_rms_um) if axis_identified(axis) else axis for axis in axes
@@ -218,7 +218,7 @@ def _others(
     found = []
     for guess, fit in zip(guesses, fits, strict=True):
         late = replace(task, delay_samples=guess.delay_samples)
-        blocks = static_blocks(late, task.thresholds_v, _as_found(fit.axes), task.settings.method)
+        blocks = static_blocks(late, task.thresholds_v, _as_found(fit.axes), task.settings.solver)
         name = f"plays as begun with, {guess.shapes[0].name}"
         model = late.candidate(blocks.chosen.hysteresis, _as_found(fit.axes))
         found.append((name, Found(model, blocks, fit.axes)))
@@ -245,7 +245,7 @@ def _with_lag_and_creep(
         found = tuple(_with(task, grids, blocks, o, fit, step) for o, fit in enumerate(axes))
         if all(new is old for new, old in zip(found, axes, strict=True)):
             continue
-        trial = static_blocks(task, thresholds_of(blocks), dynamics_of(found), settings.method)
+        trial = static_blocks(task, thresholds_of(blocks), dynamics_of(found), settings.solver)
         trial = replace(trial, fitted=blocks.fitted)
         with_it = Found(task.candidate(trial.chosen.hysteresis, dynamics_of(found)), trial, found)
         name = {"lag": "a low-pass", "creep": "a creep mode"}[step]
@@ -290,7 +290,7 @@ def _with_fewer_if_needed(
         if found[1] is not begun or not free:
             break
         fewer = replace(task, thresholds_v=settings.thresholds(task.records, math.ceil(part * number)))
-        blocks = static_blocks(fewer, fewer.thresholds_v, dynamics_of(axes), settings.method)
+        blocks = static_blocks(fewer, fewer.thresholds_v, dynamics_of(axes), settings.solver)
         trial = _thresholds_and_axes(fewer, guess, axes, blocks)
         if trial[1] is not blocks and gained(begun.chosen, trial[1].chosen):
             found = trial

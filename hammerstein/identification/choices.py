@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 Partition = Literal["auto", "time", "voltage", "fitted"]
-Method = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
+Solver = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
 DynamicsKind = Literal["auto", "none", "lag", "second_order", "state_space"]
 HysteresisKind = Literal["prandtl_ishlinskii", "asymmetric", "rate_dependent", "bouc_wen"]
 StartMode = Literal["auto", "rest", "repeated"]

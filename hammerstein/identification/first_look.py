@@ -71,7 +71,7 @@ def _first_model(
     found = fit_static(
         quick,
         task.thresholds_v,
-        method="least_squares",
+        solver="least_squares",
         starts=begun,
         delay_samples=task.whole_delay,
         through=task.paths(dynamics) or None,

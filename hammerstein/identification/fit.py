@@ -53,7 +53,7 @@ class Fit(Pictured):
     kind : what the model is
     fit : errors of each kind of model on the records it was fitted to
     validation : the same on records that were held back; empty if there were none
-    method : how the weights were found
+    solver : how the weights were found
     operators : (output, input) number of thresholds of each pair
     amplitude_v : largest half swing of an input in the records [V]
     amplitudes_v : (input,) half swing of each one [V]
@@ -84,7 +84,7 @@ class Fit(Pictured):
     kind: Kind
     fit: Mapping[Kind, Score]
     validation: Mapping[Kind, Score]
-    method: str
+    solver: str
     operators: tuple[tuple[int, ...], ...]
     amplitude_v: float
     amplitudes_v: tuple[float, ...]

@@ -27,7 +27,7 @@ from hammerstein.identification.static.bouc_wen import fit_bouc_wen
 from hammerstein.identification.static.history import FEWEST, each_alone, judged_starts, unexplained
 from hammerstein.identification.static.rate_dependent import TWO_RATES, fit_rate_dependent
 from hammerstein.identification.static.regressors import Start
-from hammerstein.identification.static.static_block import Thresholds, Weighting, half_swing
+from hammerstein.identification.static.static_block import SquaresSolver, Thresholds, half_swing
 from hammerstein.identification.task import Built, Found, Task
 from hammerstein.identification.together import fitted_together
 from hammerstein.identification.verdict import drive_hz, invertibility_of
@@ -262,12 +262,12 @@ def _asymmetric(
     if choice is None:
         task.progress("trying numbers of plays and dead-zones")
         choice = chosen_asymmetric(task.records, None if free else begun, settings.dead_zones, **behind)
-    method: Weighting = "invertible" if settings.method == "closed_form" else settings.method
+    solver: SquaresSolver = "invertible" if settings.solver == "closed_form" else settings.solver
     fit = fit_asymmetric(
         task.records,
         choice.thresholds_v,
         choice.breakpoints_v,
-        method=method,
+        solver=solver,
         ridge=settings.ridge or choice.ridge,
         **behind,
     )
@@ -285,7 +285,7 @@ def _rate_dependent(
     fit = fit_rate_dependent(
         task.records,
         grids,
-        invertible=task.settings.method == "invertible",
+        invertible=task.settings.solver == "invertible",
         starts=task.starts,
         delay_samples=task.whole_delay,
         through=task.paths(dynamics),
@@ -306,7 +306,7 @@ def _bouc_wen(
     """The Bouc-Wen model, which has no thresholds."""
     fit = fit_bouc_wen(
         task.records,
-        invertible=task.settings.method == "invertible",
+        invertible=task.settings.solver == "invertible",
         starts=task.starts,
         delay_samples=task.whole_delay,
         through=task.paths(dynamics),

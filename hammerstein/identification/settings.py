@@ -15,8 +15,8 @@ from hammerstein.identification.choices import (
     MOST_DEAD_ZONES,
     DynamicsKind,
     HysteresisKind,
-    Method,
     Partition,
+    Solver,
     StartMode,
 )
 from hammerstein.identification.known_sensor import KnownSensor
@@ -29,7 +29,7 @@ MOST_CREEP_MODES = 5
 MOST_STATES = 100
 CHOICES = {
     "partition": get_args(Partition),
-    "method": get_args(Method),
+    "solver": get_args(Solver),
     "dynamics": get_args(DynamicsKind),
     "start": get_args(StartMode),
     "hysteresis": get_args(HysteresisKind),
@@ -49,7 +49,7 @@ class Settings:
         found from the records, beginning with those uniform in time, and kept if they lower the error by
         more than chance; ``operators`` is the most there are, and the outputs share those of an input;
         ``auto``: as ``fitted``, beginning with those uniform in voltage
-    method : how the weights are found: ``closed_form``, ``least_squares``, ``nonnegative`` or ``invertible``
+    solver : how the weights are found: ``closed_form``, ``least_squares``, ``nonnegative`` or ``invertible``
     ridge : penalty of the weights, for more thresholds than the records can tell; 0: none, or with hysteresis
         ``asymmetric`` the largest that hardly raises the error
     dynamics : ``none``, ``lag`` (a low-pass each axis), ``second_order`` (a resonance each axis),
@@ -70,7 +70,7 @@ class Settings:
     operators: int | Sequence[Sequence[int]] | Literal["auto"] = "auto"
     thresholds_v: Array | Sequence[float] | Sequence[Sequence[Array]] | None = None
     partition: Partition = "auto"
-    method: Method = "invertible"
+    solver: Solver = "invertible"
     ridge: float = 0.0
     dynamics: DynamicsKind = "auto"
     order: int | None = None
@@ -114,15 +114,15 @@ class Settings:
             mistakes.append(Mistake("order", "belongs to dynamics state_space"))
         if self.creep_modes not in (0, "auto") and self.dynamics in ("none", "state_space"):
             mistakes.append(Mistake("creep_modes", "belong to dynamics lag, second_order or auto"))
-        if self.method == "closed_form" and self.dynamics not in ("none", "auto"):
+        if self.solver == "closed_form" and self.dynamics not in ("none", "auto"):
             mistakes.append(
-                Mistake("method", "closed_form sees no dynamics; use least_squares or invertible with them")
+                Mistake("solver", "closed_form sees no dynamics; use least_squares or invertible with them")
             )
         if isinstance(self.operators, str) and self.operators != "auto":
             mistakes.append(Mistake("operators", f"{self.operators!r} is not known; give a number or auto"))
-        if self.method == "closed_form" and self.ridge > 0.0:
+        if self.solver == "closed_form" and self.ridge > 0.0:
             mistakes.append(
-                Mistake("ridge", "belongs to the methods that solve least squares, not closed_form")
+                Mistake("ridge", "belongs to the solvers of least squares, not closed_form")
             )
         return [*mistakes, *self._misfits_of_fitted(), *self._misfits_of_kind()]
 
@@ -134,7 +134,7 @@ class Settings:
             return mistakes
         asked = {
             "dynamics": self.dynamics == "state_space",
-            "method": self.method in ("closed_form", "nonnegative"),
+            "solver": self.solver in ("closed_form", "nonnegative"),
         }
         return mistakes + [
             Mistake(name, f"{getattr(self, name)} cannot be had with hysteresis {self.hysteresis}")
@@ -148,7 +148,7 @@ class Settings:
             return []
         wrong = {
             "dynamics": (self.dynamics == "state_space", "state_space cannot be had"),
-            "method": (self.method == "closed_form", "closed_form cannot be had"),
+            "solver": (self.solver == "closed_form", "closed_form cannot be had"),
             "thresholds_v": (self.thresholds_v is not None, "cannot be given"),
         }
         mistakes = [
@@ -201,14 +201,14 @@ class Settings:
         if self.partition == "fitted":
             return True
         free = self.thresholds_v is None and isinstance(self.operators, int | str)
-        return self.partition == "auto" and free and self.method != "closed_form" and self.uses_axes
+        return self.partition == "auto" and free and self.solver != "closed_form" and self.uses_axes
 
     @property
     def begun_with(self) -> Partition:
         """Partition that the thresholds have before they are fitted: the paper's for its closed form."""
         if self.partition != "auto":
             return self.partition
-        return "time" if self.method == "closed_form" else "voltage"
+        return "time" if self.solver == "closed_form" else "voltage"
 
     @property
     def uses_axes(self) -> bool:
@@ -218,7 +218,7 @@ class Settings:
     @property
     def shapes(self) -> tuple[tuple[bool, bool], ...]:
         """Shapes of an axis that are tried: (resonance, lag)."""
-        if self.method == "closed_form":
+        if self.solver == "closed_form":
             return ()
         known: dict[str, tuple[tuple[bool, bool], ...]] = {
             "lag": ((False, True),),

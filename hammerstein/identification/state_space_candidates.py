@@ -18,7 +18,7 @@ from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.coupled import fit_linear, fit_static_coupled, refit_linear
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.static.static_block import (
-    Weighting,
+    SquaresSolver,
 )
 from hammerstein.identification.static_candidates import build_static, without_dynamics
 from hammerstein.identification.task import Blocks, Built, Found, Task
@@ -115,10 +115,10 @@ def _hammerstein(task: Task, block: LinearBlock) -> tuple[Blocks, Candidate]:
 
 
 def _coupled(task: Task, block: LinearBlock) -> Blocks:
-    method = task.settings.method
-    weighting: Weighting = "invertible" if method == "closed_form" else method
+    solver = task.settings.solver
+    weighting: SquaresSolver = "invertible" if solver == "closed_form" else solver
     found = fit_static_coupled(
-        task.records, task.thresholds_v, block, task.starts, method=weighting, ridge=task.settings.ridge
+        task.records, task.thresholds_v, block, task.starts, solver=weighting, ridge=task.settings.ridge
     )
     return Blocks(found, found, None)
 

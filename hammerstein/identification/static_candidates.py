@@ -16,9 +16,9 @@ from hammerstein.identification.static.history import closed, shortened
 from hammerstein.identification.static.settled_loops import closed_form_model
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
+    SquaresSolver,
     StaticFit,
     Thresholds,
-    Weighting,
     half_swing,
     refuse_unreached,
     solve_static,
@@ -45,7 +45,7 @@ def begun_static(task: Task) -> Built:
     dynamics = StaticDynamics(n_outputs=task.outputs)
     task.progress("fitting the static block")
     linear = static_blocks(task, task.linear_thresholds(), dynamics, "least_squares")
-    blocks = static_blocks(task, task.thresholds_v, dynamics, task.settings.method)
+    blocks = static_blocks(task, task.thresholds_v, dynamics, task.settings.solver)
     found: dict[Kind, Found] = {
         "linear": Found(task.candidate(linear.chosen.hysteresis, dynamics), linear),
         "static_hysteresis": Found(task.candidate(blocks.chosen.hysteresis, dynamics), blocks),
@@ -83,26 +83,26 @@ def late_static(task: Task) -> Task:
     return replace(task, delay_samples=static_delay(few, task.thresholds_v, begun, through=sensor or None)[0])
 
 
-def static_blocks(task: Task, thresholds_v: Thresholds, dynamics: Dynamics, method: str) -> Blocks:
-    """Weights by the method asked for, and by the two that it is compared with."""
+def static_blocks(task: Task, thresholds_v: Thresholds, dynamics: Dynamics, solver: str) -> Blocks:
+    """Weights by the solver asked for, and by the two that it is compared with."""
     layout = SlopeColumns.of(thresholds_v)
     refuse_unreached(task.records, layout.grids)
     moments = static_moments(
         task.records, layout.grids, task.starts, task.whole_delay, task.paths(dynamics) or None
     )
 
-    def solved(how: Weighting) -> StaticFit:
+    def solved(how: SquaresSolver) -> StaticFit:
         return solve_static(task.records, thresholds_v, layout, moments, how, task.settings.ridge)
 
     free = solved("least_squares")
-    if method == "closed_form":
+    if solver == "closed_form":
         return Blocks(_closed_form(task, free), free, solved("nonnegative"))
     chosen = {
         "least_squares": free,
         "nonnegative": solved("nonnegative"),
         "invertible": solved("invertible"),
     }
-    return Blocks(chosen[method], free, chosen["nonnegative"])
+    return Blocks(chosen[solver], free, chosen["nonnegative"])
 
 
 def _closed_form(task: Task, free: StaticFit) -> StaticFit:
@@ -138,7 +138,7 @@ def without_dynamics(task: Task) -> Task:
 
 def of_fitted(task: Task, thresholds_v: Thresholds, dynamics: AxesDynamics | StaticDynamics) -> Blocks:
     """Weights of thresholds that were fitted."""
-    return replace(static_blocks(task, thresholds_v, dynamics, task.settings.method), fitted=True)
+    return replace(static_blocks(task, thresholds_v, dynamics, task.settings.solver), fitted=True)
 
 
 def lost_inverse(task: Task, start: Blocks, found: Blocks) -> bool:

@@ -80,7 +80,7 @@ class Task:
 class Blocks:
     """A static block under several methods, behind one and the same linear block.
 
-    ``chosen`` is by the method that was asked for; ``free`` and ``one_sign`` serve for comparison; ``fitted``
+    ``chosen`` is by the solver that was asked for; ``free`` and ``one_sign`` serve for comparison; ``fitted``
     says whether the thresholds were.
     """
 
@@ -124,5 +124,5 @@ class Built:
 
 
 def thresholds_of(blocks: Blocks) -> list[list[Array]]:
-    """Thresholds (output, input) of the block by the method that was asked for [V]."""
+    """Thresholds (output, input) of the block by the solver that was asked for [V]."""
     return [[pair.thresholds_v for pair in row] for row in blocks.chosen.hysteresis.pairs]

@@ -105,7 +105,7 @@ class _Search:
     def slopes(self) -> Slopes:
         """How the slopes of its plays are found, with the bounds of the block."""
         grids = tuple(plays.thresholds_v for plays in self.block.inputs)
-        return Slopes(grids, half_swing(self.task.records), self.task.settings.method == "invertible")
+        return Slopes(grids, half_swing(self.task.records), self.task.settings.solver == "invertible")
 
     def theta_of(self, block: RateDependent) -> Array:
         """Logarithms of the growth of each input, and of the bandwidth."""
@@ -143,7 +143,7 @@ class _Search:
         s, block = len(theta), self.block_of(theta)
         size = s + sum(map(len, x))
         gain = float(block.on_grid(self.task.records[0].sample_time_s).loop_gain().max())
-        if self.task.settings.method == "invertible" and gain >= STABLE:
+        if self.task.settings.solver == "invertible" and gain >= STABLE:
             return _Place(theta, x, np.empty((0, 0)), math.inf, np.eye(size), np.zeros(size))
         tasks = self.axis_tasks(block)
         if near is None:

@@ -87,7 +87,7 @@ def micromanipulator(folder: Path) -> Iterator[str]:
     cases = (
         ("micromanipulator", "`invertible`, delay found", "0.85, held back 1.2", {}),
         ("", "`invertible`, no delay", "0.85, held back 1.4", {"delay_samples": 0}),
-        ("", "`closed_form` (paper), delay found", "held back 1.4", {"method": "closed_form"}),
+        ("", "`closed_form` (paper), delay found", "held back 1.4", {"solver": "closed_form"}),
     )
     for name, what, wanted, options in cases:
         model, fit = identify(

@@ -20,9 +20,9 @@ from hammerstein.identification.static.normal_equations import Bounds, Moments, 
 from hammerstein.identification.static.regressors import Start, regressor_blocks
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
+    SquaresSolver,
     StaticFit,
     Thresholds,
-    Weighting,
     as_block,
     bounds_of,
     gains_of,
@@ -136,7 +136,7 @@ def fit_static_coupled(
     through: LinearBlock,
     starts: Sequence[Start],
     *,
-    method: Weighting = "invertible",
+    solver: SquaresSolver = "invertible",
     ridge: float = 0.0,
 ) -> StaticFit:
     """Weights behind a linear block that couples the outputs: all of them are unknowns of one problem.
@@ -149,9 +149,9 @@ def fit_static_coupled(
     joint = _Joint.of(layout, outputs)
     penalty = joint.ridge(ridge) if ridge > 0.0 else None
     free = found = solve(joint.gram, joint.cross, float(len(outputs)), joint.freedom, penalty=penalty)
-    if method != "least_squares":
+    if solver != "least_squares":
         gains = gains_of(records, thresholds_v, layout, [free.coefficients[s] for s in joint.own])
-        each = [bounds_of(method, layout, o, gains) for o in range(len(outputs))]
+        each = [bounds_of(solver, layout, o, gains) for o in range(len(outputs))]
         bounds = Bounds(
             _block_diagonal([b.basis for b in each]),
             np.concatenate([b.side for b in each]),

@@ -60,7 +60,7 @@ def static_delay(
     """
     rms = [
         fit_static(
-            records, thresholds_v, method="least_squares", starts=starts, delay_samples=d, through=through
+            records, thresholds_v, solver="least_squares", starts=starts, delay_samples=d, through=through
         ).rms_um
         for d in range(MOST_DELAY + 1)
     ]

@@ -28,8 +28,8 @@ from hammerstein.identification.static.regressors import Filter, Start, delayed,
 from hammerstein.identification.static.static_block import (
     LEAST_SLOPE,
     SlopeColumns,
+    SquaresSolver,
     Thresholds,
-    Weighting,
     direct_pairs,
     half_swing,
     path_filters,
@@ -86,7 +86,7 @@ def fit_asymmetric(
     thresholds_v: Thresholds,
     breakpoints_v: Sequence[Array],
     *,
-    method: Weighting = "invertible",
+    solver: SquaresSolver = "invertible",
     starts: Sequence[Start] = (),
     delay_samples: int = 0,
     through: Sequence[LinearBlock] = (),
@@ -109,7 +109,7 @@ def fit_asymmetric(
     thresholds_v : (output, input) arrays of thresholds [V], the smallest of each input 0; an empty one leaves
         the plays of the pair out
     breakpoints_v : (input,) arrays of breakpoints, as voltages are sent [V]; the outputs share them
-    method : ``least_squares`` or ``invertible``; ``nonnegative`` bounds the weights of the plays alone
+    solver : ``least_squares`` or ``invertible``; ``nonnegative`` bounds the weights of the plays alone
     starts : what went before each record; rest if not given
     delay_samples : samples by which the outputs come late
     through : linear block of each record behind the static one
@@ -140,7 +140,7 @@ def fit_asymmetric(
     columns = [AsymmetricColumns.of(layout, o, zones) for o in range(len(thresholds_v))]
     free = [_solved(column, moment, ridge) for column, moment in zip(columns, moments, strict=True)]
     found, held = free, []
-    if method != "least_squares":
+    if solver != "least_squares":
         each = zip(columns, thresholds_v, free, strict=True)
         gains = np.array([c.gains(s.coefficients, row, task) for c, row, s in each])
         for o, k in direct_pairs(gains):

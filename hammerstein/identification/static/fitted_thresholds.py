@@ -84,7 +84,7 @@ def gained(start: StaticFit, fitted: StaticFit) -> bool:
 
     Parameters
     ----------
-    start, fitted : static blocks with the thresholds begun with and the fitted ones, by the same method
+    start, fitted : static blocks with the thresholds begun with and the fitted ones, by the same solver
     """
     p = len(start.rms_um)
     return criterion(fitted, 1 + p) < criterion(start, p)

@@ -34,7 +34,7 @@ from hammerstein.identification.static.regressors import (
 from hammerstein.records.record import Record
 
 Thresholds = Sequence[Sequence[Array]]
-Weighting = Literal["least_squares", "nonnegative", "invertible"]
+SquaresSolver = Literal["least_squares", "nonnegative", "invertible"]
 
 LEAST_SLOPE = 0.05
 """Bound of the slopes of a direct pair, in parts of its mean slope."""
@@ -103,7 +103,7 @@ def fit_static(
     records: Sequence[Record],
     thresholds_v: Thresholds,
     *,
-    method: Weighting = "invertible",
+    solver: SquaresSolver = "invertible",
     starts: Sequence[Start] = (),
     delay_samples: int = 0,
     through: LinearBlock | Sequence[LinearBlock] | None = None,
@@ -120,7 +120,7 @@ def fit_static(
     ----------
     records : at least one, all with the same axes
     thresholds_v : (output, input) arrays of thresholds [V]; an empty one leaves the pair out
-    method : ``least_squares``; ``nonnegative``: all weights of a pair have the sign of its gain;
+    solver : ``least_squares``; ``nonnegative``: all weights of a pair have the sign of its gain;
         ``invertible``: all slopes (partial sums of weights) of the direct pairs stay above a twentieth of
         the pair's mean slope, weights may be negative
     starts : what went before each record; rest if not given
@@ -138,7 +138,7 @@ def fit_static(
     >>> u = 4.0 * np.sin(np.linspace(0.0, 20.0, 2000))
     >>> truth = PrandtlIshlinskii([[Pair([0.5, 2.0], [3.0, -1.0])]])
     >>> record = Record([u], truth.respond([u])[0] - 7.0, 1e-3)
-    >>> fit = fit_static([record], [[np.array([0.5, 2.0])]], method="least_squares")
+    >>> fit = fit_static([record], [[np.array([0.5, 2.0])]], solver="least_squares")
     >>> fit.hysteresis.pairs[0][0].weights_um_per_v.round(9), fit.offsets_um.round(9)
     (array([ 3., -1.]), array([[-7.]]))
     """
@@ -146,7 +146,7 @@ def fit_static(
     refuse_unreached(records, layout.grids)
     begun = tuple(starts) or (Start("rest"),) * len(records)
     moments = static_moments(records, layout.grids, begun, delay_samples, through)
-    return solve_static(records, thresholds_v, layout, moments, method, ridge)
+    return solve_static(records, thresholds_v, layout, moments, solver, ridge)
 
 
 def static_moments(
@@ -225,17 +225,17 @@ def solve_static(
     thresholds_v: Thresholds,
     layout: SlopeColumns,
     moments: Sequence[Moments],
-    method: Weighting = "invertible",
+    solver: SquaresSolver = "invertible",
     ridge: float = 0.0,
 ) -> StaticFit:
     """Weights from the moments of each output; see ``fit_static``."""
     refuse_inseparable(records[0], layout, moments)
     free = [_solve_output(layout, o, moment, ridge) for o, moment in enumerate(moments)]
     solutions = free
-    if method != "least_squares":
+    if solver != "least_squares":
         gains = gains_of(records, thresholds_v, layout, [solution.coefficients for solution in free])
         solutions = [
-            _solve_output(layout, o, moment, ridge, bounds_of(method, layout, o, gains))
+            _solve_output(layout, o, moment, ridge, bounds_of(solver, layout, o, gains))
             for o, moment in enumerate(moments)
         ]
     offsets_um = _offsets(layout, moments, solutions)
@@ -314,9 +314,9 @@ def gains_of(
     return gains
 
 
-def bounds_of(method: Weighting, layout: SlopeColumns, o: int, gains: Array) -> Bounds:
-    """Bounds of the slopes of one output under a method."""
-    return _nonnegative(layout, o, gains) if method == "nonnegative" else _invertible(layout, o, gains)
+def bounds_of(solver: SquaresSolver, layout: SlopeColumns, o: int, gains: Array) -> Bounds:
+    """Bounds of the slopes of one output under a solver."""
+    return _nonnegative(layout, o, gains) if solver == "nonnegative" else _invertible(layout, o, gains)
 
 
 def _nonnegative(layout: SlopeColumns, o: int, gains: Array) -> Bounds:
