@@ -87,7 +87,8 @@ def standard_errors(task: AxisTask, point: Point) -> Array:
         (H^-1 (sum over parts of g g^T) H^-1)_ii,    g = sum over the part of psi e
 
     with the derivatives psi of the output behind the slopes, and H = psi^T psi: errors may be related
-    within a part (White, Econometrica 48 (1980) 817-838; Liang and Zeger, Biometrika 73 (1986) 13-22).
+    within a part (White, Econometrica 48 (1980) 817-838; Liang and Zeger, Biometrika 73 (1986) 13-22). The
+    slopes are free, delay and thresholds are taken as they are.
     """
     n = task.columns
     inverse = np.linalg.pinv(point.curvature, rcond=1e-14, hermitian=True)
