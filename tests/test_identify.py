@@ -358,6 +358,22 @@ def test_records_that_do_not_belong_together_are_refused():
         identify([Record(record.y_um[:, 100:], record.u_v[:, 100:], 5e-5)])
 
 
+def test_a_record_that_is_given_twice_is_refused_by_whatever_name():
+    u = 5.0 * np.sin(np.linspace(0.0, 20.0, 400))
+    one = Record([u], [3.0 * u], 1e-3, source="a.csv")
+    copy = Record([u], [3.0 * u], 1e-3, source="b.csv")
+    other = Record([u], [3.0 * u + 0.01 * u**2], 1e-3, source="c.csv")
+    for given, said in (
+        ([one, one], "a.csv: is given twice"),
+        ([one, copy], "b.csv: is given as a.csv already"),
+    ):
+        with pytest.raises(InputError, match=said):
+            identify(given, plain(operators=1))
+        with pytest.raises(InputError, match=said):
+            identify([other], plain(operators=1), validation=given)
+    identify([one, other], plain(operators=1))
+
+
 def test_inputs_driven_together_are_not_taken_for_swapped_columns():
     phase = 2.0 * np.pi * np.arange(2400) / 400
     u = np.array([10.0 * np.sin(phase), 5.0 * np.sin(phase - 0.4) + 2.0 * np.sin(3.0 * phase)])

@@ -177,6 +177,7 @@ def from_last_rest(records: Sequence[Record], sensor: KnownSensor | None = None)
     if not records:
         raise InputError("records", "none was given")
     _refuse_mixed(records)
+    _refuse_twice(records)
     refuse_swapped(records)
     prompt = [(sensor or KnownSensor()).prompt(record) for record in records]
     return tuple(counted(_without_dead_start(record)) for record in prompt)
@@ -193,6 +194,21 @@ def _refuse_mixed(records: Sequence[Record]) -> None:
     if len(shapes) > 1:
         listed = ", ".join(f"{m} inputs and {p} outputs" for m, p in sorted(shapes))
         raise InputError("records", f"do not have the same axes: {listed}")
+
+
+def _refuse_twice(records: Sequence[Record]) -> None:
+    """Refuse a record that is given twice, by whatever name: it would count double and pass for sure."""
+    for i, record in enumerate(records):
+        for other in records[:i]:
+            if _are_one(record, other):
+                named = "twice" if record.source == other.source else f"as {other.source} already"
+                raise InputError(record.source, f"is given {named}: give every record once")
+
+
+def _are_one(record: Record, other: Record) -> bool:
+    """Whether two records hold the same samples."""
+    times = record.sample_time_s == other.sample_time_s
+    return times and all(map(np.array_equal, (record.u_v, record.y_um), (other.u_v, other.y_um)))
 
 
 def _build(task: Task, guesses: Sequence[FirstGuess]) -> Built:
