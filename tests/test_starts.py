@@ -68,6 +68,12 @@ def test_beginnings_hold_the_whole_swing_of_every_input():
     assert [np.ptp(few[k].u_v[k]) for k in range(2)] == pytest.approx([20.0, 20.0], rel=2e-3)
 
 
+def test_a_beginning_is_not_over_before_anything_in_it_counts():
+    u = 10.0 * np.sin(2.0 * np.pi * np.arange(40_000) / 1000)
+    part, start = (found[0] for found in shortened([Record([u], [u], 1e-4)], [Start("rest", 30_000)], 2000))
+    assert start.first <= part.samples // 2
+
+
 @pytest.mark.parametrize(("gap", "is_closed"), [(0.015, True), (0.025, False)])
 def test_a_loop_is_closed_within_two_percent_of_its_height(gap, is_closed):
     u = 10.0 * np.cos(2.0 * np.pi * np.arange(401) / 400)

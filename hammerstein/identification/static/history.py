@@ -344,10 +344,13 @@ def _liveliest(record: Record, most: int) -> int:
 
 
 def _cut(record: Record, start: Start, most: int, first: int = 0) -> tuple[Record, Start]:
-    """So many samples of a record from a given one on; a later part begins as if it were repeated."""
+    """So many samples of a record from a given one on; a later part begins as if it were repeated.
+
+    So does one that would be over before anything in it counts.
+    """
     if record.samples <= most:
         return record, start
     part = record.part(first, first + most)
-    if not first and start.kind != "repeated":
+    if not first and start.kind != "repeated" and start.first <= most // 2:
         return part, start
     return part, Start("repeated", min(run_in(part), most // 2))
