@@ -15,7 +15,8 @@ from pdoc.extract import walk_specs
 
 def main(folder: Path, names: list[str]) -> None:
     """Write the pages; what pdoc cannot read of ours is a mistake."""
-    warnings.filterwarnings("error", message="Error parsing type annotation .* for hammerstein|The module specification")
+    for told in ("Error parsing type annotation .* for hammerstein", "The module specification"):
+        warnings.filterwarnings("error", message=told)
     for name in names:
         resolve_named_tuples(name)
     pdoc.render.configure(docformat="numpy", math=True, show_source=False)

@@ -36,7 +36,10 @@ def known(late: int, **options) -> Settings:
     return plain(dynamics="second_order", thresholds_v=R, **(sensor | options))
 
 
-@pytest.mark.parametrize(("sensor", "actuator"), [(19, 0), (19, 5), (6, 0), (8, 8)])
+MORE = [pytest.param(*each, marks=pytest.mark.long) for each in ((19, 0), (6, 0))]
+
+
+@pytest.mark.parametrize(("sensor", "actuator"), [(19, 5), (8, 8), *MORE])
 def test_a_known_delay_of_the_sensor_is_not_the_actuators(sensor, actuator):
     model, fit = identify(late_records(sensor + actuator), known(sensor))
     assert model.dynamics.input_delay_s == pytest.approx(actuator / PARTS * T, abs=0.05 * T)
@@ -62,6 +65,7 @@ def test_records_of_several_sample_times_have_one_delay():
     assert model.dynamics.input_delay_s == 0.0
 
 
+@pytest.mark.long  # it fits every kind
 def test_a_comparison_judges_with_the_sensor_that_is_given():
     found = compare(late_records(16), known(16, delay_samples=0), validation=late_records(16)[:2])
     assert found["prandtl_ishlinskii with dynamics"].judged.rms_um[0] < 0.03

@@ -246,10 +246,12 @@ def help_of(*command: str) -> Result:
     return CliRunner().invoke(app, [*command, "--help"], env={"COLUMNS": "80"})
 
 
-LENGTHY = [pytest.param("compare", marks=pytest.mark.long)]  # the guide's own line is run, too
+LENGTHY = ("compare", "identify", "init")  # the lines of guide and fixtures are run, too
 
 
-@pytest.mark.parametrize("name", [*(name for name in COMMANDS if name != "compare"), *LENGTHY])
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.long) if n in LENGTHY else n for n in COMMANDS]
+)
 def test_every_help_has_one_example_that_works_as_typed(
     name: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

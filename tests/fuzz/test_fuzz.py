@@ -43,7 +43,7 @@ def _quick_fits(monkeypatch):
 def test_scenarios(folder):
     seen = []
 
-    @settings(max_examples=30, **SHORT)
+    @settings(max_examples=20, **SHORT)
     @given(strategies.scenarios())
     def campaign(content):
         seen.append(scenario_case(content, folder))
@@ -78,7 +78,7 @@ def test_command_lines(folder):
 
 def test_damaged_records(folder):
     draw, seeds = random.Random(3), records(folder)
-    for i in range(30):
+    for i in range(20):
         name, data, columns = draw.choice(seeds)
         record_case(mutated(data, draw), name.replace("seed", "case"), columns, folder, fitted=i % 10 == 0)
         path_case(mutated(path_bytes(), draw), folder)
