@@ -121,9 +121,7 @@ class Settings:
         if isinstance(self.operators, str) and self.operators != "auto":
             mistakes.append(Mistake("operators", f"{self.operators!r} is not known; give a number or auto"))
         if self.solver == "closed_form" and self.ridge > 0.0:
-            mistakes.append(
-                Mistake("ridge", "belongs to the solvers of least squares, not closed_form")
-            )
+            mistakes.append(Mistake("ridge", "belongs to the solvers of least squares, not closed_form"))
         return [*mistakes, *self._misfits_of_fitted(), *self._misfits_of_kind()]
 
     def _misfits_of_kind(self) -> list[Mistake]:
