@@ -20,7 +20,7 @@ from hammerstein.runtime.workers import Processes
 if TYPE_CHECKING:
     from hammerstein.scenario import Scenario
 
-TAKES = "at most about 15 s"
+TAKES = "about 15 s"
 """How long it takes, as README.md says, too."""
 
 RANGE_V, SAMPLE_TIME_S, SAMPLES = 10.0, 50e-6, 800
