@@ -1,4 +1,7 @@
-"""Time loops as machine code, kept on the disk: what was spoilt there is noticed and made anew."""
+"""Time loops as machine code, kept on the disk: what was spoilt there is noticed and made anew.
+
+Of several processes that need a loop, one compiles it; the others wait and find it.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,15 @@ import inspect
 import io
 import os
 import pickle
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from typing import Any
 
 import numba
 from numba.core import caching
+from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import register_jitable
 
 from hammerstein.errors import Notice
@@ -35,6 +40,8 @@ CHECKED = ".checked"
 """In the names of the files, which are not those of numba alone."""
 MARK = b"hammerstein sha256"
 """Stands at the end of each file, before the digest of what is above it."""
+LONGEST_WAIT_S, PAUSE_S = 60.0, 0.02
+"""For another process that compiles the same loop; none takes that long, unless it was halted."""
 
 
 def compiled(reads: str = "", **options: Any) -> Callable[[Loop], Loop]:
@@ -100,7 +107,8 @@ class _OnceFor:
         for i in self.reads:
             if isinstance(plain[i], types.Array):
                 plain[i] = plain[i].copy(readonly=True)
-        with uncollected():
+        # Before the lock of the loop that of all threads: a loop that calls others compiles them as well.
+        with global_compiler_lock, uncollected(), self.dispatcher._cache.by_one_process():
             entry = self.compile(tuple(plain))
         if plain != list(given) and tuple(given) not in self.known:
             self.known.add(tuple(given))
@@ -132,6 +140,10 @@ def spans(samples: int, products: int = LEAST) -> Iterator[tuple[int, int]]:
 class _NoCache(NullCache):  # type: ignore[misc]
     """Tells once, when there is something to keep, that nothing can be kept."""
 
+    def by_one_process(self) -> AbstractContextManager[None]:
+        """Each process compiles for itself."""
+        return nullcontext()
+
     def save_overload(self, *_: object) -> None:
         _tell_once("compiled loops cannot be kept: set NUMBA_CACHE_DIR to a folder that can be written")
 
@@ -145,6 +157,45 @@ class _Cache(FunctionCache):  # type: ignore[misc]
             filename_base=f"{self._impl.filename_base}{CHECKED}",
             source_stamp=plain._source_stamp,
         )
+        self._held = False
+
+    @contextmanager
+    def by_one_process(self) -> Iterator[None]:
+        """Keep the processes apart that would compile this loop at the same time, where the system can."""
+        if self._held:  # a loop that calls itself
+            yield
+            return
+        handle = _locked(os.path.join(self._cache_path, f"{self._impl.filename_base}.lock"))
+        self._held = True
+        try:
+            yield
+        finally:
+            self._held = False
+            if handle is not None:
+                os.close(handle)
+
+
+def _locked(path: str) -> int | None:
+    """Handle of a file that no other process has locked; None where that cannot be."""
+    try:
+        import fcntl
+
+        os.makedirs(os.path.dirname(path), exist_ok=True)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+    except (ImportError, OSError):
+        return None
+    until = time.monotonic() + LONGEST_WAIT_S
+    while time.monotonic() < until:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(PAUSE_S)
+        except OSError:
+            break
+        else:
+            return handle
+    os.close(handle)
+    return None
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]

@@ -117,6 +117,7 @@ def test_a_spoilt_result_is_told_and_worked_out_again(tmp_path, monkeypatch, how
 
 
 LOOP = """
+import os
 from hammerstein.compiled import compiled
 
 @compiled()
@@ -124,9 +125,13 @@ def double(x):
     return 2.0 * x
 
 if __name__ == "__main__":
-    import sys, warnings
+    import pathlib, sys, time
     from hammerstein.runtime.notices import tell_notices
     tell_notices()
+    for place in sys.argv[1:2]:
+        pathlib.Path(place).touch()
+    while not all(map(os.path.exists, sys.argv[2:])):
+        time.sleep(0.001)
     print(double(21.0), sum(double.stats.cache_hits.values()))
 """
 
@@ -162,6 +167,30 @@ def test_a_spoilt_compiled_loop_is_told_and_compiled_again(loop, tmp_path, kind,
     assert str(tmp_path / "__pycache__") in error
     if how != "folder":
         assert loop() == (["42.0", "1"], "")
+
+
+def test_of_processes_that_need_a_loop_one_compiles_it(tmp_path):
+    (tmp_path / "loop.py").write_text(LOOP)
+    ready = [str(tmp_path / name) for name in "abc"]
+    begun = [
+        subprocess.Popen(
+            [sys.executable, str(tmp_path / "loop.py"), own, *ready], stdout=subprocess.PIPE, text=True
+        )
+        for own in ready
+    ]
+    assert sorted(process.communicate(timeout=100)[0] for process in begun) == ["42.0 0\n", *2 * ["42.0 1\n"]]
+
+
+def test_a_halted_process_that_compiles_stops_no_other(loop, tmp_path):
+    fcntl = pytest.importorskip("fcntl")
+    assert loop()[0] == ["42.0", "0"]
+    (path,) = (tmp_path / "__pycache__").glob("*.lock")
+    with path.open("r+") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        # on one line, for the names of the files hold the number of that of the loop
+        hurried = "import os, hammerstein.compiled; hammerstein.compiled.LONGEST_WAIT_S = 0.1"
+        (tmp_path / "loop.py").write_text(LOOP.replace("import os", hurried, 1))
+        assert loop() == (["42.0", "0"], "")
 
 
 def test_where_nothing_can_be_written_loops_are_compiled_each_time(loop, tmp_path):

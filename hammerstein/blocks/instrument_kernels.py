@@ -56,7 +56,7 @@ def leaving(asked, rest, ends, left):  # type: ignore[no-untyped-def]
     return reached > 0
 
 
-@compiled()
+@compiled(reads="wire")
 def outside(wire, first, stop, low, high):  # type: ignore[no-untyped-def]
     """How many values of a wire (axis, N) are not between two bounds, from sample first up to stop."""
     found = 0
