@@ -65,6 +65,23 @@ def test_a_scenario_is_a_value_a_file_or_a_mapping(file):
     assert hammerstein.run(file).name == "loop"
 
 
+def test_a_signal_and_a_law_in_a_mapping_may_be_values():
+    sine = hammerstein.Sine(amplitude=10.0, frequency_hz=50.0)
+    assert hammerstein.run({**LOOP, "drive": sine}).to_json() == hammerstein.run(LOOP).to_json()
+
+    def circle(reference, **law):
+        rest = {key: value for key, value in LOOP.items() if key != "drive"}
+        compensators = [{"label": "ours", "model": "duo_bimorph", **law}]
+        return hammerstein.run({**rest, "reference": reference, "compensators": compensators}).to_json()
+
+    values = (
+        hammerstein.Circle(radius=10.0, frequency_hz=50.0),
+        hammerstein.InverseMultiplicative(iterations=2),
+    )
+    words = {"kind": "circle", "radius_um": 10.0, "frequency_hz": 50.0}
+    assert circle(values[0], law=values[1]) == circle(words, law="inverse_multiplicative", iterations=2)
+
+
 def test_a_mistake_in_a_mapping_is_told_like_one_in_a_file():
     with pytest.raises(hammerstein.InputError, match=r"drive.amplitude_w.*did you mean amplitude_v"):
         hammerstein.run({**LOOP, "drive": {"kind": "sine", "amplitude_w": 10.0, "frequency_hz": 50.0}})

@@ -16,7 +16,7 @@ from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from hammerstein.actuators import DEFAULT
 from hammerstein.blocks.instruments import Instruments
-from hammerstein.compensators import COMPENSATORS
+from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import read_limited
 from hammerstein.metrics import Metric, metrics_of
@@ -29,7 +29,7 @@ from hammerstein.scenario.source import ModelSource
 from hammerstein.scenario.study import Study
 from hammerstein.scenario.tested import Tested
 from hammerstein.scenario.uncertainty import Uncertainty
-from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference
+from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference, Shape, written
 from hammerstein.validation import Strict, mistakes_of
 
 MOST_VALUES = 10_000  # of one key of a sweep
@@ -273,14 +273,34 @@ def _without_folders(value: Any, key: str = "") -> Any:
 def scenario_of(source: ScenarioSource) -> tuple[str, Scenario]:
     """Name and value of a scenario, given as it is, as its file, or as what a file would hold.
 
-    Paths in a mapping are relative to the working folder. Raises InputError with every mistake.
+    In a mapping a signal may be a value, such as ``Circle(...)``, and a law too, such as ``ExactInverse()``;
+    paths are relative to the working folder. Raises InputError with every mistake.
     """
     if isinstance(source, Scenario):
         return "scenario", source
     load_plugins()
     if isinstance(source, Mapping):
-        return "scenario", _validated(source, "scenario")
+        return "scenario", _validated(_plain(source), "scenario")
     return Path(source).stem, load_scenario(source)
+
+
+def _plain(source: Mapping[str, Any]) -> dict[str, Any]:
+    """What a file would hold: signals and laws that are values in its words."""
+    found = dict(source)
+    for key, unit in (("reference", "um"), ("drive", "v")):
+        if isinstance(found.get(key), Shape):
+            found[key] = written(found[key], unit)
+    if isinstance(found.get("compensators"), (list, tuple)):
+        found["compensators"] = [_with_law_named(one) for one in found["compensators"]]
+    return found
+
+
+def _with_law_named(compensator: Any) -> Any:
+    """A compensator whose law is a value, with the name and the options of that law."""
+    if not isinstance(compensator, Mapping) or not isinstance(compensator.get("law"), Compensator):
+        return compensator
+    law = compensator["law"]
+    return law.model_dump(exclude_defaults=True) | {**compensator, "law": law.law}
 
 
 def load_scenario(path: str | Path) -> Scenario:

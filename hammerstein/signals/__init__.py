@@ -11,8 +11,10 @@ from hammerstein.signals.shapes import (
     OnAxes as OnAxes,
     OneFrequency as OneFrequency,
     Reference as Reference,
+    Shape as Shape,
     Sine as Sine,
     Spiral as Spiral,
     Triangle as Triangle,
     smooth_step as smooth_step,
+    written as written,
 )

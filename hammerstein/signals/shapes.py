@@ -407,6 +407,17 @@ def _in_unit(kind: type[Shape], unit: str) -> type[Shape]:
     return twin
 
 
+def written(signal: Shape, unit: str) -> dict[str, Any]:
+    """What a scenario file holds of a signal in this unit.
+
+    >>> written(Circle(radius=10.0, frequency_hz=50.0), "um")
+    {'kind': 'circle', 'frequency_hz': 50.0, 'radius_um': 10.0}
+    """
+    known = signal.model_dump(by_alias=False, exclude_defaults=True)
+    sized = {f"{name}_{unit}" if name in _SIZED else name: value for name, value in known.items()}
+    return {SIGNALS.tag: getattr(signal, SIGNALS.tag), **sized}
+
+
 Reference = Annotated[Shape, SIGNALS.field(partial(_in_unit, unit="um"))]
 """A signal as a path to follow [um]."""
 Excitation = Annotated[Shape, SIGNALS.field(partial(_in_unit, unit="v"))]
