@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.memory import Memory
+from hammerstein.blocks.sample_grid import require_grid
 from hammerstein.errors import InputError, SimulationError
 
 if TYPE_CHECKING:
@@ -147,7 +148,7 @@ class Law(Designed, Generic[S]):
 
         Raises InputError for another sample time than the law was designed for.
         """
-        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
 
         require_grid(self.sample_time_s, sample_time_s, "compensator")
         block = Stepwise(self.rest(), self.step, lambda state: state.as_dict(), self.restore)

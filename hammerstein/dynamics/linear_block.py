@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array, ByValue, Complex, Indices, freeze_fields
+from hammerstein.blocks.sample_grid import require_grid
 from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
@@ -93,6 +94,12 @@ class LinearBlock(ByValue):
         a, b, c, d, _ = cont2discrete((self.A, self.B, self.C, self.D), sample_time_s, "zoh")
         return LinearBlock(a, b, c, d, sample_time_s)
 
+    def behind(self, first: LinearBlock) -> LinearBlock:
+        """Give both in a row in continuous time, this one last; the states of the other one come first."""
+        a = np.block([[first.A, np.zeros((len(first.A), len(self.A)))], [self.B @ first.C, self.A]])
+        b, c = np.vstack([first.B, self.B @ first.D]), np.hstack([self.D @ first.C, self.C])
+        return LinearBlock(a, b, c, self.D @ first.D, self.sample_time_s)
+
     def then(self, rest: LinearBlock, sample_time_s: float) -> LinearBlock:
         """Give one sample that begins with this block's step by the last input and ends with the other's."""
         n, m = self.B.shape
@@ -152,7 +159,7 @@ class LinearBlock(ByValue):
 
         It stands on its own sample grid; InputError for another sample time.
         """
-        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
 
         require_grid(self.sample_time_s, sample_time_s, "linear block")
         block = Stepwise(self.rest(), self.step, lambda x: {"x": x}, lambda data: np.asarray(data["x"]))

@@ -6,7 +6,8 @@ Resonant axes, creep, state-space blocks, and their exact discretisation under a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import reduce
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
@@ -21,6 +22,9 @@ from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
     import control
+
+Matrices = tuple[Array, Array, Array, Array]
+"""A, B, C and D."""
 
 
 def natural_frequency_hz(bandwidth_hz: float, damping_ratio: float) -> float:
@@ -79,27 +83,22 @@ class Axis(Strict):
 
     def system(self) -> control.StateSpace:
         """Give the axis as a continuous ``control.StateSpace``."""
-        import control
-
-        parts = []
-        if self.creep:
-            parts.append(creep([c.gain for c in self.creep], [c.time_constant_s for c in self.creep]))
-        if self.resonance_hz is not None:
-            parts.append(cantilever(resonance_hz=self.resonance_hz, damping_ratio=self.damping_ratio or 0.0))
-        if self.lag_s is not None:
-            parts.append(control.ss([[-1.0 / self.lag_s]], [[1.0 / self.lag_s]], [[1.0]], [[0.0]]))
-        return math.prod(parts[1:], start=parts[0]) if parts else control.ss([], [], [], [[1.0]])
+        return self.block().system()
 
     def block(self) -> LinearBlock:
         """Give its matrices, in continuous time."""
-        if not (self.creep or self.resonance_hz or self.lag_s):
-            return unit_gain(1)
-        if self.resonance_hz is not None and not (
-            self.creep or self.lag_s
-        ):  # as most are: no system is built
-            return LinearBlock(*_mode(self.resonance_hz, self.damping_ratio or 0.0), CONTINUOUS)
-        system = self.system()
-        return LinearBlock(system.A, system.B, system.C, system.D, CONTINUOUS)
+        parts = [LinearBlock(*matrices, CONTINUOUS) for matrices in self._parts()]
+        return reduce(LinearBlock.behind, parts) if parts else unit_gain(1)
+
+    def _parts(self) -> Iterator[Matrices]:
+        """What stands one behind the other, the last one first."""
+        if self.creep:
+            yield _slow_modes([c.gain for c in self.creep], [c.time_constant_s for c in self.creep])
+        if self.resonance_hz is not None:
+            yield _mode(self.resonance_hz, self.damping_ratio or 0.0)
+        if self.lag_s is not None:
+            pole = np.array([[1.0 / self.lag_s]])
+            yield -pole, pole, np.eye(1), np.zeros((1, 1))
 
 
 class AxesDynamics(Strict):
@@ -286,7 +285,7 @@ def cantilever(
     return control.append(*axes)
 
 
-def _mode(resonance_hz: float, damping_ratio: float) -> tuple[Array, Array, Array, Array]:
+def _mode(resonance_hz: float, damping_ratio: float) -> Matrices:
     """Matrices of one bending mode.
 
     Balanced states (x, x'/w): entries of one magnitude discretise without loss.
@@ -313,11 +312,14 @@ def creep(gains: Sequence[float], time_constants_s: Sequence[float]) -> control.
     """
     import control
 
+    return control.ss(*_slow_modes(gains, time_constants_s))
+
+
+def _slow_modes(gains: Sequence[float], time_constants_s: Sequence[float]) -> Matrices:
+    """Matrices of the creep of one axis."""
     n = len(gains)
     slow = np.reciprocal(np.asarray(time_constants_s, dtype=float).reshape(n))
-    return control.ss(
-        -np.diag(slow), slow.reshape(n, 1), np.asarray(gains, dtype=float).reshape(1, n), [[1.0]]
-    )
+    return -np.diag(slow), slow.reshape(n, 1), np.asarray(gains, dtype=float).reshape(1, n), np.eye(1)
 
 
 def discretise(

@@ -12,6 +12,7 @@ from pydantic import ConfigDict, model_validator
 
 from hammerstein.arrays import Array, ByValue
 from hammerstein.blocks import Memory
+from hammerstein.blocks.sample_grid import require_grid
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis.pair import WeightCovariance
 from hammerstein.plugins import Family
@@ -246,7 +247,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
 
         Raises InputError for a sample time that is not above zero.
         """
-        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
 
         require_grid(None, sample_time_s, "hysteresis")
         here = self.on_grid(sample_time_s)

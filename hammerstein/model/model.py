@@ -19,6 +19,7 @@ from pydantic import ConfigDict, Field, JsonValue, ValidationError, model_valida
 from hammerstein.arrays import Array, ByValue
 from hammerstein.blocks.axis_names import unique
 from hammerstein.blocks.instruments import Instruments
+from hammerstein.blocks.sample_grid import require_grid
 from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.dynamics import Dynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError, Mistake
@@ -193,7 +194,6 @@ class HammersteinModel(ByValue, Pictured):
 
     def _plant(self, sample_time_s: float, instruments: Instruments | None) -> Plant:
         """Give the model in a set-up on a sample grid."""
-        from hammerstein.blocks.interop.block_system import require_grid
         from hammerstein.model.simulation import Plant
 
         require_grid(None, sample_time_s, "model")

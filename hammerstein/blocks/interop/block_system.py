@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.interop.packing import Packing
-from hammerstein.errors import InputError
 
 S = TypeVar("S")
 
@@ -97,14 +96,3 @@ def signals(wire: str, count: int) -> list[str]:
     ['requested_v[0]', 'requested_v[1]']
     """
     return [f"{wire}[{i}]" for i in range(count)]
-
-
-def require_grid(designed_s: float | None, sample_time_s: float, what: str) -> None:
-    """Raise InputError where a block designed for one sample time is asked to run on another."""
-    if not (np.isfinite(sample_time_s) and sample_time_s > 0.0):
-        raise InputError("sample_time_s", f"is {sample_time_s:g}; it must be above 0")
-    if designed_s is not None and not np.isclose(designed_s, sample_time_s, rtol=1e-9, atol=0.0):
-        raise InputError(
-            "sample_time_s",
-            f"is {sample_time_s:g}, but the {what} was made for {designed_s:g}; make it again, or use that",
-        )

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
 from hammerstein.blocks import Memory, checked_reference
+from hammerstein.blocks.sample_grid import require_grid
 from hammerstein.compensators.feedback.pid import ControllerState, FeedbackController
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ class FeedbackStream:
 
     def to_iosys(self, sample_time_s: float, name: str) -> BlockSystem:
         """Give the block as a discrete ``control.NonlinearIOSystem``; see ``FeedbackController.to_iosys``."""
-        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, require_grid, signals
+        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
 
         require_grid(self.law.sample_time_s, sample_time_s, "controller")
         block = Stepwise(self.rest(), self.step, StreamState.as_dict, self.restore)
