@@ -125,6 +125,8 @@ def _fields(line: str, separator: str) -> list[str]:
         return []
     if separator == " ":
         return line.split()
+    if '"' not in line:  # what the reader would give, in less time
+        return [field.strip() for field in line.split(separator)]
     return [field.strip() for field in next(csv.reader([line], delimiter=separator), [])]
 
 
@@ -170,11 +172,12 @@ def _dialect(lines: Sequence[str]) -> tuple[Dialect, int, int]:
     Full rows are preferred; rows with gaps or with a column of text count where full rows are the exception.
     """
     widths: dict[tuple[int, int], Counter[int]] = {}
+    separators = {dialect.separator for dialect in DIALECTS}
+    split = {separator: [_fields(line, separator) for line in lines] for separator in separators}
     for k, dialect in enumerate(DIALECTS):
         if k >= PLAIN_DIALECTS and not _possible(dialect, lines):
             continue
-        for line in lines:
-            fields = _fields(line, dialect.separator)
+        for fields in split[dialect.separator]:
             for grade in range(_grade(fields, dialect), 3):
                 widths.setdefault((grade, k), Counter())[len(fields)] += 1
     for share in (0.5, 0.0):
