@@ -21,6 +21,7 @@ TOP = Path(__file__).parents[1]
 PAGES = guide_pages()
 WITH_RECORDS = ("kinds",)
 """Pages whose commands need a record that init does not make: their Python alone is run."""
+BEGIN = "hammerstein init my_stage"
 BASELINES = TOP / "reports/baseline"
 
 
@@ -38,9 +39,12 @@ def blocks(page: Path, language: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("guide") / "made"
-    assert call("init", folder) == 0
-    return folder
+    """The folder in which the guide is typed, by the command of its first page."""
+    here = tmp_path_factory.mktemp("guide")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(here)
+        assert call(*shlex.split(BEGIN)[1:]) == 0
+    return here / "my_stage"
 
 
 @pytest.mark.parametrize(
@@ -56,7 +60,8 @@ def test_a_page_does_what_it_says(
     page = PAGES[name]
     lines = [line for block in blocks(page, "") for line in block.splitlines()]
     commands = [] if name in WITH_RECORDS else [line for line in lines if line.startswith("hammerstein ")]
-    for command in commands:
+    assert (BEGIN in commands) == (name == "start")
+    for command in [command for command in commands if command != BEGIN]:
         assert call(*shlex.split(command)[1:]) == 0, (command, capsys.readouterr().err)
     for block in map(tomllib.loads, blocks(page, "toml")):
         if "question" in block:  # the others show a part of a scenario
