@@ -62,7 +62,7 @@ def errors(block):
 
 @pytest.mark.parametrize("through", [None, discretise(AXES, T)], ids=["static", "dynamics"])
 def test_errors_and_draws_are_those_of_refits(through):
-    fits = [refitted(seed, through=through) for seed in range(200)]
+    fits = [refitted(seed, through=through) for seed in range(120)]
     seen = np.std([flat(fit) for fit in fits], axis=0)
     assert fits[0].threshold_covariance.open == ()
     np.testing.assert_allclose(np.mean([errors(fit) for fit in fits], axis=0), seen[:-1], rtol=0.2)
@@ -102,10 +102,13 @@ def test_without_noise_there_is_no_error():
     assert (found.threshold_covariance.errors_v < 1e-6).all()
 
 
+def with_fitted_thresholds(operators):
+    return identify([record(4)], Settings(operators=operators, partition="fitted", error_curve=False))
+
+
 @pytest.fixture(scope="module")
 def identified():
-    settings = Settings(operators=6, partition="fitted", error_curve=False)
-    return identify([record(4)], settings)
+    return with_fitted_thresholds(6)
 
 
 def test_file_and_report_hold_them(identified):
@@ -129,10 +132,9 @@ def test_file_and_report_hold_them(identified):
 
 
 @pytest.mark.parametrize("operators", [3, 6])
-def test_no_delay_stands_in_for_thresholds_not_yet_fitted(operators):
+def test_no_delay_stands_in_for_thresholds_not_yet_fitted(operators, identified):
     """With so few thresholds where the time partition puts them, one sample of delay fits better."""
-    settings = Settings(operators=operators, partition="fitted", error_curve=False)
-    model, fit = identify([record(4)], settings)
+    model, fit = identified if operators == 6 else with_fitted_thresholds(operators)
     assert fit.delay_samples == 0
     places = np.concatenate([pair.thresholds_v for pair in model.hysteresis.pairs[0]])
     errors_v = model.hysteresis.threshold_covariance.errors_v
@@ -142,7 +144,9 @@ def test_no_delay_stands_in_for_thresholds_not_yet_fitted(operators):
 
 
 def test_given_thresholds_have_no_error():
-    model, fit = identify([record(4)], Settings(thresholds_v=[0.0, 1.0, 2.0], error_curve=False))
+    model, fit = identify(
+        [record(4)], Settings(thresholds_v=[0.0, 1.0, 2.0], dynamics="none", error_curve=False)
+    )
     assert model.hysteresis.threshold_covariance is None
     assert "## Thresholds" not in fit_page(model, fit)
 
