@@ -167,7 +167,7 @@ def test_linear_dynamics_that_are_kept_alone_stand_on_the_page():
     assert "response" in identified_figures(fit)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
 def test_a_model_is_hardly_worse_than_a_simpler_one(seed):
     """As in the long harness, where one in twenty may be worse by more than this, none by twice."""
     assert try_actuator(seed).ratio <= 1.05

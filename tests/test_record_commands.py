@@ -91,7 +91,8 @@ def test_identify_writes_a_model_that_scenarios_can_run(records, tmp_path, capsy
 
 def test_thresholds_can_be_given(records, tmp_path, capsys):
     out = tmp_path / "m.json"
-    arguments = ("identify", *records, *COLUMNS, "--rate", 20000, "--no-figures", "--out", out)
+    plain = ("--rate", 20000, "--no-figures", "--dynamics", "none", "--out", out)
+    arguments = ("identify", *records, *COLUMNS, *plain)
     assert _call(*arguments, "--thresholds", "0,0.5,3") == 0
     assert HammersteinModel.load(str(out)).hysteresis.pairs[0][0].thresholds_v.tolist() == [0.0, 0.5, 3.0]
     capsys.readouterr()
@@ -101,7 +102,7 @@ def test_thresholds_can_be_given(records, tmp_path, capsys):
 
 def test_json_holds_fit_and_validation(records, tmp_path, capsys):
     pd.read_csv(records[0]).to_csv(tmp_path / "held.csv", index=False)
-    options = ("--validate", tmp_path / "held.csv", "--no-figures", "--json")
+    options = ("--validate", tmp_path / "held.csv", "--no-figures", "--json", "--operators", 4)
     assert _call("identify", *records, *COLUMNS, "--rate", 20000, "--out", tmp_path / "m.json", *options) == 0
     content = json.loads(capsys.readouterr().out)
     held = content["validation"]
