@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -93,7 +93,7 @@ class CCode:
     ) -> Library:
         """Compile it here and load it; see ``Library``."""
         text = self.counting() if counting else self.in_one_file()
-        return Library(self.shape, text, self.cost.state_bytes, counting, command, flags)
+        return Library(self.shape, text, counting, command, flags)
 
     def in_one_file(self) -> str:
         """Header and source, one after the other."""
@@ -253,8 +253,9 @@ def _verdict(model: HammersteinModel) -> str:
     return f"{verdict.sentence or 'not flagged'} ({held})."
 
 
+@cache
 def environment() -> Any:
-    """Templates of the export."""
+    """Templates of the export, compiled once."""
     from jinja2 import pass_context
 
     found = templates_of("hammerstein.export")

@@ -19,6 +19,7 @@ from hammerstein.errors import InputError, InternalError
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 RUN = """
+const int64_t state_bytes = sizeof({name});
 void run({name} *law, const {real} *in, {real} *out, int32_t samples, int64_t *most)
 {{
   for (int32_t t = 0; t < samples; t++) {{
@@ -54,7 +55,6 @@ class Library:
     ----------
     shape : how the law is called
     code : its C in one file
-    state_bytes : of its structure
     counting : whether the code counts its operations
     command, flags : compiler and its options
     """
@@ -63,12 +63,11 @@ class Library:
         self,
         shape: CallShape,
         code: str,
-        state_bytes: int,
         counting: bool = False,
         command: str | None = None,
         flags: Sequence[str] = FLAGS,
     ):
-        self.shape, self._bytes = shape, state_bytes
+        self.shape = shape
         self._folder = tempfile.TemporaryDirectory(prefix="hammerstein-")
         before, after = ("operations = 0;", "*most = operations > *most ? operations : *most;")
         if not counting:
@@ -87,9 +86,14 @@ class Library:
     def __exit__(self, *_: object) -> None:
         self._folder.cleanup()
 
+    @property
+    def state_bytes(self) -> int:
+        """Bytes of its structure, as the compiler laid it out."""
+        return ctypes.c_int64.in_dll(self._library, "state_bytes").value
+
     def rest(self) -> Any:
         """Memory of a law at its start."""
-        law = ctypes.create_string_buffer(self._bytes + 8)
+        law = ctypes.create_string_buffer(self.state_bytes)
         self.function("init")(law)
         return law
 

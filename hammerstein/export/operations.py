@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -65,12 +64,9 @@ class Code:
 
     def counting(self) -> str:
         """Give the same code as one file, in which every statement adds its operations to a counter."""
-        from pycparser import c_generator
+        from pycparser import c_ast, c_generator
 
-        tree = deepcopy(self._tree)
-        for found in tree.ext:
-            if type(found).__name__ == "FuncDef":
-                self._count_in(found.body)
+        tree = c_ast.FileAST([_counted(found) for found in self._tree.ext])
         text = str(c_generator.CGenerator().visit(tree))
         return f"#include <stdint.h>\nstatic long long {COUNTER};\n" + text.replace(KNOWN_TYPES, "", 1)
 
@@ -131,35 +127,6 @@ class Code:
                 for one in found.type.values.enumerators:
                     yield one.name, int(one.value.value)
 
-    # ---- the counter ----
-
-    def _count_in(self, block: Any) -> None:
-        """Put a count before every run of statements of a block, and into the blocks inside."""
-        items: list[Any] = []
-        for item in block.block_items or []:
-            items += [self._count(self._straight(item)), item]
-            for inner in _blocks(item):
-                self._count_in(inner)
-                if type(item).__name__ == "For":
-                    inner.block_items.insert(
-                        0, self._count(_straight_of(item.cond) + _straight_of(item.next))
-                    )
-        block.block_items = items
-
-    def _straight(self, item: Any) -> int:
-        """Operations of a statement without the blocks inside."""
-        kind = type(item).__name__
-        if kind == "For":
-            return _straight_of(item.init) + _straight_of(item.cond)
-        return _straight_of(item.cond if kind == "If" else item)
-
-    @staticmethod
-    def _count(operations: int) -> Any:
-        from pycparser import c_ast
-
-        number = c_ast.Constant("int", str(operations))
-        return c_ast.Assignment("+=", c_ast.ID(COUNTER), number)
-
     # ---- bytes ----
 
     @cached_property
@@ -219,18 +186,42 @@ def _straight_of(node: Any) -> int:
     return _own(node) + sum(_straight_of(part) for _, part in node.children())
 
 
-def _blocks(item: Any) -> list[Any]:
-    """Blocks right inside a statement; an ``else if`` is given a block of its own."""
+def _counted(node: Any) -> Any:
+    """The same code with a count before every statement; what it is made of stays as it was."""
     from pycparser import c_ast
 
+    kind = type(node).__name__
+    if kind == "FuncDef":
+        return c_ast.FuncDef(node.decl, node.param_decls, _block(node.body))
+    if kind == "For":
+        turn = _count(_straight_of(node.cond) + _straight_of(node.next))
+        return c_ast.For(node.init, node.cond, node.next, _block(node.stmt, turn))
+    if kind == "If":
+        return c_ast.If(node.cond, _block(node.iftrue), node.iffalse and _block(node.iffalse))
+    return node
+
+
+def _block(node: Any, *first: Any) -> Any:
+    """Block of statements with their counts; one statement alone, such as ``else if``, is given a block."""
+    from pycparser import c_ast
+
+    items = (node.block_items or []) if type(node).__name__ == "Compound" else [node]
+    counted = [one for item in items for one in (_count(_straight(item)), _counted(item))]
+    return c_ast.Compound([*first, *counted])
+
+
+def _straight(item: Any) -> int:
+    """Operations of a statement without the blocks inside."""
     kind = type(item).__name__
     if kind == "For":
-        return [item.stmt]
-    if kind != "If":
-        return []
-    if type(item.iffalse).__name__ == "If":
-        item.iffalse = c_ast.Compound([item.iffalse])
-    return [part for part in (item.iftrue, item.iffalse) if part is not None]
+        return _straight_of(item.init) + _straight_of(item.cond)
+    return _straight_of(item.cond if kind == "If" else item)
+
+
+def _count(operations: int) -> Any:
+    from pycparser import c_ast
+
+    return c_ast.Assignment("+=", c_ast.ID(COUNTER), c_ast.Constant("int", str(operations)))
 
 
 def _conjunction(node: Any) -> list[Any]:

@@ -17,7 +17,8 @@ def dearest(operations: Callable[[Array], int], reach: Array) -> tuple[int, int]
     """Most operations of a step that a climbing search finds, and the samples it tried.
 
     Sequences of levels are changed in a few samples at a time, and kept where their dearest step is no
-    cheaper: what is dear is a jump that many turns lead up to.
+    cheaper: what is dear is a jump that many turns lead up to. Every other search jumps to the ends of the
+    reach only: the longest jumps cost most where blocks stand side by side.
 
     Parameters
     ----------
@@ -29,12 +30,13 @@ def dearest(operations: Callable[[Array], int], reach: Array) -> tuple[int, int]
     def levels(samples: int) -> Array:
         return np.asarray(np.round(1.25 * LEVELS * rng.of(axes, samples)) / LEVELS)
 
-    for _ in range(STARTS):
+    for start in range(STARTS):
         best, most = levels(SAMPLES), 0
         for _ in range(ROUNDS):
             trial = best.copy()
             where = (0.5 * SAMPLES * (rng.of(1, 3)[0] + 1.0)).astype(np.int64)
-            trial[:, where] = levels(len(where))
+            jumps = levels(len(where))
+            trial[:, where] = 1.25 * np.sign(jumps) if start % 2 else jumps
             found = operations(reach[:, None] * trial)
             if found >= most:
                 best, most = trial, found
