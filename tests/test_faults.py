@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -295,5 +296,5 @@ def test_nobody_waits_for_the_worker_that_is_this_process():
 def test_a_task_that_cannot_be_sent_is_told_and_the_next_is_done():
     with Processes(1) as processes:
         bad, good = processes.submit(lambda: 1), processes.submit(size_of_a_result)
-    assert "pickle" in str(bad.exception())
+    assert isinstance(bad.exception(), (AttributeError, pickle.PicklingError))
     assert len(good.result()) == 5_000_000
