@@ -76,6 +76,7 @@ class Dask:
             time.sleep(0.05)
         time.sleep(0.1)
         self.address = json.loads(file.read_text())["address"]
+        (folder / "worker.log").touch()
         self.workers = [self.worker() for _ in range(workers)]
         self.wait_for(workers)
 
@@ -115,9 +116,10 @@ def dask(tmp_path_factory):
 
 
 @pytest.fixture
-def own_dask(tmp_path):
+def own_dask(tmp_path, request):
+    """A cluster of a test that ends its scheduler; with two workers, if the test names no other number."""
     (tmp_path / "dask").mkdir()
-    found = Dask(tmp_path / "dask")
+    found = Dask(tmp_path / "dask", getattr(request, "param", 2))
     yield found
     found.end()
 
@@ -172,23 +174,26 @@ def test_a_sweep_and_a_check_are_the_same(folder, dask, capsys):
     assert call("check", "scenarios", "--baseline", "b", "--cluster", dask.address) == 0
 
 
-def test_a_killed_worker_is_survived(folder, own_dask, capsys):
+def test_a_killed_worker_is_survived(folder, dask, capsys):
     def kill():
         until = time.monotonic() + 60.0
         while not list((folder / "cache/kept").rglob("??/*")) and time.monotonic() < until:
             time.sleep(0.02)
-        own_dask.workers[0].kill()
+        dask.workers[0].kill()
 
     killer = threading.Thread(target=kill)
     killer.start()
-    assert call("run", "slow.toml", "--no-figures", "--cluster", own_dask.address) == 0
+    assert call("run", "slow.toml", "--no-figures", "--cluster", dask.address) == 0
     killer.join()
-    assert own_dask.workers[0].wait() == -9
+    assert dask.workers[0].wait() == -9
+    dask.workers[0] = dask.worker()
+    dask.wait_for(3)
     found = (folder / "reports/slow/report.json").read_bytes()
     assert call("run", "slow.toml", "--no-figures", "--fresh", "--jobs", 1, "--out", "here") == 0
     assert (folder / "here/slow/report.json").read_bytes() == found
 
 
+@pytest.mark.parametrize("own_dask", [1], indirect=True)
 def test_a_lost_scheduler_is_told_and_what_was_finished_is_kept(folder, own_dask, capsys):
     def kill():
         until = time.monotonic() + 60.0
@@ -250,7 +255,7 @@ def test_a_wrong_address_is_one_message_within_seconds(folder, dask, capfd, addr
         mute.bind(("127.0.0.1", 0))
         mute.listen()
         ports = {"closed": closed.getsockname()[1], "mute": mute.getsockname()[1]}
-        worker = re.findall(r"Start worker at: *(tcp://\S+)", (dask.folder / "worker.log").read_text())[0]
+        worker = re.findall(r"Start worker at: *(tcp://\S+)", (dask.folder / "worker.log").read_text())[-1]
         start = time.monotonic()
         assert call("run", "drawn.toml", "--cluster", address.format(worker=worker, **ports)) == 2
     assert time.monotonic() - start < 20.0
@@ -293,12 +298,10 @@ def test_results_of_another_processor_are_kept_apart(tmp_path, dask, monkeypatch
     assert processor()
 
 
+@pytest.mark.parametrize("own_dask", [0], indirect=True)
 def test_linear_algebra_runs_on_one_thread(own_dask):
     own_dask.workers.append(own_dask.worker(OPENBLAS_NUM_THREADS="2"))
-    own_dask.wait_for(3)
-    for worker in own_dask.workers[:2]:
-        worker.kill()
-        worker.wait()
+    own_dask.wait_for(1)
     with cluster.joined(own_dask.address) as crew:
         libraries = [one for one in crew.submit(threadpool_info).result(60) if one["user_api"] == "blas"]
     assert [one["num_threads"] for one in libraries] == [1] * len(libraries) != []

@@ -110,8 +110,17 @@ BEGUN = "import sys; sys.stderr.write('\\n'); sys.stderr.flush(); sys.argv[0] = 
 OURS = "from hammerstein.__main__ import main; " + BEGUN + "main()"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("wait_s", [0.015, 0.03, 0.06, 0.1, 0.2, 0.4, 0.8])
+@pytest.mark.parametrize(
+    ("number", "wait_s"),
+    [
+        *((signal.SIGINT, wait_s) for wait_s in (0.015, 0.03, 0.06, 0.1, 0.2, 0.4, 0.8)),
+        *((signal.SIGTERM, wait_s) for wait_s in (0.03, 0.4)),  # the same handler
+        *(
+            pytest.param(signal.SIGTERM, wait_s, marks=pytest.mark.long)
+            for wait_s in (0.015, 0.06, 0.1, 0.2, 0.8)
+        ),
+    ],
+)
 def test_ctrl_c_is_one_line_from_our_first_line_on(folder, number, wait_s):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen([sys.executable, "-c", OURS, *RUN], **pipes) as process:
