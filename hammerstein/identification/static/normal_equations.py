@@ -69,11 +69,15 @@ def moments_of(blocks: Iterable[tuple[Array, Array]], columns: int, outputs: int
     k = columns + outputs
     total = np.zeros((k + 1, k + 1))
     reference: Array | None = None
+    rows = np.empty((k + 1, 0))
     for x, y in blocks:
-        rows = np.vstack([x, y, np.ones((1, x.shape[1]))])
         if reference is None:
-            reference = rows[:k, :1].copy()
-        rows[:k] -= reference  # sums of large numbers would lose what their differences tell
+            reference = np.concatenate([x[:, :1], y[:, :1]])
+        if rows.shape[1] != x.shape[1]:
+            rows = np.ones((k + 1, x.shape[1]))
+        # sums of large numbers would lose what their differences tell
+        np.subtract(x, reference[:columns], out=rows[:columns])
+        np.subtract(y, reference[columns:], out=rows[columns:k])
         total += _products(rows)
     if reference is None:
         raise IdentificationError("no sample of the record can be used")
