@@ -153,14 +153,14 @@ def test_a_scenario_identifies_it_through_drive_and_sensor(tmp_path):
         {
             "question": "What does the Bouc-Wen compensator leave?",
             "actuator": str(tmp_path / "wen.json"),
-            "reference": {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 5.0, "axis": 1},
+            "reference": {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 10.0, "axis": 1},
             "measure": {"settle_cycles": 1, "measured_cycles": 1},
             "compensators": [
                 {"label": "nothing", "law": "none", "identification": found},
                 {
                     "label": "bouc_wen",
                     "law": "inverse_multiplicative",
-                    "iterations": 20,
+                    "iterations": 8,
                     "identification": found,
                 },
             ],

@@ -313,7 +313,7 @@ def test_scenario_about_a_working_point(tmp_path):
             "frequency_hz = 50\noffset_um = [2, 3]\nsmooth_start_s = 0.02\n"
             + "".join(
                 f'[[compensators]]\nlabel = "{law}"\nlaw = "{law}"\n'
-                'identification = { method = "hammerstein", operators = 8 }\n'
+                'identification = { method = "hammerstein", operators = 8, record_s = 0.02 }\n'
                 for law in (*LAWS, "feedback")
                 if "," not in law
             )

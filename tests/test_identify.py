@@ -47,12 +47,12 @@ def bimorph():
     t = model.instruments.drive.sample_time_s
     records = []
     for k in range(2):
-        for f in (10.0, 50.0, 100.0, 200.0, 300.0, 420.0):
-            time_s = t * np.arange(round(max(0.1, 2.0 / f) / t))
+        for f in (10.0, 100.0, 420.0):
+            time_s = t * np.arange(round(max(0.05, 2.0 / f) / t))
             u = np.zeros((2, len(time_s)))
             u[k] = 10.0 * np.sin(2.0 * np.pi * f * time_s)
             records.append(simulated(model, u, generator)[0])
-        time_s = t * np.arange(8000)
+        time_s = t * np.arange(4000)
         tones = [
             np.sin(2.0 * np.pi * f * time_s + generator.uniform(0.0, 6.3)) for f in np.arange(5.0, 420.0, 5.0)
         ]
@@ -69,7 +69,7 @@ def bimorph():
 @pytest.fixture(scope="module")
 def bimorph_fit(bimorph):
     _, records, (held, _) = bimorph
-    settings = plain(operators=30, dynamics="second_order", sensor_bandwidth_hz=2000.0)
+    settings = plain(dynamics="second_order", sensor_bandwidth_hz=2000.0)
     return identify(records, settings, validation=[held])
 
 
