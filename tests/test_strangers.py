@@ -87,7 +87,7 @@ def test_pages_tables_and_figures_of_a_hostile_scenario(folder, capsys):
 
 
 def test_the_fit_report_of_a_hostile_record(folder, capsys):
-    t = np.arange(8000) / 20e3
+    t = np.arange(2000) / 20e3
     u = 10.0 * np.sin(2 * np.pi * 50.0 * t)
     name = "=x<script>alert(1)</script>"
     x = HammersteinModel.load("duo_bimorph_static").hysteresis.respond(np.vstack([u, 0 * u]))[0][0]
@@ -136,11 +136,11 @@ def test_brackets_in_quotes_are_no_brackets(folder):
 
 def test_a_file_larger_than_its_limit_and_one_that_never_ends_are_refused(folder, capsys):
     with open("big.json", "wb") as file:
-        file.truncate(10**9)
-    assert call("run", "odd.toml") in (0,)
+        file.truncate(10**8)
+    assert call("run", "odd.toml", "--no-figures") == 0
     (folder / "big.toml").write_text(SCENARIO.replace("evil.json", "big.json"))
     assert call("run", "big.toml") == 2
-    assert "1000 MB, too large" in capsys.readouterr().err
+    assert "100 MB, too large" in capsys.readouterr().err
     if sys.platform != "win32":
         import os
 
