@@ -13,7 +13,14 @@ def test_every_line_stands_in_the_readme():
     assert set(printed(README)) == {figure.words for figure in FIGURES}
 
 
-@pytest.mark.parametrize("figure", FIGURES, ids=lambda figure: figure.words)
+def _cases():
+    """Other thresholds, an identification for each line, weekly: their baseline holds the same scenario."""
+    for figure in FIGURES:
+        weekly = [pytest.mark.long] if figure.scenario == "beyond_other_thresholds" else []
+        yield pytest.param(figure, id=figure.words, marks=weekly)
+
+
+@pytest.mark.parametrize("figure", list(_cases()))
 def test_a_seed_lies_in_the_printed_range(figure):
     low, high = printed(README)[figure.words]
     values = figure.values(seed=7)
