@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import cache
 from typing import Any, Self
 
 import numpy as np
@@ -30,14 +31,14 @@ class Memory:
 
     def as_dict(self) -> dict[str, Any]:
         """Give plain lists and numbers."""
-        return {item.name: _plain(getattr(self, item.name)) for item in fields(self)}
+        return {name: _plain(getattr(self, name)) for name in _names(type(self))}
 
     def restored(self, data: dict[str, Any]) -> Self:
         """Memory of the same shape as this one from what its ``as_dict`` gave.
 
         Raises InputError for what lacks a part of it.
         """
-        missing = [item.name for item in fields(self) if item.name not in data]
+        missing = [name for name in _names(type(self)) if name not in data]
         if missing:
             what = f"has no {', '.join(missing)}: it is that of another block, or of another version"
             raise InputError("memory", f"{what}; begin at rest")
@@ -48,7 +49,13 @@ class Memory:
         return self._with(lambda _, own: own.copy() if isinstance(own, np.ndarray | Memory) else own)
 
     def _with(self, value: Callable[[str, Any], Any]) -> Self:
-        return type(self)(*(value(item.name, getattr(self, item.name)) for item in fields(self)))
+        return type(self)(*[value(name, getattr(self, name)) for name in _names(type(self))])
+
+
+@cache
+def _names(kind: type[Memory]) -> tuple[str, ...]:
+    """Names of what a kind of memory holds; asked for at every sample of a loop in Python."""
+    return tuple(item.name for item in fields(kind))
 
 
 def _plain(own: Any) -> Any:
