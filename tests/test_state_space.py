@@ -341,7 +341,10 @@ def test_mistakes_are_named(order: int, weighting: str, message: str) -> None:
         fit_state_space(g, order, weighting=weighting)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("level", "limit"), [(100, 5.8), (200, 5.1), (300, 4.7)])
+@pytest.mark.parametrize(
+    ("level", "limit"),
+    [(100, 5.8), *(pytest.param(*more, marks=pytest.mark.long) for more in ((200, 5.1), (300, 4.7)))],
+)
 def test_measured_mirror(level: int, limit: float) -> None:
     """Order 28, fitted on the training realisations, simulated in time on the test realisations."""
     if not DATA.is_dir():

@@ -18,8 +18,8 @@ W_UM_PER_V = np.array([[W_XX, W_XY], [W_YX, W_YY]])  # (output, input, operator)
 
 def play(u, r, start=0.0):
     """Equation 1, sample by sample: p[k] = max(u[k] - r, min(u[k] + r, p[k-1]))."""
-    outputs, last = np.empty(len(u)), start
-    for k, voltage in enumerate(u):
+    outputs, last, r = np.empty(len(u)), float(start), float(r)
+    for k, voltage in enumerate(np.asarray(u, dtype=float).tolist()):  # far faster than of NumPy
         last = max(voltage - r, min(voltage + r, last))
         outputs[k] = last
     return outputs
