@@ -23,7 +23,7 @@ R = np.array([0.0, 1.5, 4.0, 7.0])
 GRID = 10.0 * np.arange(15) / 15
 
 
-def sines(rates=(2.0, 50.0, 200.0), cycles=(1, 3, 8)):
+def sines(rates=(5.0, 50.0, 200.0), cycles=(1, 3, 8)):
     bursts = [
         10.0 * np.sin(2.0 * np.pi * np.arange(round(c / hz / T)) * hz * T)
         for hz, c in zip(rates, cycles, strict=True)
@@ -77,8 +77,8 @@ def stack():
 
 @cache
 def identified(kind):
-    """From 2, 50 and 200 Hz through 40 nm of noise; the classical one from the slow loop alone."""
-    u = sines() if kind == "rate_dependent" else sines((2.0,), (1,))
+    """From 5, 50 and 200 Hz through 40 nm of noise; the classical one from the slow loop alone."""
+    u = sines() if kind == "rate_dependent" else sines((5.0,), (1,))
     records = records_of(stack().on_grid(T).hysteresis, u, 0.04)
     kept = {"thresholds_v": GRID, "delay_samples": 0, "error_curve": False}
     return identify(records, Settings(hysteresis=kind, **kept))
