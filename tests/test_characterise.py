@@ -67,7 +67,9 @@ def test_identification_hears_the_sensor_and_not_the_parameters():
     assert c.digest() == d.digest()
 
 
-@pytest.mark.parametrize("name", ["duo_bimorph", "duo_bimorph_resonant"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("duo_bimorph", marks=pytest.mark.long), "duo_bimorph_resonant"]
+)
 def test_joint_fit_finds_resonance_damping_and_an_unseen_record(name):
     plant = _plant(name)
     model = identified(plant, JOINT, 1)
