@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from functools import cache
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -31,14 +30,14 @@ class Memory:
 
     def as_dict(self) -> dict[str, Any]:
         """Give plain lists and numbers."""
-        return {name: _plain(getattr(self, name)) for name in _names(type(self))}
+        return {name: _plain(getattr(self, name)) for name in self._names()}
 
     def restored(self, data: dict[str, Any]) -> Self:
         """Memory of the same shape as this one from what its ``as_dict`` gave.
 
         Raises InputError for what lacks a part of it.
         """
-        missing = [name for name in _names(type(self)) if name not in data]
+        missing = [name for name in self._names() if name not in data]
         if missing:
             what = f"has no {', '.join(missing)}: it is that of another block, or of another version"
             raise InputError("memory", f"{what}; begin at rest")
@@ -48,14 +47,12 @@ class Memory:
         """Give an independent copy."""
         return self._with(lambda _, own: own.copy() if isinstance(own, np.ndarray | Memory) else own)
 
+    def _names(self) -> tuple[str, ...]:
+        """Names of its parts, known once a class: a loop in Python copies a memory at every sample."""
+        return self.__match_args__
+
     def _with(self, value: Callable[[str, Any], Any]) -> Self:
-        return type(self)(*[value(name, getattr(self, name)) for name in _names(type(self))])
-
-
-@cache
-def _names(kind: type[Memory]) -> tuple[str, ...]:
-    """Names of what a kind of memory holds; asked for at every sample of a loop in Python."""
-    return tuple(item.name for item in fields(kind))
+        return type(self)(*[value(name, getattr(self, name)) for name in self._names()])
 
 
 def _plain(own: Any) -> Any:

@@ -245,17 +245,24 @@ class Scenario(Strict):
 
         Raises OSError where a file cannot be read.
         """
-        return [self.portable(), [hashlib.sha256(path.read_bytes()).hexdigest() for path in self.files()]]
+        return [self.portable(), [_digest_of(path) for path in self.files()]]
 
     def digest(self) -> str:
         """Short hash of everything in the scenario that changes its numbers, what its files hold included."""
         content = {key: value for key, value in self.portable().items() if key not in WORDS}
-        content |= {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in self._files()}
+        content |= {path.name: _digest_of(path) for path in self._files()}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
 for _family in (SIGNALS, COMPENSATORS, ASSESSMENTS):
     _family.used_by(Scenario)
+
+
+def _digest_of(path: Path) -> str:
+    """Hash of a file, however large."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
 
 ScenarioSource = Scenario | str | Path | Mapping[str, Any]
 """A scenario as it is, its file, or what a file would hold."""
