@@ -209,7 +209,8 @@ def _limit(u: Array, y: Array) -> float | None:
     """Level above which a rising voltage moves the output no further, though it did right below it."""
     low, high = float(u.min()), float(u.max())
     span = high - low
-    gain = float((u - u.mean()) @ (y - y.mean()) / max((u - u.mean()) @ (u - u.mean()), np.finfo(float).tiny))
+    size = float((u - u.mean()) @ (u - u.mean()))
+    gain = float((u - u.mean()) @ (y - y.mean())) / max(size, float(np.finfo(float).tiny))
     rising = np.diff(u, prepend=u[0]) > 0.0
     for part in TOP:
         level = low + part * span

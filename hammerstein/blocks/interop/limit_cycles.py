@@ -190,7 +190,7 @@ class _Loop:
         corners = np.abs(poles[np.abs(poles) > TINY]) / (2.0 * np.pi)
         if not len(corners):
             raise InputError("frequency_hz", "give the frequencies to search: the system has no corner")
-        high = 30.0 * corners.max()
+        high = 30.0 * float(corners.max())
         if self.sample_time_s is not None:
             high = min(high, 0.499 / self.sample_time_s)
         return np.geomspace(min(corners.min(), high) / 30.0, high, FREQUENCIES)

@@ -77,8 +77,9 @@ def breakpoints_in(records: Sequence[Record], dead_zones: int) -> list[Array]:
 
 def _driven(records: Sequence[Record]) -> tuple[Array, Array]:
     """Lowest and highest voltage of each input over all records (input,), as sent [V]."""
-    low = np.min([r.u_v.min(axis=1) + r.rest_v for r in records], axis=0)
-    return low, np.max([r.u_v.max(axis=1) + r.rest_v for r in records], axis=0)
+    low = np.array([r.u_v.min(axis=1) + r.rest_v for r in records])
+    high = np.array([r.u_v.max(axis=1) + r.rest_v for r in records])
+    return low.min(axis=0), high.max(axis=0)
 
 
 def fit_asymmetric(

@@ -79,6 +79,7 @@ def _edges(length: float, ratios: ArrayLike, rooms: Iterable[tuple[range, Ends]]
         before[cells.start] = max(before[cells.start], first)
         after[cells.stop - 1] = max(after[cells.stop - 1], last)
     free = max(length - before.sum() - after.sum(), SMALLEST * length)
-    sizes = free * np.asarray(ratios) / np.sum(ratios)
+    parts = np.asarray(ratios, dtype=float)
+    sizes = free * parts / parts.sum()
     ends = np.cumsum(before + sizes + after) - after
     return ends - sizes, ends
