@@ -89,15 +89,19 @@ def test_solves_random_models_on_paths_with_many_minor_loops():
     assert refused > 5
 
 
-def test_more_inputs_than_outputs_are_solved_too():
-    generator = np.random.default_rng(5)
-    for m, p in [(2, 1), (3, 2), (3, 1), (4, 2)] * 5:
+# To compile the loops for four inputs takes as long as for all others together.
+@pytest.mark.parametrize(("m", "p"), [(2, 1), (3, 2), (3, 1), pytest.param(4, 2, marks=pytest.mark.long)])
+def test_more_inputs_than_outputs_are_solved_too(m, p):
+    generator, solved = np.random.default_rng(5), 0
+    for _ in range(8):
         model = _random_model(generator, m, p)
         if not invertibility(model.hysteresis, 1e4, 8.0).invertible:
             continue
         path = _path_with_minor_loops(generator, p)
         drive, _ = ExactInverseLaw(model, 1e4).respond(path)
         assert np.abs(_textbook(model, drive) - path).max() < 1e-9
+        solved += 1
+    assert solved > 0
 
 
 def test_least_drive_of_a_linear_actuator_is_the_pseudo_inverse():
