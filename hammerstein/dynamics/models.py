@@ -23,7 +23,7 @@ from hammerstein.validation import Strict
 if TYPE_CHECKING:
     import control
 
-Matrices = tuple[Array, Array, Array, Array]
+StateMatrices = tuple[Array, Array, Array, Array]
 """A, B, C and D."""
 
 
@@ -90,7 +90,7 @@ class Axis(Strict):
         parts = [LinearBlock(*matrices, CONTINUOUS) for matrices in self._parts()]
         return reduce(LinearBlock.behind, parts) if parts else unit_gain(1)
 
-    def _parts(self) -> Iterator[Matrices]:
+    def _parts(self) -> Iterator[StateMatrices]:
         """What stands one behind the other, the last one first."""
         if self.creep:
             yield _slow_modes([c.gain for c in self.creep], [c.time_constant_s for c in self.creep])
@@ -285,7 +285,7 @@ def cantilever(
     return control.append(*axes)
 
 
-def _mode(resonance_hz: float, damping_ratio: float) -> Matrices:
+def _mode(resonance_hz: float, damping_ratio: float) -> StateMatrices:
     """Matrices of one bending mode.
 
     Balanced states (x, x'/w): entries of one magnitude discretise without loss.
@@ -315,7 +315,7 @@ def creep(gains: Sequence[float], time_constants_s: Sequence[float]) -> control.
     return control.ss(*_slow_modes(gains, time_constants_s))
 
 
-def _slow_modes(gains: Sequence[float], time_constants_s: Sequence[float]) -> Matrices:
+def _slow_modes(gains: Sequence[float], time_constants_s: Sequence[float]) -> StateMatrices:
     """Matrices of the creep of one axis."""
     n = len(gains)
     slow = np.reciprocal(np.asarray(time_constants_s, dtype=float).reshape(n))
