@@ -16,7 +16,7 @@ import pytest
 from hammerstein.errors import LostProcessError
 from hammerstein.runtime import workers
 from hammerstein.runtime.fanning import in_order
-from hammerstein.runtime.processes import loaded_beforehand
+from hammerstein.runtime.processes import _imports_from_where_this_does, loaded_beforehand
 from hammerstein.runtime.workers import Processes, ProcessesAndThis, signal_name
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of this kind are POSIX")
@@ -204,6 +204,39 @@ def test_a_process_that_cannot_begin_is_tried_twice_and_nobody_waits_for_ever(
 
 def test_a_signal_without_a_name_is_told_by_its_number():
     assert (signal_name(signal.SIGKILL), signal_name(1000)) == ("SIGKILL", "signal 1000")
+
+
+ELSEWHERE = """
+from hammerstein.runtime.processes import begin_loading
+from hammerstein.runtime.workers import Processes
+
+if __name__ == "__main__":
+    begin_loading()
+    with Processes(1) as processes:
+        print(processes.submit(abs, -3).result())
+"""
+
+
+@pytest.mark.parametrize("name", ["control", "hammerstein", "socket"])
+def test_processes_take_no_module_from_the_working_folder(tmp_path, name):
+    """As the command itself takes none: it is begun from the folder it is installed in."""
+    script, here = tmp_path / "bin" / "command.py", tmp_path / "here"
+    script.parent.mkdir()
+    here.mkdir()
+    script.write_text(ELSEWHERE)
+    (here / f"{name}.py").write_text("open('loaded', 'w').close()\nraise ImportError\n")
+    found = subprocess.run([sys.executable, script], cwd=here, capture_output=True, text=True, check=False)
+    assert (found.stdout, found.returncode) == ("3\n", 0), found.stderr
+    assert not (here / "loaded").exists()
+
+
+def test_the_environment_is_what_it_was_when_the_processes_have_begun(monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", "somewhere")
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    before = dict(os.environ)
+    with _imports_from_where_this_does():
+        assert os.environ["PYTHONPATH"] == os.pathsep.join(sys.path)
+    assert dict(os.environ) == before
 
 
 def test_nothing_that_does_not_survive_a_fork_is_loaded_before_one(monkeypatch):

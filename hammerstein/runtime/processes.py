@@ -51,7 +51,7 @@ def begin_loading(names: Sequence[str] = LOADED_ONCE) -> None:
     from multiprocessing import forkserver
 
     multiprocessing.set_forkserver_preload(loaded_beforehand(names))
-    with _ignored_interrupts():
+    with _ignored_interrupts(), _imports_from_where_this_does():
         forkserver.ensure_running()
 
 
@@ -62,6 +62,26 @@ def loaded_beforehand(names: Sequence[str] = LOADED_ONCE) -> list[str]:
     does not survive a fork (https://github.com/numpy/numpy/issues/5752).
     """
     return [] if sys.platform == "darwin" else list(names)
+
+
+@contextmanager
+def _imports_from_where_this_does() -> Iterator[None]:
+    """A Python begun here takes no module from the working folder, unless this one does.
+
+    It is begun with ``python -c``, which looks there first, and up to Python 3.12.7 and 3.13.0 it is not told
+    where else (https://github.com/python/cpython/issues/117378).
+    """
+    wanted = {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    before = {name: os.environ.get(name) for name in wanted}
+    os.environ.update(wanted)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 @contextmanager
