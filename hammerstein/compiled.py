@@ -266,9 +266,9 @@ _told: set[str] = set()
 _waiting: list[Callable[[], None]] = []
 
 
-def told_before_compiling(say: Callable[[], None]) -> None:
-    """Let a function be called before the next loop is compiled, once: a person has to wait."""
-    _waiting[:] = [say]
+def told_before_compiling(say: Callable[[], None] | None) -> None:
+    """Let a function be called before the next loop is compiled, once, or none: a person has to wait."""
+    _waiting[:] = [] if say is None else [say]
 
 
 def _tell_once(text: str) -> None:

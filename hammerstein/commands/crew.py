@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +13,7 @@ from hammerstein.commands.terminal import complain
 
 if TYPE_CHECKING:
     from hammerstein.runtime.fanning import Jobs
+    from hammerstein.scenario import Scenario
 
 Address = Annotated[
     str | None,
@@ -53,12 +54,17 @@ def apart(jobs: Jobs, seconds: float) -> AbstractContextManager[Jobs]:
     return nullcontext(jobs)
 
 
-def compile_here(cluster: str | None, scenarios: int, jobs: Jobs) -> None:
+def compiling(
+    cluster: str | None, scenarios: Collection[Scenario], jobs: Jobs
+) -> AbstractContextManager[None]:
     """Compile the time loops, where this machine runs them: all of them where processes would need them."""
-    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.commands.warm_up import compile_all, compiled_beside
 
+    if cluster is None and isinstance(jobs, int) and (len(scenarios) == 1 or jobs == 1):
+        return compiled_beside(complain, next(iter(scenarios)), jobs)
     if cluster is None:
-        compile_once(complain, several=not isinstance(jobs, int) or (scenarios > 1 and jobs > 1))
+        compile_all(complain)
+    return nullcontext()
 
 
 def announce(text: str, seconds: float, yes: bool) -> None:

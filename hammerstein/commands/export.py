@@ -58,10 +58,10 @@ def export(
 
 
 def _check(folder: Path, as_json: bool) -> None:
-    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.commands.warm_up import compile_when_needed
     from hammerstein.export.folder import check_export
 
-    compile_once(complain)
+    compile_when_needed(complain)
     files = check_export(folder)
     if as_json:
         tell_json({"check": str(folder), "files": files})
@@ -74,7 +74,7 @@ def _write(
 ) -> None:
     from hammerstein.commands.refusals import told_by_options
     from hammerstein.commands.tables import kept_aside
-    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.commands.warm_up import compile_when_needed
     from hammerstein.errors import InputError
     from hammerstein.export.folder import ALWAYS, EXPORT, write_export
     from hammerstein.export.request import request_of
@@ -87,7 +87,7 @@ def _write(
     prepare(out, EXPORT, ALWAYS)
     with told_by_options("compensate"):
         request, loaded = request_of(model, law, sample_time, **given)
-        compile_once(complain)
+        compile_when_needed(complain)
         written = write_export(request, loaded, out)
     for place in written.kept:
         complain(kept_aside(place))

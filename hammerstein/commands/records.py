@@ -129,7 +129,7 @@ def identify(
 ) -> None:
     """Identify a model from measured records, and say how far it can be trusted."""
     from hammerstein.commands.tables import gains_table, kept_aside
-    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.commands.warm_up import compile_when_needed
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.identify import identify as identify_model
     from hammerstein.model import CONTENT
@@ -143,7 +143,7 @@ def identify(
     folder = report or out.parent / f"{out.stem}_fit"
     refuse_unwritable("--report", folder)
     prepare(folder, FIT, ALWAYS)
-    compile_once(complain)
+    compile_when_needed(complain)
     records, validation = recorded.read(), held.read(recorded)
     gains = recorded.gains(records)
     with Spinner() as spinner:
@@ -215,7 +215,7 @@ def compensate(
     """Turn a reference into the voltages to send, with the predicted response."""
     from hammerstein.commands.periods import Period, TableRequest, write_cycle, write_lesson
     from hammerstein.commands.tables import compensation_table
-    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.commands.warm_up import compile_when_needed
     from hammerstein.compensators.drive_file import Terms, compensate as compensated
     from hammerstein.errors import InputError
     from hammerstein.files import write_atomic
@@ -226,7 +226,7 @@ def compensate(
     wanted = TableRequest(table, table_scale, table_points)
     wanted.check()
     refuse_output(out, [Path(model), reference, *(learn or ())], wanted.content())
-    compile_once(complain)
+    compile_when_needed(complain)
     terms = Terms(sent.ends, sent.begins, sent.conditioned, clip, beyond_records, sent.accept_flagged)
     with told_by_options("compensate"):
         period = Period(model, reference, law, options, terms, out, wanted, as_json)

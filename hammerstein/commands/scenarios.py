@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from hammerstein.commands.crew import Address, announce, apart, compile_here, workers
+from hammerstein.commands.crew import Address, announce, apart, compiling, workers
 from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Watch
@@ -197,9 +197,8 @@ def _run_what_changed(
     from hammerstein.experiment.batch import run_all
 
     with workers(jobs, cluster) as asked, _planned(left, asked, yes) as crew:
-        compile_here(cluster, len(left), crew)
         there = writer.on(crew)
-        with Watch(len(left)) as watch:
+        with compiling(cluster, left.values(), crew), Watch(len(left)) as watch:
             for outcome in run_all(left, there, crew, watch.progress, there.store):
                 watch.finished(outcome.name)
                 outcomes.append(outcome)
@@ -272,10 +271,13 @@ def check(
             refuse_unwritable(option, file.parent)
             refuse_overwriting(option, file, content)
     scenarios = load_all(paths)
-    with workers(jobs, cluster) as asked, _planned(scenarios, asked, yes) as crew:
-        compile_here(cluster, len(scenarios), crew)
-        with Watch(len(scenarios)) as watch:
-            result = check_files(paths, baseline, update_baseline, crew, watch.progress, watch.finished)
+    with (
+        workers(jobs, cluster) as asked,
+        _planned(scenarios, asked, yes) as crew,
+        compiling(cluster, scenarios.values(), crew),
+        Watch(len(scenarios)) as watch,
+    ):
+        result = check_files(paths, baseline, update_baseline, crew, watch.progress, watch.finished)
     if junit is not None:
         write_atomic(junit, result.junit())
     if markdown is not None:
@@ -296,7 +298,7 @@ def plot(
     yes: Yes = False,
 ) -> None:
     """Draw the figures of one scenario, and nothing else."""
-    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.commands.warm_up import compile_when_needed
     from hammerstein.errors import InputError
     from hammerstein.experiment.batch import load_all
     from hammerstein.experiment.run import run as run_scenario
@@ -311,7 +313,7 @@ def plot(
     ((name, scenario),) = load_all([path]).items()
     _planned({name: scenario}, jobs, yes)
     prepare(out / name, FIGURES, ())
-    compile_once(complain)
+    compile_when_needed(complain)
     with Watch(1) as watch:
         report = run_scenario(scenario, name, jobs, watch.progress)
     for figure in write_figures(report, out / name):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 from pathlib import Path
@@ -25,19 +26,18 @@ def init(
     ] = None,
 ) -> None:
     """Make a working folder: records, a model, a scenario, its numbers, and what to do next."""
-    from hammerstein.commands.working_folder import folder_of, own_folder, refuse_started
+    from hammerstein.commands.working_folder import folder_of, own_folder, own_scenario, refuse_started
 
     there = "" if folder == Path(".") else f"cd {shlex.quote(str(folder))}, then "
     if of is not None:
         folder_of(of, folder)
         tell(f"scenarios in {folder}; {there}hammerstein run . or hammerstein check .")
         return
-    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.commands.warm_up import compiled_beside
     from hammerstein.commands.watch import Spinner
 
     refuse_started(folder)
-    compile_once(complain)
-    with Spinner() as spinner:
+    with compiled_beside(complain, own_scenario(), os.cpu_count() or 1), Spinner() as spinner:
         own_folder(folder, spinner.tell)
     tell(f"what to do next stands in {folder / 'README.md'}")
     tell(f"look at {folder / 'reports/circle/report.html'}; {there}hammerstein run .")
@@ -113,11 +113,11 @@ def play(
     from hammerstein.commands.playing import PLAYED, played
     from hammerstein.commands.refusals import refuse_output
     from hammerstein.commands.tables import played_table
-    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.commands.warm_up import compile_when_needed
     from hammerstein.files import write_atomic
 
     refuse_output(out, [Path(model), drive], PLAYED)
-    compile_once(complain)
+    compile_when_needed(complain)
     found = played(model, drive, sensor)
     write_atomic(out, found.to_csv())
     if as_json:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, wait
-from contextlib import contextmanager
+from concurrent.futures import wait
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,9 @@ import numpy as np
 from hammerstein.actuators import DEFAULT
 from hammerstein.arrays import Array
 from hammerstein.compiled import CHECKED, told_before_compiling
+from hammerstein.errors import HammersteinError
 from hammerstein.model import HammersteinModel
+from hammerstein.runtime.processes import FOR_RUNS, begin_loading
 from hammerstein.runtime.workers import Processes
 
 if TYPE_CHECKING:
@@ -26,21 +28,13 @@ TAKES = "about 15 s"
 RANGE_V, SAMPLE_TIME_S, SAMPLES = 10.0, 50e-6, 800
 
 
-def compile_once(say: Callable[[str], None], several: bool = False) -> None:
-    """Compile every loop by using it, if numba's cache holds none yet and several processes would need them.
+def compile_when_needed(say: Callable[[str], None]) -> None:
+    """Tell a person, before the first loop is compiled; each is compiled when it is needed."""
+    told_before_compiling(lambda: say(f"compiling time loops that are needed for the first time, {TAKES}"))
 
-    A single task compiles what it needs when it needs it, and says so.
 
-    Parameters
-    ----------
-    say : tells a person
-    several : whether several processes are about to begin
-    """
-    if not several:
-        told_before_compiling(
-            lambda: say(f"compiling time loops that are needed for the first time, {TAKES}")
-        )
-        return
+def compile_all(say: Callable[[str], None]) -> None:
+    """Compile every loop by using it, if none is kept yet: before several processes begin that need them."""
     if not _must_compile():
         return
     say(f"compiling the time loops, once after installation, {TAKES}")
@@ -50,24 +44,35 @@ def compile_once(say: Callable[[str], None], several: bool = False) -> None:
 
 
 @contextmanager
-def inverse_compiled_beside() -> Iterator[Callable[[], None]]:
-    """Compile the exact inverse in a process of its own, while this one does what it can without it.
+def compiled_beside(say: Callable[[str], None], scenario: Scenario, jobs: int) -> Iterator[None]:
+    """Compile the loops of a scenario's laws in a process beside this one, which needs them late.
 
-    Gives what waits until that is done, or does nothing: where it is compiled already, where it could not be
-    kept, and where there is no second processor.
+    It begins with the first loop that must be compiled, and ends with this block. A loop that both need is
+    compiled by one of them.
+
+    Parameters
+    ----------
+    say : tells a person, before the first loop is compiled
+    scenario : what is about to be run
+    jobs : how much may run side by side
     """
-    from hammerstein.compensators.exact.kernel import respond_exact
+    from hammerstein.hysteresis.play_kernels import respond_turning_points
 
-    if (os.cpu_count() or 1) < 2 or _is_cached(respond_exact):
-        yield lambda: None
-        return
-    with Processes(1) as processes:
-        compiled = processes.submit(_use_inverse)
-        yield lambda: _await(compiled)  # what is not compiled there is compiled when it is used
+    helped = min(jobs, os.cpu_count() or 1) > 1 and len(scenario.compensators) > 0
+    if helped and not _is_cached(respond_turning_points):  # everything needs it
+        begin_loading(FOR_RUNS)
+    with ExitStack() as ends:
 
+        def begin() -> None:
+            say(f"compiling time loops that are needed for the first time, {TAKES}")
+            if helped:
+                processes = Processes(1, FOR_RUNS)
+                ends.callback(processes.shutdown, cancel_futures=True)
+                processes.submit(_use_laws, scenario)
 
-def _await(task: Future[None]) -> None:
-    wait([task])
+        told_before_compiling(begin)
+        ends.callback(told_before_compiling, None)
+        yield
 
 
 def _must_compile() -> bool:
@@ -87,6 +92,30 @@ def _is_cached(loop: object) -> bool:
     folder = Path(place)
     name = loop.__name__  # type: ignore[attr-defined]
     return any(folder.glob(f"*.{name}-*{CHECKED}.nbi"))
+
+
+def _use_laws(scenario: Scenario) -> None:
+    """Use the laws of a scenario once, each as if what is simulated were its model.
+
+    The last one is the first here, and voltages come before positions: the run begins at the other end. What
+    cannot be used here says why where it is run.
+    """
+    from hammerstein.experiment.measure import rows_of
+    from hammerstein.experiment.set_up import SetUp, law_of, plant_of
+
+    measure = scenario.measure.model_copy(update={"settle_cycles": 0, "settle_s": 0.0, "measured_cycles": 1})
+    plant, used = plant_of(scenario), []
+    for compensator in reversed(scenario.compensators):
+        alone = scenario.model_copy(update={"measure": measure, "compensators": (compensator,)})
+        with suppress(HammersteinError):
+            law = law_of(compensator, plant.model, plant)
+            setup = SetUp(alone, plant, {}, {compensator.label: law})
+            case = next(setup.cases())
+            setup.experiment(case)
+            used.append((setup, case))
+    for setup, case in used:
+        with suppress(HammersteinError):
+            rows_of(setup, case)
 
 
 def _use_plays() -> None:

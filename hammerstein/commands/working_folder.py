@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +18,9 @@ from hammerstein.errors import InputError
 from hammerstein.files import begun, ended, reason_of, remove_empty
 from hammerstein.plugins import load_plugins
 from hammerstein.scenario.assessment import ASSESSMENTS
+
+if TYPE_CHECKING:
+    from hammerstein.scenario import Scenario
 
 Say = Callable[[str], None]
 
@@ -38,9 +43,7 @@ def own_folder(target: Path, say: Say) -> None:
     ------
     InputError : something of these names is there already, or the folder cannot be written
     """
-    from hammerstein.commands.warm_up import inverse_compiled_beside
-
-    with _made(target) as room, inverse_compiled_beside() as compiled:
+    with _made(target) as room:
         _copy(STARTER / "README.md", room / "README.md")
         _copy(STARTER / "circle.toml", room / "circle.toml")
         _copy(STARTER / "hammerstein.yml", room / CI)
@@ -48,9 +51,15 @@ def own_folder(target: Path, say: Say) -> None:
         _write_path(room / "path.csv")
         files = [_write_record(room, axis) for axis in range(2)]
         _identify(files, room / "stage.json", lambda what: say(f"2 of 3: identifying its model: {what}"))
-        say("3 of 3: compiling what the scenario needs")
-        compiled()
         _run(room, lambda what, done, of: say(f"3 of 3: running the scenario: {what}, {done} of {of}"))
+
+
+def own_scenario() -> Scenario:
+    """The scenario of that folder, while its own model is not there: on a packaged actuator."""
+    from hammerstein.scenario import scenario_of
+
+    values = tomllib.loads((STARTER / "circle.toml").read_text(encoding="utf-8"))
+    return scenario_of(values | {"actuator": DEFAULT})[1]
 
 
 def folder_of(assessment: str, target: Path) -> None:

@@ -268,7 +268,7 @@ def set_up(
     models = _models(scenario, plant, progress, fresh, jobs)
     laws: dict[str, AnyLaw] = {}
     for compensator in scenario.compensators:
-        laws[compensator.label] = _law(compensator, models[compensator.label], plant)
+        laws[compensator.label] = law_of(compensator, models[compensator.label], plant)
     return SetUp(scenario, plant, models, laws)
 
 
@@ -281,8 +281,11 @@ def plant_of(scenario: Scenario, model: HammersteinModel | None = None) -> Plant
     return Plant(model, Instruments.model_validate(merged))
 
 
-def _law(compensator: TestedCompensator, model: HammersteinModel, plant: Plant) -> AnyLaw:
-    """A law for the instruments of the scenario, whatever those that its model was found with."""
+def law_of(compensator: TestedCompensator, model: HammersteinModel, plant: Plant) -> AnyLaw:
+    """A law for the instruments of the scenario, whatever those that its model was found with.
+
+    Raises InputError or SimulationError where the law does not fit the model or the sample time.
+    """
     here = replace(model, instruments=plant.instruments)
     try:
         return compensator.design(here, _range(model, plant), plant.sample_time_s)

@@ -88,9 +88,9 @@ def warm_up() -> None:
     """Compile the time loops, and load what every command needs."""
     import hammerstein.experiment.simulated_identification
     import hammerstein.reporting.figures.write  # noqa: F401
-    from hammerstein.commands.warm_up import compile_once
+    from hammerstein.commands.warm_up import compile_all
 
-    compile_once(print, several=True)
+    compile_all(print)
 
 
 def scenario_case(content: Any, folder: Path) -> int:
