@@ -4,7 +4,7 @@ import pytest
 
 from hammerstein.commands import cli, watch
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.experiment.plan import jobs_that_fit, plan_of, slowness
+from hammerstein.experiment.plan import Part, Plan, jobs_that_fit, longest_first, plan_of, slowness, together
 from hammerstein.experiment.run import run, simulate
 from hammerstein.runtime import memory
 from hammerstein.runtime.room import PAGE, room
@@ -124,6 +124,27 @@ def test_jobs_that_do_not_fit_together_run_one_after_the_other(monkeypatch):
     for free, jobs in ((10.0, 4), (2.5, 2), (0.5, 1)):
         monkeypatch.setattr("hammerstein.experiment.plan.free_bytes", lambda free=free: free * plans[0].bytes)
         assert jobs_that_fit(plans, 4) == jobs
+
+
+def test_long_ones_come_first_and_what_two_share_counts_for_one_of_them():
+    """So that no two processes identify the same model side by side, and no one is left alone at the end."""
+
+    def plan(seconds, **shared):
+        kept = [Part("identification", 1.0, s, "record_s", once=name) for name, s in shared.items()]
+        return Plan((*kept, Part("runs", 1.0, seconds, "[sweep]")))
+
+    plans = {"a": plan(1.0, x=5.0), "b": plan(2.0, x=5.0), "c": plan(3.0), "d": plan(0.5, y=4.0, x=5.0)}
+    assert longest_first(plans) == ["d", "c", "b", "a"]
+    assert together(plans.values()).seconds == pytest.approx(5.0 + 4.0 + 1.0 + 2.0 + 3.0 + 0.5)
+
+
+def test_what_is_identified_of_another_actuator_or_seed_is_not_shared():
+    found = [
+        plan_of(_scenario(identification={"method": "hammerstein"}, **more)).kept
+        for more in ({}, {}, {"seed": 2}, {"actuator": "duo_bimorph_dense"}, {"question": "!"})
+    ]
+    assert found[0] == found[1] == found[4]
+    assert len(set().union(*found)) == 3
 
 
 SLOW = """

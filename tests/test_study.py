@@ -280,7 +280,7 @@ def test_an_identification_that_runs_share_is_counted_once():
     radius, records = "reference.radius_um", "compensators[1].identification.record_s"
     parts = plan_of(study.varied(scenario, {radius: 5.0})).parts
     (identified,) = [part.seconds for part in parts if part.once]
-    run = sum(part.seconds for part in parts if not part.once)
+    run = sum(part.seconds for part in parts if part.once is None)
     many = [5.0 + 0.01 * i for i in range(64)]
     assert identified > 10.0 * run
     assert seconds({radius: many}) == pytest.approx(identified + 64.0 * run)

@@ -217,7 +217,7 @@ def _planned(
     from hammerstein.experiment.plan import jobs_that_fit, plans_of, together
     from hammerstein.runtime.fanning import workers_of
 
-    plans = plans_of(scenarios)
+    plans = plans_of(scenarios).values()
     whole = together(plans)
     announce(*whole.announcement(workers_of(jobs)), yes)
     if isinstance(jobs, int):

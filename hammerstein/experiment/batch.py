@@ -8,9 +8,10 @@ from functools import partial
 from pathlib import Path
 
 from hammerstein.errors import HammersteinError, InputError, LostProcessError, together
+from hammerstein.experiment.plan import longest_first, plans_of
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
-from hammerstein.experiment.set_up import Progress, Window
+from hammerstein.experiment.set_up import Progress
 from hammerstein.runtime.fanning import Jobs, spread
 from hammerstein.runtime.faults import as_error
 from hammerstein.runtime.storage.manifest import refuse_name
@@ -20,8 +21,6 @@ from hammerstein.scenario import Scenario, load_scenario
 
 Finish = Callable[[Report], tuple[Path, ...]]
 """What is done with each report; it gives the places of files that were kept under another name."""
-
-LEAST_SAMPLES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,30 +94,16 @@ def run_all(
         for name, scenario in scenarios.items():
             yield _outcome(name, scenario, finish, jobs, progress, store)
         return
-    # Long ones first, so that none is left alone at the end.
-    by_size = sorted(scenarios.items(), key=lambda item: -_size(item[1]))
-    tasks = [partial(_outcome, name, scenario, finish, 1, None, store) for name, scenario in by_size]
+    planned = longest_first(plans_of(scenarios))
+    order = [*planned, *(name for name in scenarios if name not in planned)]
+    tasks = [partial(_outcome, name, scenarios[name], finish, 1, None, store) for name in order]
     with Processes(min(jobs, len(scenarios))) as processes:
         for batch in spread(tasks, processes, lambda: len(tasks)):
             for number, future in batch:
                 try:
                     yield future.result()
                 except LostProcessError as error:
-                    name = by_size[number][0]
-                    yield Outcome(name, None, _of(name, error))
-
-
-def _size(scenario: Scenario) -> float:
-    """Samples to work through, about; a case with its share of the figures costs at least some."""
-    step = scenario.instruments.drive.sample_time_s
-    others = scenario.sweep.others("frequency_hz")
-    try:
-        signals = scenario.signals(only="frequency_hz")
-        lengths = [Window.of(scenario, signal, step).total for signal in signals]
-    except InputError:  # a signal's file; its own scenario tells
-        return 0.0
-    sources = max(1, len(scenario.compensators) + len(scenario.models))
-    return float(others * sources * sum(max(length, LEAST_SAMPLES) for length in lengths))
+                    yield Outcome(order[number], None, _of(order[number], error))
 
 
 def _outcome(

@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import math
 import time
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -60,14 +60,14 @@ LONG_S = 600.0
 class Part:
     """One part of a plan: what it is, what it needs, and the keys that make it smaller.
 
-    once : whether what comes out is kept, so that other runs do not do it again
+    once : what tells the result from others, where it is kept and other runs do not do it again; else None
     """
 
     what: str
     bytes: float
     seconds: float
     keys: str
-    once: bool = False
+    once: Hashable = None
 
 
 @dataclass(frozen=True)
@@ -85,6 +85,15 @@ class Plan:
     def seconds(self) -> float:
         """Time on one processor."""
         return sum(part.seconds for part in self.parts)
+
+    @property
+    def kept(self) -> set[Hashable]:
+        """Results that come out and are kept."""
+        return {part.once for part in self.parts} - {None}
+
+    def without(self, kept: Set[Hashable]) -> Plan:
+        """What is left to do where others bring these results."""
+        return Plan(tuple(part for part in self.parts if part.once not in kept))
 
     def refuse_too_large(self) -> None:
         """Refuse what does not fit the memory that is free.
@@ -111,21 +120,37 @@ class Plan:
         )
 
 
-def plans_of(scenarios: Mapping[str, Scenario]) -> list[Plan]:
+def plans_of(scenarios: Mapping[str, Scenario]) -> dict[str, Plan]:
     """Plans of the scenarios that can be run; what is wrong with the others is told when it is their turn."""
-    plans, free = [], free_bytes()
-    for scenario in scenarios.values():
+    plans, free = {}, free_bytes()
+    for name, scenario in scenarios.items():
         with contextlib.suppress(InputError, SimulationError):
-            plans.append(plan_of(scenario))
-    return [plan for plan in plans if free is None or plan.bytes <= free]
+            plans[name] = plan_of(scenario)
+    return {name: plan for name, plan in plans.items() if free is None or plan.bytes <= free}
 
 
-def together(plans: Sequence[Plan]) -> Plan:
-    """All parts of several plans."""
-    return Plan(tuple(part for plan in plans for part in plan.parts))
+def longest_first(plans: Mapping[str, Plan]) -> list[str]:
+    """Names of plans in the order in which none is left alone at the end.
+
+    What several identify in the same way counts for the first of them: then no two do it side by side.
+    """
+    left, kept, order = dict(plans), set[Hashable](), list[str]()
+    while left:
+        order.append(max(left, key=lambda name: left[name].without(kept).seconds))
+        kept |= left.pop(order[-1]).kept
+    return order
 
 
-def jobs_that_fit(plans: Sequence[Plan], jobs: int) -> int:
+def together(plans: Iterable[Plan]) -> Plan:
+    """All parts of several plans; what is kept is done by the first that needs it."""
+    parts, kept = list[Part](), set[Hashable]()
+    for plan in plans:
+        parts += plan.without(kept).parts
+        kept |= plan.kept
+    return Plan(tuple(parts))
+
+
+def jobs_that_fit(plans: Iterable[Plan], jobs: int) -> int:
     """How many of the plans fit the memory side by side, up to so many jobs, and one at least."""
     free = free_bytes()
     if free is None:
@@ -156,31 +181,29 @@ def _trial_s() -> float:
 
 def experiments_of(scenario: Scenario) -> set[Hashable]:
     """Identification experiments of a scenario; what is equal here is done once and kept."""
-    plant = plant_of(scenario)
-    specs = {source.identification for source in (*scenario.compensators, *scenario.models)} - {None}
-    return {(plant.model.digest(), plant.instruments, spec, scenario.seed) for spec in specs}
+    return {part.once for part in identification_parts(scenario, plant_of(scenario))}
 
 
 def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
     """One part for each identification experiment."""
     m, p = plant.model.hysteresis.n_inputs, plant.model.hysteresis.n_outputs
-    sources = (*scenario.compensators, *scenario.models)
-    done = set()
-    for source in sources:
-        spec = source.identification
-        if spec is None or spec in done:
-            continue
-        done.add(spec)
+    labels: dict[ClosedFormSpec | JointFitSpec, str] = {}
+    for source in (*scenario.compensators, *scenario.models):
+        if source.identification is not None:
+            labels.setdefault(source.identification, source.label)
+    actuator = plant.model.digest(), plant.instruments, scenario.seed
+    for spec, label in labels.items():
+        once = (*actuator, spec)
         step = spec.sample_time_s or plant.sample_time_s
         if isinstance(spec, ClosedFormSpec):
             cycles = max(spec.settle_cycles, math.ceil(0.05 * spec.frequency_hz)) + spec.measured_cycles
             samples = cycles / (spec.frequency_hz * step)
-            words = f"the identification of {source.label!r}, a run of {samples:.3g} samples an input"
+            words = f"the identification of {label!r}, a run of {samples:.3g} samples an input"
             needed, seconds = COPIES * run_bytes(samples, m, p), m * samples * SECONDS_A_SAMPLE
             keys = "its measured_cycles or settle_cycles, or raise frequency_hz"
-            yield Part(words, needed, seconds, keys, once=True)
+            yield Part(words, needed, seconds, keys, once)
         else:
-            yield _joint_fit(spec, source.label, m, p, step)
+            yield replace(_joint_fit(spec, label, m, p, step), once=once)
 
 
 def _joint_fit(spec: JointFitSpec, label: str, m: int, p: int, step: float) -> Part:
@@ -192,7 +215,6 @@ def _joint_fit(spec: JointFitSpec, label: str, m: int, p: int, step: float) -> P
         COPIES * run_bytes(samples, m, p) + fitted,
         SECONDS_OF_A_FIT + samples * SECONDS_A_FITTED_SAMPLE * operators / 15.0,
         "its record_s or the number of frequencies_hz, or raise sample_time_s",
-        once=True,
     )
 
 

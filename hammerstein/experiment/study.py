@@ -119,7 +119,7 @@ def plan_of_study(scenario: Scenario, name: str) -> Plan:
             plan = plan_of(varied(scenario, _rounded(values, whole), name))
         except HammersteinError:
             return 0.0, 0.0, 0.0  # such a run is a row with an error
-        once_s = sum(part.seconds for part in plan.parts if part.once)
+        once_s = sum(part.seconds for part in plan.parts if part.once is not None)
         return plan.seconds - once_s, once_s, plan.bytes
 
     count, identified = study.count(), _identified(scenario, study, whole, name)
