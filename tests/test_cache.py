@@ -141,10 +141,12 @@ def loop(tmp_path):
     """Run a compiled loop in a process of its own: what it prints, and what it says."""
     (tmp_path / "loop.py").write_text(LOOP)
 
+    own = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+
     def run(**environment):
         command = [sys.executable, str(tmp_path / "loop.py")]
         done = subprocess.run(
-            command, capture_output=True, text=True, check=False, env=os.environ | environment, timeout=100
+            command, capture_output=True, text=True, check=False, env=own | environment, timeout=100
         )
         assert done.returncode == 0, done.stderr
         return done.stdout.split(), done.stderr

@@ -62,7 +62,7 @@ def test_the_plan_follows_what_is_asked():
     base = plan_of(_scenario())
     assert plan_of(_scenario(sweep={"frequency_hz": [50.0, 50.5, 51.0]})).bytes > 1.5 * base.bytes
     assert plan_of(_scenario(options={"iterations": 1000})).seconds > 20 * base.seconds
-    assert plan_of(_scenario(uncertainty={"draws": 1000})).seconds > 200 * base.seconds
+    assert plan_of(_scenario(uncertainty={"draws": 2000})).seconds > 200 * base.seconds
     assert plan_of(_scenario(measure={"settle_cycles": 2000})).bytes > 50 * base.bytes
     assert plan_of(_scenario("hammerstein_inverse", {"filter_hz": 2.0})).seconds > 5 * base.seconds
 

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from scipy.stats import qmc
 
+from hammerstein.commands import watch
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
 from hammerstein.experiment import study
@@ -178,7 +179,7 @@ def test_the_table_is_the_same_as_csv_and_parquet_and_after_an_interruption(tmp_
     monkeypatch.setenv("HAMMERSTEIN_CACHE_MB", "100")
     (tmp_path / "s.toml").write_text(TEXT)
     files = [tmp_path / "1.csv", tmp_path / "2.parquet", tmp_path / "3.csv"]
-    count, real = [], study.run
+    count, real = [], study.rows_alone
 
     def counted(*arguments):
         count.append(arguments)
@@ -186,7 +187,7 @@ def test_the_table_is_the_same_as_csv_and_parquet_and_after_an_interruption(tmp_
             raise ZeroDivisionError
         return real(*arguments)
 
-    monkeypatch.setattr(study, "run", counted)
+    monkeypatch.setattr(study, "rows_alone", counted)
     assert called("sweep", tmp_path / "s.toml", "--out", files[0]) == 70
     assert not files[0].exists()
     assert called("sweep", tmp_path / "s.toml", "--out", files[0]) == 0
@@ -206,14 +207,16 @@ def test_the_table_is_the_same_as_csv_and_parquet_and_after_an_interruption(tmp_
 
 def test_a_dry_run_says_how_much_it_is(tmp_path, capsys):
     (tmp_path / "s.toml").write_text(TEXT.replace("= 8", "= 65536"))
-    assert called("sweep", tmp_path / "s.toml", "--dry-run") == 0  # nothing is written: no --out
+    assert (
+        called("sweep", tmp_path / "s.toml", "--dry-run", "--jobs", "1") == 0
+    )  # nothing is written: no --out
     assert re.search("65536 runs of sobol values, about [0-9.]+ [a-z]+, ", capsys.readouterr().err)
     assert called("sweep", tmp_path / "s.toml", "--dry-run", "--jobs", "2") == 0
     assert " with 2 jobs, " in capsys.readouterr().err
     assert called("sweep", tmp_path / "s.toml") == 2
     assert "--out: is missing; give the file that the rows go to" in capsys.readouterr().err
     (tmp_path / "s.toml").write_text(TEXT.partition("how")[0] + f'values = {{ "{CYCLES}" = [1, 1000000] }}')
-    assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--dry-run") == 0
+    assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--dry-run", "--jobs", "1") == 0
     words = r"2 runs of product values, about ([\d.]+) (\w+), ([\d.]+) GB"
     said = re.search(words, capsys.readouterr().err)
     assert said is not None
@@ -320,6 +323,15 @@ def test_a_table_that_cannot_be_written_is_named(tmp_path, capsys, monkeypatch):
     assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv") == 2
     assert f"{tmp_path / 'o.csv'}: cannot be written (no space left on device)" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]
+
+
+def test_who_watches_a_sweep_sees_how_far_it_is(tmp_path, monkeypatch):
+    (tmp_path / "s.toml").write_text(TEXT)
+    seen = []
+    told = staticmethod(lambda what, done, of: seen.append((done, of)))
+    monkeypatch.setattr(watch.Watch, "progress", told)
+    assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--fresh") == 0
+    assert seen == [(number, 8) for number in range(1, 9)]
 
 
 def test_a_sweep_of_hours_asks_who_watches(tmp_path, capsys, monkeypatch):

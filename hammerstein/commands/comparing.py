@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hammerstein.commands.crew import PROCESSORS
 from hammerstein.commands.grouped import grouped
 from hammerstein.commands.record_options import AsJson, HeldBack, Identified, RecordFiles
 from hammerstein.commands.terminal import complain, show, tell, tell_json
@@ -26,7 +26,7 @@ def compare(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the comparison goes.")] = Path("compare"),
     jobs: Annotated[
         int, typer.Option(min=1, help="Identifications side by side.", show_default="the processors")
-    ] = os.cpu_count() or 1,
+    ] = PROCESSORS,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
     as_json: AsJson = False,
 ) -> None:

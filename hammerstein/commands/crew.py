@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -12,7 +13,7 @@ import typer
 from hammerstein.commands.terminal import complain
 
 if TYPE_CHECKING:
-    from hammerstein.runtime.fanning import Jobs
+    from hammerstein.runtime import fanning
     from hammerstein.scenario import Scenario
 
 Address = Annotated[
@@ -22,12 +23,18 @@ Address = Annotated[
     ),
 ]
 
+Jobs = Annotated[
+    int, typer.Option(min=1, help="Runs side by side.", show_default="the processors of this machine")
+]
+PROCESSORS = os.cpu_count() or 1
+Yes = Annotated[bool, typer.Option("--yes", help="Start also what takes more than ten minutes.")]
+
 WORTH_PROCESSES_S = 4.0
 """Time of many short runs, as planned, from which they are worth the start of processes."""
 
 
 @contextmanager
-def workers(jobs: int, cluster: str | None) -> Iterator[Jobs]:
+def workers(jobs: int, cluster: str | None) -> Iterator[fanning.Jobs]:
     """Give the workers of a cluster, if there is one, or the jobs of this machine, whose loops are compiled.
 
     Raises InputError where the cluster cannot be used.
@@ -42,7 +49,7 @@ def workers(jobs: int, cluster: str | None) -> Iterator[Jobs]:
         yield crew
 
 
-def apart(jobs: Jobs, seconds: float) -> AbstractContextManager[Jobs]:
+def apart(jobs: fanning.Jobs, seconds: float) -> AbstractContextManager[fanning.Jobs]:
     """Give processes for many short runs that take so long together on one processor, as planned.
 
     Threads of one process share Python's interpreter, but begin at once.
@@ -55,7 +62,7 @@ def apart(jobs: Jobs, seconds: float) -> AbstractContextManager[Jobs]:
 
 
 def compiling(
-    cluster: str | None, scenarios: Collection[Scenario], jobs: Jobs
+    cluster: str | None, scenarios: Collection[Scenario], jobs: fanning.Jobs
 ) -> AbstractContextManager[None]:
     """Compile the time loops, where this machine runs them: all of them where processes would need them."""
     from hammerstein.commands.warm_up import compile_all, compiled_beside

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from hammerstein.commands.crew import Address, announce, apart, compiling, workers
+from hammerstein.commands.crew import PROCESSORS, Address, Jobs, Yes, announce, apart, compiling, workers
 from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Watch
@@ -27,11 +26,6 @@ if TYPE_CHECKING:
     from hammerstein.scenario.assessment import Assessment
 
 Paths = Annotated[list[Path], typer.Argument(metavar="PATH", help="Scenario files, or folders of them.")]
-Jobs = Annotated[
-    int, typer.Option(min=1, help="Runs side by side.", show_default="the processors of this machine")
-]
-Yes = Annotated[bool, typer.Option("--yes", help="Start also what takes more than ten minutes.")]
-PROCESSORS = os.cpu_count() or 1
 KEPT = f"in {place}" if (place := folder_of_runs()) else "(nothing is kept here)"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from hammerstein.commands.crew import PROCESSORS
 from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.terminal import complain, show as show_table, tell, tell_json
 
@@ -37,7 +37,7 @@ def init(
     from hammerstein.commands.watch import Spinner
 
     refuse_started(folder)
-    with compiled_beside(complain, own_scenario(), os.cpu_count() or 1), Spinner() as spinner:
+    with compiled_beside(complain, own_scenario(), PROCESSORS), Spinner() as spinner:
         own_folder(folder, spinner.tell)
     tell(f"what to do next stands in {folder / 'README.md'}")
     tell(f"look at {folder / 'reports/circle/report.html'}; {there}hammerstein run .")

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
-from hammerstein.commands.crew import Address, announce, apart, workers
+from hammerstein.commands.crew import PROCESSORS, Address, Jobs, Yes, announce, apart, compiling, workers
 from hammerstein.commands.terminal import complain, tell
+from hammerstein.commands.watch import Watch
 
 if TYPE_CHECKING:
     from hammerstein.experiment.study import Sampled
@@ -24,13 +25,13 @@ LINES_AT_ONCE = 1000  # of a Parquet file
 def sweep(
     path: Annotated[Path, typer.Argument(help="Scenario file with a table [study].")],
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Rows, as .csv or .parquet.")] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Runs side by side.")] = 1,
+    jobs: Jobs = PROCESSORS,
     cluster: Address = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Pass by what earlier runs kept.")] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print how many runs there are, and the time; run nothing.")
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="Start also what takes more than ten minutes.")] = False,
+    yes: Yes = False,
 ) -> None:
     """Run a scenario with many values of its keys, as lists or as samples; write one table of all rows.
 
@@ -56,8 +57,12 @@ def sweep(
         announce(told, seconds, yes)
         if store is not None:
             store = store.computed(getattr(asked, "elsewhere", ""))
-        with apart(asked, workers_of(asked) * seconds) as crew:
-            for one in sampled(scenario, str(path), crew, None, store):
+        with (
+            apart(asked, workers_of(asked) * seconds) as crew,
+            compiling(cluster, [scenario], crew),
+            Watch(1) as watch,
+        ):
+            for one in sampled(scenario, str(path), crew, watch.progress, store):
                 failed += bool(one.error)
                 table.add(one)
     if store is not None and store.problem:

@@ -20,9 +20,8 @@ from hammerstein.compensators.learning import Learned
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.recording import RECORDED_BLOCK
 from hammerstein.experiment.sensitivity import evaluations, varying
-from hammerstein.experiment.set_up import Window, driven_axes, plant_of, scenario_axes
+from hammerstein.experiment.set_up import Window, driven_axes, loaded, plant_of, scenario_axes
 from hammerstein.hysteresis import PrandtlIshlinskii, RateDependent
-from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
 from hammerstein.runtime.memory import COPIES, free_bytes, run_bytes
 from hammerstein.scenario import Scenario
@@ -35,6 +34,7 @@ REFERENCE_S = 6.3e-4
 SECONDS_A_SAMPLE = 8e-8
 SECONDS_A_PREDICTED_SAMPLE = 3e-8
 SECONDS_A_CASE = 1e-3
+SECONDS_A_SET_UP = 4e-3  # to read the models and to design the laws
 SECONDS_A_PASS = 4e-8
 SECONDS_A_STEPPED_PASS = 2e-5  # around a block that is not of plays alone, which is stepped in Python
 SECONDS_A_RATE_DEPENDENT_SAMPLE = 9e-7  # of the exact inverse of such a block
@@ -191,9 +191,8 @@ def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
     for source in (*scenario.compensators, *scenario.models):
         if source.identification is not None:
             labels.setdefault(source.identification, source.label)
-    actuator = plant.model.digest(), plant.instruments, scenario.seed
     for spec, label in labels.items():
-        once = (*actuator, spec)
+        once = plant.model.digest(), plant.instruments, scenario.seed, spec
         step = spec.sample_time_s or plant.sample_time_s
         if isinstance(spec, ClosedFormSpec):
             cycles = max(spec.settle_cycles, math.ceil(0.05 * spec.frequency_hz)) + spec.measured_cycles
@@ -235,7 +234,7 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
         reading += sum(seconds for c, seconds in done if isinstance(c, Feedback | Learned))
     models = len(scenario.models)
     seconds = samples * (SECONDS_A_SAMPLE + models * SECONDS_A_PREDICTED_SAMPLE)
-    seconds += cases * SECONDS_A_CASE + work
+    seconds += SECONDS_A_SET_UP + cases * SECONDS_A_CASE + work
     seconds *= 1 + (0 if scenario.assessment is None else scenario.assessment.runs)
     every = scenario.measure.record_every or 1
     whole = any(isinstance(c, HammersteinInverse | Feedback | Learned) for c in scenario.compensators)
@@ -304,7 +303,7 @@ def _work(compensator: TestedCompensator, sample_time_s: float) -> float:
 def _kind(source: ModelSource) -> str:
     """Kind of the hysteresis of a model, where it is not yet identified the one that is asked for."""
     if source.identification is None:
-        return HammersteinModel.load(str(source.model)).hysteresis.kind
+        return loaded(str(source.model)).hysteresis.kind
     return getattr(source.identification, "hysteresis", None) or PrandtlIshlinskii.kind
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.kept import KeptCases
-from hammerstein.experiment.measure import statements_of
+from hammerstein.experiment.measure import Result, statements_of
 from hammerstein.experiment.plan import Plan, identification_parts, plan_of
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.sensitivity import sensitivities_of
@@ -20,7 +20,7 @@ from hammerstein.model.simulation import Response
 from hammerstein.runtime.fanning import Jobs
 from hammerstein.runtime.one_thread import one_blas_thread
 from hammerstein.runtime.store import Store
-from hammerstein.scenario import scenario_of
+from hammerstein.scenario import Scenario, scenario_of
 from hammerstein.scenario.scenario import ScenarioSource
 
 
@@ -143,12 +143,8 @@ def run(
     """
     own_name, scenario = scenario_of(scenario)
     name = name or own_name
-    plan_of(scenario, jobs if isinstance(jobs, int) else 1).refuse_too_large()
-    setup = set_up(scenario, name, progress, fresh="" if store is None else store.fresh, jobs=jobs)
-    cases, kept = list(setup.cases()), KeptCases(setup, store)
-    results = kept.results(cases, jobs, progress)
-    rows = tuple(row for result in results for row in result.rows)
-    _refuse_not_finite(rows)
+    kept, cases, results = _worked_out(scenario, name, jobs, progress, store)
+    setup, rows = kept.setup, _rows_in(results)
     asked = scenario.assessment
     traces = tuple(result.trace for result in results)
     return Report(
@@ -169,11 +165,36 @@ def run(
     )
 
 
-def _refuse_not_finite(rows: Iterable[Row]) -> None:
-    """No figure leaves a run that is infinite or NaN, whatever brought it about."""
+@one_blas_thread()
+def rows_alone(scenario: Scenario, name: str) -> tuple[Row, ...]:
+    """Rows of a run, one for each case and measured axis, without what its report says about them.
+
+    Raises as ``run`` does.
+    """
+    return _rows_in(_worked_out(scenario, name)[2])
+
+
+def _worked_out(
+    scenario: Scenario,
+    name: str,
+    jobs: Jobs = 1,
+    progress: Progress | None = None,
+    store: Store | None = None,
+) -> tuple[KeptCases, list[Case], list[Result]]:
+    """Every case of a scenario and what came out."""
+    plan_of(scenario, jobs if isinstance(jobs, int) else 1).refuse_too_large()
+    setup = set_up(scenario, name, progress, fresh="" if store is None else store.fresh, jobs=jobs)
+    cases, kept = list(setup.cases()), KeptCases(setup, store)
+    return kept, cases, kept.results(cases, jobs, progress)
+
+
+def _rows_in(results: Iterable[Result]) -> tuple[Row, ...]:
+    """All rows; no figure leaves a run that is infinite or NaN, whatever brought it about."""
+    rows = tuple(row for result in results for row in result.rows)
     for row in rows:
         if figure := row.not_finite():
             raise SimulationError(
                 f"{figure} of {row.measured_axis} is {getattr(row, figure)} at {row.frequency_hz:g} Hz with "
                 f"{row.compensator or 'this drive'}: nothing follows. Use another amplitude or frequency"
             )
+    return rows

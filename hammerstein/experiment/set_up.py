@@ -9,7 +9,7 @@ import math
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,8 @@ from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators.feedback.pid import closed_loop
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, Mistake, SimulationError
 from hammerstein.experiment.trials import Course, Courses, whole_period
-from hammerstein.model import HammersteinModel
+from hammerstein.files import read_limited
+from hammerstein.model import HammersteinModel, place_of
 from hammerstein.model.simulation import BLOCK, Driven, Plant, Response
 from hammerstein.runtime.fanning import Jobs, on_workers
 from hammerstein.runtime.memory import refuse_too_long
@@ -274,11 +275,22 @@ def set_up(
 
 def plant_of(scenario: Scenario, model: HammersteinModel | None = None) -> Plant:
     """The actuator of a scenario on its set-up; InputError where its file is wrong."""
-    model = model or HammersteinModel.load(scenario.actuator)
+    model = model or loaded(str(scenario.actuator))
     own = model.instruments.model_dump()
     given = scenario.instruments.model_dump(exclude_unset=True)
     merged = {name: {**own[name], **given.get(name, {})} for name in own}
     return Plant(model, Instruments.model_validate(merged))
+
+
+def loaded(path: str) -> HammersteinModel:
+    """Model in a file, or a packaged one; InputError where the file is wrong."""
+    return _model_of(read_limited(place_of(path), what="model file"), path)
+
+
+@lru_cache(maxsize=16)
+def _model_of(text: str, source: str) -> HammersteinModel:
+    """Model from its text: the runs of a study read the same file thousands of times."""
+    return HammersteinModel.from_json(text, source)
 
 
 def law_of(compensator: TestedCompensator, model: HammersteinModel, plant: Plant) -> AnyLaw:
@@ -324,7 +336,7 @@ def _models(
             progress(f"identifying{on_workers(jobs)}", i, len(sources))
         key = source.identification or source.model
         if key not in found and source.identification is None:
-            found[key] = HammersteinModel.load(str(source.model))
+            found[key] = loaded(str(source.model))
         elif key not in found and source.identification is not None:
             try:
                 found[key] = next(identified)

@@ -15,10 +15,11 @@ from pydantic import ValidationError
 from hammerstein.errors import HammersteinError, InputError, Mistake
 from hammerstein.experiment.kept import rows_from
 from hammerstein.experiment.plan import Part, Plan, experiments_of, plan_of
-from hammerstein.experiment.run import run
+from hammerstein.experiment.run import rows_alone
 from hammerstein.experiment.set_up import Progress
 from hammerstein.metrics import Row
 from hammerstein.runtime.fanning import Jobs, given, in_order, on_workers
+from hammerstein.runtime.one_thread import one_blas_thread
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.study import Study
@@ -88,10 +89,11 @@ def sampled(
             store.write(key, Kept([asdict(row) for row in one.rows]))
 
     tasks = (begun(i, _rounded(values, whole)) for i, values in enumerate(study.points(), start=1))
-    for one in in_order(tasks, jobs, finished):
-        if progress:
-            progress(f"sampling{on_workers(jobs)}", one.number, count)
-        yield one
+    with one_blas_thread():  # for all: each run asks for it, and only the first has to look for it
+        for one in in_order(tasks, jobs, finished):
+            if progress:
+                progress(f"sampling{on_workers(jobs)}", one.number, count)
+            yield one
 
 
 def study_of(scenario: Scenario, name: str) -> Study:
@@ -187,7 +189,7 @@ def _is_whole(scenario: Scenario, name: str, key: str, value: float) -> bool:
 
 def _one(scenario: Scenario, name: str, number: int, values: Mapping[str, float]) -> Sampled:
     try:
-        return Sampled(number, values, run(scenario, name).rows)
+        return Sampled(number, values, rows_alone(scenario, name))
     except HammersteinError as error:
         return Sampled(number, values, (), str(error))
 

@@ -278,6 +278,10 @@ class HammersteinModel(ByValue, Pictured):
 
     def digest(self) -> str:
         """Short hash of everything in the model that changes its numbers, whatever its file looks like."""
+        return self._digest
+
+    @cached_property
+    def _digest(self) -> str:
         words = {"format", "name", "inputs", "outputs", "provenance", "verdict"}
         content = json.loads(ModelFile.of(self).model_dump_json(exclude=words, exclude_none=True))
         content["voltages"] = self.recorded.model_dump(exclude={"poling"})  # that follows from the others

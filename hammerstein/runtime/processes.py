@@ -9,11 +9,12 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from multiprocessing.context import BaseContext
 
 from hammerstein.files import discard_unfinished
 from hammerstein.runtime.notices import tell_notices
+from hammerstein.runtime.one_thread import one_blas_thread
 
 ENDED = 143
 GARBAGE = (50_000, 20, 50)
@@ -39,6 +40,10 @@ LOADED_ONCE = (
     "pandas",
 )
 """What a run to its report needs and takes seconds to load."""
+
+
+_FOR_GOOD = ExitStack()
+"""What a process holds until its end."""
 
 
 def begin_loading(names: Sequence[str] = LOADED_ONCE) -> None:
@@ -118,6 +123,7 @@ def make_ready() -> None:
     signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_leave_with_the_parent, daemon=True).start()
     tell_notices()
+    _FOR_GOOD.enter_context(one_blas_thread())
     gc.freeze()
     gc.set_threshold(*GARBAGE)
 
