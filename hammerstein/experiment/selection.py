@@ -35,9 +35,12 @@ class Condition:
         return ", ".join(frequency + amplitude + ([] if self.trial is None else [f"trial {self.trial}"]))
 
 
-def conditions_of(rows: Iterable[Row]) -> list[Condition]:
-    """Every condition once, in the order of the report."""
-    return list(dict.fromkeys(Condition.of(row) for row in rows))
+def by_condition(rows: Iterable[Row]) -> dict[Condition, list[Row]]:
+    """Rows of every condition, in the order of the report."""
+    found: dict[Condition, list[Row]] = {}
+    for row in rows:
+        found.setdefault(Condition.of(row), []).append(row)
+    return found
 
 
 def told_apart(conditions: Sequence[Condition]) -> dict[Condition, str]:

@@ -10,7 +10,7 @@ from typing import TypeVar
 from hammerstein.experiment.report import Band, Report
 from hammerstein.experiment.selection import (
     Condition,
-    conditions_of,
+    by_condition,
     is_direct,
     is_path,
     labels_of,
@@ -184,9 +184,9 @@ def _compared(report: Report, quote: Quote) -> Iterator[Sentence]:
 
 
 def _sentences(rows: Sequence[Row], merit: Merit, contest: Contest) -> Iterator[Sentence]:
-    conditions = sorted(conditions_of(rows), key=lambda c: (c.amplitude or 0.0, c.frequency_hz, c.trial or 0))
-    values = {c: _values((row for row in rows if Condition.of(row) == c), merit) for c in conditions}
-    values = {condition: found for condition, found in values.items() if found}
+    inside = by_condition(rows)
+    conditions = sorted(inside, key=lambda c: (c.amplitude or 0.0, c.frequency_hz, c.trial or 0))
+    values = {c: found for c in conditions if (found := _values(inside[c], merit))}
     if 0 < len(values) <= MOST_CLAUSES:
         yield _one_by_one(values, merit, contest)
     elif values:
@@ -287,11 +287,12 @@ def _ranges(names: Sequence[str], winners: Sequence[str], quote: Quote) -> str:
 def _loops(report: Report) -> Iterator[str]:
     """Height and width of the loops in the first and in the last run of a sweep."""
     measured = [row for row in report.rows if row.height_um is not None]
-    conditions = conditions_of(measured)
+    inside = by_condition(measured)
+    conditions = list(inside)
     if not measured:
         yield "There is nothing to compare with: the figures show what the sensor reads."
     for condition in dict.fromkeys([*conditions[:1], *conditions[-1:]]):
-        rows = [row for row in measured if Condition.of(row) == condition]
+        rows = inside[condition]
         texts = [
             f"{row.measured_axis} moves {number(row.height_um)} um from end to end, with a loop "
             f"{number(row.width_percent)} % wide"

@@ -227,8 +227,9 @@ def _bytes(entry: Kept, key: str) -> bytes:
     arrays = {name: _plain(array) for name, array in entry.arrays.items()}
     listed = [[name, array.dtype.str, list(array.shape)] for name, array in arrays.items()]
     head = json.dumps({"document": entry.document, "arrays": listed}).encode()
-    body = b"".join([_LENGTHS.pack(len(head)), head, *(array.tobytes() for array in arrays.values())])
-    return MAGIC + _checksum(key, body) + body
+    raw: list[Any] = [array.reshape(-1).view(np.uint8).data for array in arrays.values()]
+    body = [_LENGTHS.pack(len(head)), head, *raw]
+    return b"".join([MAGIC, _checksum(key, *body), *body])  # one copy of the arrays, which may be large
 
 
 def _plain(array: NDArray[Any]) -> NDArray[Any]:
@@ -256,7 +257,8 @@ def _parsed(data: bytes, key: str) -> Kept:
     return Kept(head["document"], arrays)
 
 
-def _checksum(key: str, body: bytes | memoryview) -> bytes:
+def _checksum(key: str, *body: bytes | memoryview) -> bytes:
     digest = hashlib.sha256(key.encode())
-    digest.update(body)
+    for part in body:
+        digest.update(part)
     return digest.digest()
