@@ -34,7 +34,6 @@ LOADED_ONCE = (
     "hammerstein.commands.cli",
     "hammerstein.reporting.figures.write",
     "hammerstein.reporting.page",
-    "control",
     "matplotlib.backends.backend_agg",
     "matplotlib.backends.backend_svg",
     "pandas",
