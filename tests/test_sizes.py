@@ -6,6 +6,7 @@ from hammerstein.commands import cli, watch
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.plan import Part, Plan, jobs_that_fit, longest_first, plan_of, slowness, together
 from hammerstein.experiment.run import run, simulate
+from hammerstein.plugins import load_plugins
 from hammerstein.runtime import memory
 from hammerstein.runtime.room import PAGE, room
 from hammerstein.scenario import Scenario
@@ -65,6 +66,15 @@ def test_the_plan_follows_what_is_asked():
     assert plan_of(_scenario(uncertainty={"draws": 2000})).seconds > 200 * base.seconds
     assert plan_of(_scenario(measure={"settle_cycles": 2000})).bytes > 50 * base.bytes
     assert plan_of(_scenario("hammerstein_inverse", {"filter_hz": 2.0})).seconds > 5 * base.seconds
+
+
+def test_identifications_on_other_actuators_are_in_the_plan():
+    load_plugins()  # the paper is one
+    fitted = {"identification": {"method": "hammerstein"}}
+    others = [{"actuator": name} for name in ("duo_bimorph_dense", "duo_bimorph_creep")]
+    alone = plan_of(_scenario(**fitted))
+    asked = plan_of(_scenario(**fitted, assessment={"kind": "paper", "also_on": others}))
+    assert asked.seconds == pytest.approx(3.0 * alone.seconds)
 
 
 def test_a_slower_processor_takes_longer(monkeypatch):

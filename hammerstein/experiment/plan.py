@@ -161,8 +161,13 @@ def jobs_that_fit(plans: Iterable[Plan], jobs: int) -> int:
 
 def plan_of(scenario: Scenario, jobs: int = 1) -> Plan:
     """What a run of a scenario needs; InputError where its files are wrong."""
-    plant = plant_of(scenario)
-    parts, factor = (*identification_parts(scenario, plant), *_runs(scenario, plant, jobs)), slowness()
+    plant, factor = plant_of(scenario), slowness()
+    identified = list(identification_parts(scenario, plant))
+    parts = [*identified, *_runs(scenario, plant, jobs)]
+    if identified and scenario.assessment is not None and scenario.assessment.runs:
+        seconds = scenario.assessment.runs * sum(part.seconds for part in identified)
+        words = "the identifications on other actuators that its [assessment] asks for"
+        parts.append(Part(words, 0.0, seconds, "the actuators in [assessment]"))
     return Plan(tuple(replace(part, seconds=factor * part.seconds) for part in parts))
 
 
