@@ -254,6 +254,27 @@ def test_parameters_stay_within_what_the_records_can_show():
     assert found.damping_ratio >= 0.99e-4
 
 
+def test_searches_that_meet_arrive_at_one_place():
+    records = campaign()
+    task = AxisTask(tuple(records), (Start("rest"),) * 8, (R, R), 0, AxisShape(), 0, KnownSensor(SENSOR_HZ))
+    begins = [np.log(each) for each in ((320.0, 0.15), (240.0, 0.15), (5000.0, 0.03))]
+    (found,) = axis_search._arrived(task, begins)
+    assert np.abs(np.exp(found.x) / AXES[0] - 1.0).max() < 0.02
+
+
+def test_a_search_is_given_up_where_it_stays_far_behind_alone(monkeypatch):
+    """Places as (frequency, damping, error) after each step of four searches."""
+    trails = [
+        [(300.0, 0.1, 2.0), (280.0, 0.1, 1.0)],
+        [(600.0, 0.1, 1.6)] * 3 + [(500.0, 0.1, 1.4)] * 5,
+        [(700.0, 0.1, 1.6)] * 5 + [(800.0, 0.1, 0.1)],
+        [(290.0, 0.11, 1.0005), (290.0, 0.11, 0.1)],
+    ]
+    steps = [[SimpleNamespace(x=np.log([f, z]), rms=rms) for f, z, rms in trail] for trail in trails]
+    monkeypatch.setattr(axis_search, "refined", lambda task, x, enough: iter(steps[x]))
+    assert axis_search._arrived(None, range(4)) == [steps[0][-1], steps[1][-1]]
+
+
 def test_the_oracle_of_these_tests_is_the_step_response_of_theory():
     step = lagged(np.ones(400), 280.0, 0.12, sensor_hz=1e6)
     assert np.abs(step - second_order_step(T * np.arange(400), 280.0, 0.12)).max() < 1e-3

@@ -11,7 +11,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_search import GUESS_SAMPLES, TINY, FirstGuess, thinning
-from hammerstein.identification.linear.axis_steps import Point, refine
+from hammerstein.identification.linear.axis_steps import ROUGHLY, Point, refine
 from hammerstein.identification.linear.axis_task import AxisTask
 from hammerstein.identification.linear.delay import MOST_DELAY
 from hammerstein.identification.static.history import liveliest
@@ -58,7 +58,7 @@ def checked_delay(
             AxisTask(quick, begun, tuple(grids), o, shape, delay, sensor or KnownSensor(), every)
             for o, shape in enumerate(guess.shapes)
         ]
-        return [refine(task, x) for task, x in zip(tasks, begins, strict=True)]
+        return [refine(task, x, ROUGHLY) for task, x in zip(tasks, begins, strict=True)]
 
     best, found = best_delay(points, guess.delay_samples, guess.parameters)
     if best == guess.delay_samples:

@@ -12,7 +12,15 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics
 from hammerstein.identification.known_sensor import KnownSensor
-from hammerstein.identification.linear.axis_steps import Point, alone, refine, residuals, rms_behind
+from hammerstein.identification.linear.axis_steps import (
+    ROUGHLY,
+    Point,
+    alone,
+    refine,
+    refined,
+    residuals,
+    rms_behind,
+)
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, duration_s
 from hammerstein.identification.linear.delay import MOST_DELAY, shortest_delay
 from hammerstein.identification.static.history import liveliest
@@ -32,6 +40,10 @@ SEARCH_TURNS = 2
 COUNTED_SAMPLES = 15_000
 """Samples that are counted in the sums of a search; more than so many are thinned out evenly."""
 SEARCH_BEGINS = 3
+TRIED, FAR = 4, 1.5
+"""Steps after which a search is given up that leaves so many times as much as the best one."""
+SAME_DAMPING, SAME_ERROR = 0.2, 1e-3
+"""Logarithm of a ratio of dampings, and part of the error, within which two searches are at one place."""
 PEAK_DAMPING = 0.03
 LEAST_WINDOW, WINDOW = 256, 4096
 PROMINENT = 0.7
@@ -151,10 +163,11 @@ def _delay_search(tasks: Sequence[AxisTask], begins: Sequence[Array]) -> list[li
     """Axes fitted anew for each delay, until two longer ones in a row are worse than the best."""
     points: list[list[Point]] = []
     errors: list[float] = []
+    near = begins
     for d in range(MOST_DELAY + 1):
-        points.append(
-            [refine(replace(task, delay_samples=d), x) for task, x in zip(tasks, begins, strict=True)]
-        )
+        late = [replace(task, delay_samples=d) for task in tasks]
+        points.append([refine(task, x, ROUGHLY) for task, x in zip(late, near, strict=True)])
+        near = [point.x for point in points[-1]]
         first = [point.rms for point in points[0]]
         errors.append(sum(point.rms / max(rms, TINY) for point, rms in zip(points[-1], first, strict=True)))
         if d - int(np.argmin(errors)) >= WORSE_DELAYS:
@@ -177,8 +190,31 @@ def search(task: AxisTask, judged: AxisTask, closely: bool = False) -> Array:
         errors = [rms_behind(task, x) for x in grid]
         begins += [grid[int(i)] for i in np.argsort(errors, kind="stable")[:SEARCH_BEGINS]]
     begins += [np.log([f, PEAK_DAMPING]) for f in ringing_hz(task) if lower[0] < math.log(f) < upper[0]]
-    found = [refine(task, x).x for x in begins]
-    return min(found, key=lambda x: rms_behind(judged, x))
+    found = [point.x for point in _arrived(task, begins)]
+    return min(found, key=lambda x: rms_behind(judged, x)) if len(found) > 1 else found[0]
+
+
+def _arrived(task: AxisTask, begins: Sequence[Array]) -> list[Point]:
+    """Where the searches for a resonance arrive, each place once.
+
+    One is given up where it comes to what an earlier one has found, or where it is still far from the best.
+    """
+    found: list[Point] = []
+    for x in begins:
+        reach = FAR * min((point.rms for point in found), default=math.inf)
+        for number, here in enumerate(refined(task, x, ROUGHLY)):
+            if any(_is_at(here, point) for point in found) or (number >= TRIED and here.rms > reach):
+                break
+        else:
+            found.append(here)
+    return found
+
+
+def _is_at(here: Point, found: Point) -> bool:
+    """Whether a search has come to a resonance that is known: nearer than half its width, with its error."""
+    apart, half_width = np.abs(here.x - found.x), 0.5 * math.exp(found.x[1])
+    near = apart[0] < half_width and apart[1] < SAME_DAMPING
+    return bool(near and abs(here.rms - found.rms) < SAME_ERROR * found.rms)
 
 
 def ringing_hz(task: AxisTask) -> list[float]:

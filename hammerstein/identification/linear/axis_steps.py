@@ -17,7 +17,7 @@ does not grow with the record.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -35,6 +35,8 @@ SMALLEST_CHANGE = 1e-6
 MOST_STEPS = 25
 ENOUGH = 1e-7
 """Relative gain of a step under which the search has arrived."""
+ROUGHLY = 1e-5
+"""The same where places are compared that are refined further afterwards."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,21 +63,28 @@ class Point:
 
 def refine(task: AxisTask, x: Array, enough: float = ENOUGH) -> Point:
     """Levenberg-Marquardt steps from x until a step gains less than ``enough`` of the error."""
+    *_, here = refined(task, x, enough)
+    return here
+
+
+def refined(task: AxisTask, x: Array, enough: float = ENOUGH) -> Iterator[Point]:
+    """The best place known after each step of ``refine``; who takes them may give the search up."""
     lower, upper = task.limits
     begin = np.clip(x, lower, upper)
     here = _point(task, begin, alone(task, partial(task.path, begin))[0])
+    yield here
 
     def step(here: Point, damping: float) -> Point:
         x = np.clip(here.x + damped_change(here.curvature, here.pull, damping), lower, upper)
         return _point(task, x, here.slopes - here.drag @ (x - here.x))
 
     for tried in islice(steps(here, step, lambda point: point.rms, Damping()), MOST_STEPS):
-        here, before, there = tried.best, tried.before, tried.there
+        before, there = tried.before, tried.there
+        yield tried.best
         if tried.gained and there.rms >= before.rms * (1.0 - enough):
             break
         if not tried.gained and np.abs(there.x - before.x).max() < SMALLEST_CHANGE:
             break
-    return here
 
 
 def rms_behind(task: AxisTask, x: Array) -> float:
@@ -97,7 +106,8 @@ def _point(task: AxisTask, x: Array, slopes: Array) -> Point:
     n, q = task.columns, len(x)
 
     def filters(time: float) -> list[Filter]:
-        return [SideBySide(task.path(x, time), n), task.derivatives(x, slopes, time)]
+        moved = task.derivatives(x, slopes, time)
+        return [SideBySide(moved.paths[0], n), moved]
 
     moments = task.moments(filters, n + q)
     cross = moments.cross[:, 0]
