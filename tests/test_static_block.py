@@ -13,7 +13,13 @@ from hammerstein.errors import IdentificationError
 from hammerstein.identification.linear.delay import shortest_delay, static_delay
 from hammerstein.identification.operators import CurvePoint, enough_operators, error_curve, input_grids
 from hammerstein.identification.static.normal_equations import Bounds, moments_of, pooled, solve
-from hammerstein.identification.static.regressors import SideBySide, Start, channel
+from hammerstein.identification.static.regressors import (
+    PlayColumns,
+    SideBySide,
+    Start,
+    channel,
+    regressor_blocks,
+)
 from hammerstein.identification.static.static_block import direct_pairs, fit_static
 from hammerstein.records.record import Record
 
@@ -343,3 +349,49 @@ def test_inputs_that_move_together_are_told_by_name():
     grids = [[np.array([0.0, 1.0, 3.0]), np.array([0.0, 0.5, 1.5])]] * 2
     with pytest.raises(IdentificationError, match="inputs u1 and u2 apart: they never move independently"):
         fit_static([Record(u, u, 1e-3)], grids)
+
+
+def test_copies_at_rest_stay_there_beside_others():
+    path = LinearBlock(np.array([[0.9]]), np.array([[0.1]]), np.ones((1, 1)), np.zeros((1, 1)), 1e-3)
+    columns, start = np.zeros((13, 50)), np.zeros((13, 1))
+    columns[[4, 12]], start[9] = 1.0, 1.0
+    y, after = SideBySide(path, 13).respond(columns, start)
+    decay = 0.9 ** np.arange(51)
+    wanted = np.zeros((13, 51))
+    wanted[[4, 12]], wanted[9] = 1.0 - decay, decay
+    assert np.abs(y - wanted[:, :-1]).max() < 1e-14
+    assert np.abs(after[:, 0] - wanted[:, -1]).max() < 1e-14
+
+
+def test_columns_that_are_zero_need_not_be_summed():
+    generator = np.random.default_rng(5)
+    x, y = generator.standard_normal((3, 400)), generator.standard_normal((2, 400))
+    x[1] = 0.0
+    blocks = [(x[:, :300], y[:, :300]), (x[:, 300:], y[:, 300:])]
+    found = moments_of(blocks, 3, 2, np.array([0, 2]))
+    wanted = 400 * np.cov(np.vstack([x, y]), bias=True)
+    assert np.abs(found.gram - wanted[:3, :3]).max() < 1e-10
+    assert np.abs(found.cross - wanted[:3, 3:]).max() < 1e-10
+    assert np.abs(found.power - np.diag(wanted)[3:]).max() < 1e-10
+    assert np.abs(found.means[0] - np.vstack([x, y]).mean(axis=1)).max() < 1e-14
+
+
+@pytest.mark.parametrize("middle", [0.0, 2.5, 9.0])
+def test_plays_of_an_input_that_rests_stay_where_its_voltage_put_them(middle):
+    r = np.array([0.0, 1.0, 3.0])
+    start = Start("stepped", 0, ((middle, middle),))
+    [(_, x)] = regressor_blocks(np.full((1, 5), 2.0), start, [r])
+    plays = np.clip(middle, 2.0 - r, 2.0 + r)
+    assert np.array_equal(x, np.repeat(np.append(-np.diff(plays), plays[-1])[:, None], 5, axis=1))
+
+
+@pytest.mark.parametrize("kind", ["rest", "repeated"])
+def test_plays_that_are_kept_can_be_gone_through_again(kind):
+    u, r = random_walk(np.random.default_rng(2), 1, 9000), 3.0
+    before = u[0] if kind == "repeated" else u[0, :0]
+    wanted = theory.play(np.concatenate([before, u[0]]), r)[len(before) :]
+    kept = PlayColumns.of(np.vstack([u, 0.0 * u]), Start(kind), [np.array([r]), np.array([0.5])]).kept()
+    for _ in range(2):
+        assert np.array_equal(np.hstack([x for _, x in kept.counted]), [wanted, 0.0 * wanted])
+        assert sum(x.shape[1] for x in kept.before) == len(before)
+    assert kept.moves().tolist() == [True, False]

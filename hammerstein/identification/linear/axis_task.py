@@ -8,16 +8,19 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import Axis, CreepMode, LinearBlock
 from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.static.normal_equations import Moments, moments_of, pooled
 from hammerstein.identification.static.regressors import (
+    MOST_KEPT,
     Filter,
+    PlayColumns,
     Regressors,
     Start,
+    behind_filters,
     delayed,
     regressor_blocks,
 )
@@ -27,6 +30,9 @@ SERIES = 16
 """Terms of the exponential series, for a matrix with a norm of at most a half: the next one is rounding."""
 MIXED = 3
 """Columns of an input beside that of its slopes."""
+Matrices = tuple[Array, Array, Array, Array]
+"""A, B, C, D."""
+
 STEP = 1e-6
 """Change of a parameter for its derivative: the parameters are logarithms and relative gains."""
 
@@ -67,7 +73,8 @@ class Derivatives:
 
     def settled(self, columns: Array) -> Array:
         """State of paths that were held at these columns for ever."""
-        return float(self.weights @ columns) * self._of_one
+        held = float(self.weights @ columns)
+        return held * self._of_one if held else self.rest()
 
     def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
         """Derivatives (parameter, sample) and the state after them."""
@@ -185,7 +192,34 @@ class AxisTask:
         whole, _ = self.late(record.sample_time_s)
         if self.kept:
             return self.kept[number].blocks(start, whole, filters)
+        if self._plays:
+            return behind_filters(self._plays[number], start, filters)
         return regressor_blocks(delayed(record, start, whole), start, self.grids, filters)
+
+    @cached_property
+    def _plays(self) -> tuple[PlayColumns, ...]:
+        """Differences of the plays, for every step of a search; none where they would fill the memory."""
+        if self.columns * sum(record.samples for record in self.records) > MOST_KEPT:
+            return ()
+        late = [self.late(record.sample_time_s)[0] for record in self.records]
+        return tuple(
+            PlayColumns.of(delayed(record, start, whole), start, self.grids).kept()
+            for record, start, whole in zip(self.records, self.starts, late, strict=True)
+        )
+
+    def _moving(self, number: int, columns: int) -> NDArray[np.intp] | None:
+        """Numbers of the columns of a record that move, with all that follow; None if it is not known."""
+        if not self._moves:
+            return None
+        own = self._moves[number]
+        return np.append(np.flatnonzero(own), np.arange(len(own), columns))
+
+    @cached_property
+    def _moves(self) -> tuple[NDArray[np.bool_], ...]:
+        """Columns of each record that are not zero all the time: often one input is driven at a time."""
+        if self.kept:
+            return tuple(one.moves for one in self.kept)
+        return tuple(one.moves() for one in self._plays)
 
     @property
     def limits(self) -> tuple[Array, Array]:
@@ -203,13 +237,23 @@ class AxisTask:
 
     def path(self, x: Array, sample_time_s: float) -> LinearBlock:
         """Discrete path from the static block to the reading: what ``discretise`` gives, but quickly."""
-        a, b, c, d = axis_matrices(self.shape, x)
-        if self.sensor.bandwidth_hz is not None:
-            s = 2.0 * math.pi * self.sensor.bandwidth_hz
-            a = np.block([[a, np.zeros((len(a), 1))], [s * c, np.full((1, 1), -s)]])
-            b = np.vstack([b, s * d])
-            c, d = np.eye(len(a))[-1:], np.zeros((1, 1))
-        return held(a, b, c, d, sample_time_s, self.late(sample_time_s)[1])
+        return self.paths([x], sample_time_s)[0]
+
+    def paths(self, places: Sequence[Array], sample_time_s: float) -> list[LinearBlock]:
+        """Discrete paths for several places of the search."""
+        each = [self._observed(*axis_matrices(self.shape, x)) for x in places]
+        return held_each(each, sample_time_s, self.late(sample_time_s)[1])
+
+    def _observed(self, a: Array, b: Array, c: Array, d: Array) -> Matrices:
+        """Continuous A, B, C, D of an axis and the sensor behind it, whose state comes last."""
+        if self.sensor.bandwidth_hz is None:
+            return a, b, c, d
+        n, s = len(a), 2.0 * math.pi * self.sensor.bandwidth_hz
+        both, driven, seen = np.zeros((n + 1, n + 1)), np.empty((n + 1, 1)), np.zeros((1, n + 1))
+        both[:n, :n], both[n, :n], both[n, n] = a, s * c[0], -s
+        driven[:n], driven[n] = b, s * d[0]
+        seen[0, n] = 1.0
+        return both, driven, seen, np.zeros((1, 1))
 
     def late(self, sample_time_s: float) -> tuple[int, float]:
         """Whole samples by which a reading comes late, and the part of one, by the sensor's delay, too."""
@@ -227,8 +271,8 @@ class AxisTask:
 
     def derivatives(self, x: Array, slopes: Array, sample_time_s: float) -> Derivatives:
         """Derivatives of the output by every x_i, for the static block with these slopes."""
-        ahead = [self.path(x + change, sample_time_s) for change in STEP * np.eye(len(x))]
-        return Derivatives(slopes, (self.path(x, sample_time_s), *ahead))
+        places = [x, *(x + STEP * np.eye(len(x)))]
+        return Derivatives(slopes, tuple(self.paths(places, sample_time_s)))
 
     def moments(self, filters: Callable[[float], Sequence[Filter]], columns: int) -> Moments:
         """Moments of the columns with the output over all records; the filters depend on the sample time."""
@@ -239,7 +283,7 @@ class AxisTask:
             y, step = record.y_um[[self.output]], self.every
             blocks = self.blocks(i, built[record.sample_time_s])
             counted = ((c[:, ::step], y[:, k : k + c.shape[1] : step]) for k, c in blocks)
-            parts.append(moments_of(counted, columns, 1))
+            parts.append(moments_of(counted, columns, 1, self._moving(i, columns)))
         return pooled(parts)
 
 
@@ -283,27 +327,38 @@ def held(a: Array, b: Array, c: Array, d: Array, sample_time_s: float, late: flo
     >>> abs(float(held(-one, one, one, 0.0 * one, 1.0).A[0, 0]) - math.exp(-1.0)) < 1e-15
     True
     """
+    return held_each([(a, b, c, d)], sample_time_s, late)[0]
+
+
+def held_each(blocks: Sequence[Matrices], sample_time_s: float, late: float = 0.0) -> list[LinearBlock]:
+    """What ``held`` gives of each block; all have as many states and inputs."""
     if late:
-        end = held(a, b, c, d, (1.0 - late) * sample_time_s)
-        return held(a, b, c, d, late * sample_time_s).then(end, sample_time_s)
-    n, m = b.shape
-    full = np.zeros((n + m, n + m))
-    full[:n, :n], full[:n, n:] = a * sample_time_s, b * sample_time_s
-    result = _exponential(full)
-    return LinearBlock(result[:n, :n], result[:n, n:], c, d, sample_time_s)
+        begins = held_each(blocks, late * sample_time_s)
+        ends = held_each(blocks, (1.0 - late) * sample_time_s)
+        return [begin.then(end, sample_time_s) for begin, end in zip(begins, ends, strict=True)]
+    n, m = blocks[0][1].shape
+    full = np.zeros((len(blocks), n + m, n + m))
+    for whole, (a, b, _, _) in zip(full, blocks, strict=True):
+        whole[:n, :n], whole[:n, n:] = a, b
+    return [
+        LinearBlock(result[:n, :n], result[:n, n:], c, d, sample_time_s)
+        for result, (_, _, c, d) in zip(_exponentials(full * sample_time_s), blocks, strict=True)
+    ]
 
 
-def _exponential(matrix: Array) -> Array:
-    """Exponential of a small matrix, by its series after halving and squaring again.
+def _exponentials(matrices: Array) -> Array:
+    """Exponentials of small matrices (matrix, row, column), by their series after halving and squaring again.
 
     SciPy's solves a system with every call, and BLAS with several threads takes 10 ms for one of three rows.
     """
-    halvings = max(0, math.frexp(float(np.abs(matrix).sum(axis=1).max(initial=0.0)))[1] + 1)
-    part = matrix / 2.0**halvings
-    term = total = np.eye(len(matrix))
-    for i in range(1, SERIES):
+    largest = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
+    halvings = max(0, math.frexp(largest)[1] + 1)
+    part = matrices / 2.0**halvings
+    term = part
+    total = np.eye(matrices.shape[1]) + part
+    for i in range(2, SERIES):
         term = term @ part / i
-        total = total + term
+        total += term
     for _ in range(halvings):
         total = total @ total
     return np.asarray(total)

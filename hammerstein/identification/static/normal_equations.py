@@ -64,21 +64,28 @@ class Moments:
         return Moments(self.gram, self.cross[:, [o]], self.power[[o]], self.samples, means)
 
 
-def moments_of(blocks: Iterable[tuple[Array, Array]], columns: int, outputs: int) -> Moments:
-    """Moments of one record from blocks (column, sample) and (output, sample)."""
+def moments_of(
+    blocks: Iterable[tuple[Array, Array]], columns: int, outputs: int, moving: NDArray[np.intp] | None = None
+) -> Moments:
+    """Moments of one record from blocks (column, sample) and (output, sample).
+
+    moving : numbers of the columns that are not zero all the time, where they are known; all if not given
+    """
     k = columns + outputs
     total = np.zeros((k + 1, k + 1))
+    own = slice(None) if moving is None else moving
+    summed = np.r_[np.arange(columns)[own], columns : k + 1]
     reference: Array | None = None
-    rows = np.empty((k + 1, 0))
+    rows = np.empty((len(summed), 0))
     for x, y in blocks:
         if reference is None:
             reference = np.concatenate([x[:, :1], y[:, :1]])
         if rows.shape[1] != x.shape[1]:
-            rows = np.ones((k + 1, x.shape[1]))
+            rows = np.ones((len(summed), x.shape[1]))
         # sums of large numbers would lose what their differences tell
-        np.subtract(x, reference[:columns], out=rows[:columns])
-        np.subtract(y, reference[columns:], out=rows[columns:k])
-        total += _products(rows)
+        np.subtract(x[own], reference[:columns][own], out=rows[: -outputs - 1])
+        np.subtract(y, reference[columns:], out=rows[-outputs - 1 : -1])
+        total[np.ix_(summed, summed)] += _products(rows)
     if reference is None:
         raise IdentificationError("no sample of the record can be used")
     samples = total[k, k]

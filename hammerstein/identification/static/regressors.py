@@ -10,10 +10,10 @@ on the slopes are bounds on single unknowns.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from hammerstein.records.record import Record
 
 BLOCK = 8192
 """Samples handled at once: large enough for BLAS, small enough for the cache."""
+MOST_KEPT = 4_000_000
+"""Numbers of the plays that are kept in memory: 32 MB, twice as many for records that are repeated."""
 
 
 class Filter(Protocol):
@@ -111,16 +113,55 @@ def regressor_blocks(
     with_derivatives : whether the derivatives of the plays by their thresholds follow as further columns,
         input by input: -1 after a play was last moved upwards, 1 after downwards, 0 before it was moved
     """
-    plays = [start.plays_v(float(u[0]), grid, k) for k, (u, grid) in enumerate(zip(u_v, grids, strict=True))]
-    signs = _first_signs(u_v, plays, grids) if with_derivatives else None
-    states = [block.settled(_held(plays, signs)) for block in filters]
-    if start.kind == "repeated":
-        for _, columns in _blocks(u_v, grids, plays, signs):
-            _filtered(columns, filters, states)
-    for k, columns in _blocks(u_v, grids, plays, signs):
-        passed = _filtered(columns, filters, states)
+    return behind_filters(PlayColumns.of(u_v, start, grids, with_derivatives), start, filters)
+
+
+class PlayColumns(NamedTuple):
+    """Columns of one record before any filter, block by block: made when asked for, or kept.
+
+    held : (column,) what they stand at before the record
+    before : (column, sample) of a record that went before, like this one; nothing if none did
+    counted : first sample and (column, sample) of the record itself
+    """
+
+    held: Array
+    before: Iterable[Array]
+    counted: Iterable[tuple[int, Array]]
+
+    @classmethod
+    def of(
+        cls, u_v: Array, start: Start, grids: Sequence[Array], with_derivatives: bool = False
+    ) -> PlayColumns:
+        """Columns that are made when asked for, those before the record first."""
+        each = enumerate(zip(u_v, grids, strict=True))
+        plays = [start.plays_v(float(u[0]), grid, k) for k, (u, grid) in each]
+        signs = _first_signs(u_v, plays, grids) if with_derivatives else None
+        held = _held(plays, signs)
+        before = (x for _, x in _blocks(u_v, grids, plays, signs)) if start.kind == "repeated" else ()
+        return cls(held, before, _blocks(u_v, grids, plays, signs))
+
+    def kept(self) -> PlayColumns:
+        """The same in memory, to be gone through many times."""
+        before = tuple(self.before)
+        return PlayColumns(self.held, before, tuple(self.counted))
+
+    def moves(self) -> NDArray[np.bool_]:
+        """Columns (column,) that are not zero all the time; to be asked of what is kept."""
+        parts = [*self.before, *(x for _, x in self.counted)]
+        return np.asarray(np.any([x.any(axis=1) for x in parts], axis=0) | (self.held != 0.0))
+
+
+def behind_filters(
+    columns: PlayColumns, start: Start, filters: Sequence[Filter]
+) -> Iterator[tuple[int, Array]]:
+    """First sample and rows of each block from ``start.first`` on; see ``regressor_blocks``."""
+    states = [block.settled(columns.held) for block in filters]
+    for x in columns.before:
+        _filtered(x, filters, states)
+    for k, x in columns.counted:
+        passed = _filtered(x, filters, states)
         skip = max(start.first - k, 0)
-        if skip < columns.shape[1]:
+        if skip < x.shape[1]:
             yield k + skip, passed[:, skip:]
 
 
@@ -157,6 +198,11 @@ class Regressors:
         values = np.hstack([rows @ x for _, x in regressor_blocks(u_v, whole, grids)])
         plays = [start.plays_v(float(u[0]), r, k) for k, (u, r) in enumerate(zip(u_v, grids, strict=True))]
         return cls(values, rows @ _held(plays, None))
+
+    @cached_property
+    def moves(self) -> NDArray[np.bool_]:
+        """Columns (column,) that are not zero all the time."""
+        return np.asarray(self.values.any(axis=1) | (self.held != 0.0))
 
     def blocks(
         self, start: Start, delay_samples: int, filters: Sequence[Filter]
@@ -196,13 +242,20 @@ def _blocks(
     for k in range(0, u_v.shape[1], BLOCK):
         rows, moved = [], []
         for i, grid in enumerate(grids):
-            outputs = play(u_v[i, k : k + BLOCK], grid, plays[i])
+            outputs = _played(u_v[i, k : k + BLOCK], grid, plays[i])
             if signs is not None:
                 moved.append(_derivatives(outputs, plays[i], signs[i]))
             plays[i] = outputs[:, -1].copy()
             outputs[:-1] -= outputs[1:]
             rows.append(outputs)
         yield k, np.vstack(rows + moved)
+
+
+def _played(u: Array, grid: Array, before: Array) -> Array:
+    """Outputs (operator, sample) of plays; those of an input that rests stay, and need no loop."""
+    if (u[0] - grid <= before).all() and (before <= u[0] + grid).all() and (u == u[0]).all():
+        return np.repeat(before[:, None], len(u), axis=1)
+    return play(u, grid, before)
 
 
 def _derivatives(outputs: Array, before: Array, signs: Array) -> Array:
@@ -256,6 +309,8 @@ class SideBySide:
 
     def settled(self, columns: Array) -> Array:
         """State (copy, state) of paths that were held at their column for ever."""
+        if not columns.any():
+            return self.rest()
         return np.outer(columns, self._of_one)
 
     @cached_property

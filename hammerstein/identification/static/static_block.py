@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -24,12 +25,13 @@ from hammerstein.identification.static.normal_equations import (
     solve,
 )
 from hammerstein.identification.static.regressors import (
-    Filter,
+    MOST_KEPT,
+    PlayColumns,
     SideBySide,
     Start,
+    behind_filters,
     channel,
     delayed,
-    regressor_blocks,
 )
 from hammerstein.records.record import Record
 
@@ -166,32 +168,19 @@ def static_moments(
     """
     p = len(records[0].y_um)
     columns = sum(map(len, grids)) * (1 + with_derivatives)
-    each = list(zip(records, starts, strict=True))
-    if through is None:
-        parts = [
-            _record_moments(*one, grids, delay_samples, (), range(p), with_derivatives, every) for one in each
-        ]
-        return [pooled(parts).of_output(o) for o in range(p)]
-    blocks = [through] * len(records) if isinstance(through, LinearBlock) else through
-    moments = []
-    for o in range(p):
-        parts = [
-            _record_moments(
-                *one,
-                grids,
-                delay_samples,
-                path_filters(blocks, i, o, columns, p),
-                [o],
-                with_derivatives,
-                every,
-            )
-            for i, one in enumerate(each)
-        ]
-        moments.append(pooled(parts))
-    return moments
+    blocks = [through] * len(records) if isinstance(through, LinearBlock) else through or ()
+    parts = []
+    for i, (record, start) in enumerate(zip(records, starts, strict=True)):
+        u = delayed(record, start, delay_samples)
+        plays = partial(PlayColumns.of, u, start, grids, with_derivatives)
+        filters = [path_filters(blocks, i, o, columns, p) for o in range(p)]
+        parts.append(_record_moments(record, start, plays, filters, columns, every))
+    return [pooled(part) for part in zip(*parts, strict=True)]
 
 
-def path_filters(blocks: Sequence[LinearBlock], record: int, o: int, columns: int, p: int) -> list[Filter]:
+def path_filters(
+    blocks: Sequence[LinearBlock], record: int, o: int, columns: int, p: int
+) -> list[SideBySide]:
     """Path of one of p outputs in the block of a record; the block must not couple the outputs."""
     if not blocks:
         return []
@@ -207,17 +196,25 @@ def path_filters(blocks: Sequence[LinearBlock], record: int, o: int, columns: in
 def _record_moments(
     record: Record,
     start: Start,
-    grids: Sequence[Array],
-    delay_samples: int,
-    filters: Sequence[Filter],
-    outputs: Sequence[int],
-    with_derivatives: bool,
+    plays: Callable[[], PlayColumns],
+    filters: Sequence[list[SideBySide]],
+    columns: int,
     every: int,
-) -> Moments:
-    u, y = delayed(record, start, delay_samples), record.y_um[list(outputs)]
-    blocks = regressor_blocks(u, start, grids, filters, with_derivatives=with_derivatives)
-    pairs = ((x[:, ::every], y[:, k : k + x.shape[1] : every]) for k, x in blocks)
-    return moments_of(pairs, sum(map(len, grids)) * (1 + with_derivatives), len(y))
+) -> list[Moments]:
+    """Moments of each output with the plays behind its filters; those of outputs with one path at once."""
+
+    def gathered(outputs: Sequence[int], made: PlayColumns) -> Moments:
+        y = record.y_um[list(outputs)]
+        blocks = behind_filters(made, start, filters[outputs[0]])
+        pairs = ((x[:, ::every], y[:, k : k + x.shape[1] : every]) for k, x in blocks)
+        return moments_of(pairs, columns, len(y))
+
+    outputs = range(len(filters))
+    if all([one.path for one in own] == [one.path for one in filters[0]] for own in filters):
+        whole = gathered(outputs, plays())
+        return [whole.of_output(o) for o in outputs]
+    kept = plays().kept() if columns * record.samples <= MOST_KEPT else None
+    return [gathered([o], kept or plays()) for o in outputs]
 
 
 def solve_static(
