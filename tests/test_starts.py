@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from hammerstein.identification import first_look
+from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.history import closed, each_alone, judged_starts, shortened
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
@@ -79,3 +81,21 @@ def test_a_loop_is_closed_within_two_percent_of_its_height(gap, is_closed):
     u = 10.0 * np.cos(2.0 * np.pi * np.arange(401) / 400)
     drift = 100.0 * gap * np.linspace(0.0, 1.0, u.size)
     assert closed(Record([u], [5.0 * u + drift], 1e-3)) == is_closed
+
+
+def test_what_a_record_adds_to_a_first_model_is_gathered_once_for_each_start(monkeypatch):
+    gathered = []
+
+    def counted(records, grids, starts, *more):
+        gathered.append((records[0].y_um[0, 1], starts[0]))
+        return static_moments(records, grids, starts, *more)
+
+    static_moments = first_look.static_moments
+    monkeypatch.setattr(first_look, "static_moments", counted)
+    records = tuple(Record([U], [gain * U], 1e-3) for gain in (5.0, 5.0 + 1e-9))
+    rest, again = Start("rest"), Start("repeated", 100)
+    models = first_look._FirstModels(records, None, Settings(dynamics="none"))
+    for starts in ((rest, rest), (rest, again), (again, again), (again, rest)):
+        predicted = models.fitted(starts).predict(records[0], rest)
+        assert np.abs(predicted - 5.0 * U).max() < 1e-6
+    assert len(gathered) == len(set(gathered)) == 4

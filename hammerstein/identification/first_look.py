@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import StaticDynamics
@@ -20,8 +20,14 @@ from hammerstein.identification.operators import (
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.history import found_starts, judged_starts, shortened
+from hammerstein.identification.static.normal_equations import Moments, pooled
 from hammerstein.identification.static.regressors import Start
-from hammerstein.identification.static.static_block import fit_static
+from hammerstein.identification.static.static_block import (
+    SlopeColumns,
+    refuse_unreached,
+    solve_static,
+    static_moments,
+)
 from hammerstein.identification.static_candidates import late_static
 from hammerstein.identification.task import Progress, Task
 from hammerstein.records.record import Record
@@ -53,30 +59,51 @@ def _first_starts(
     if mode == "rest":
         return (Start("rest"),) * len(records)
 
+    models = _FirstModels(records, guess, settings)
+
     def fit(starts: Sequence[Start]) -> Callable[[Record, Start], Array]:
-        return _first_model(records, starts, guess, settings).predict
+        return models.fitted(starts).predict
 
     return found_starts(records, fit, guess.settle_s if guess else 0.0, mode)
 
 
-def _first_model(
-    records: tuple[Record, ...], starts: Sequence[Start], guess: FirstGuess | None, settings: Settings
-) -> Candidate:
-    """A quick model that tells how the records begin, with axes guessed, if there are any."""
-    quick, begun = shortened(records, starts, FIRST_SAMPLES)
-    delay = guess.delay_samples if guess else settings.delay_samples or 0
-    row = input_grids(quick, FIRST_OPERATORS, "voltage")
-    task = Task(quick, begun, [list(row) for _ in quick[0].y_um], delay, settings, lambda _: None)
-    dynamics = guess.dynamics() if guess else StaticDynamics(n_outputs=task.outputs)
-    found = fit_static(
-        quick,
-        task.thresholds_v,
-        solver="least_squares",
-        starts=begun,
-        delay_samples=task.whole_delay,
-        through=task.paths(dynamics) or None,
-    )
-    return task.candidate(found.hysteresis, dynamics)
+@dataclass(frozen=True, eq=False)
+class _FirstModels:
+    """Quick models that tell how the records begin, with axes guessed, if there are any.
+
+    What a record adds to the sums depends on its own start alone: it is gathered once for each.
+    """
+
+    records: tuple[Record, ...]
+    guess: FirstGuess | None
+    settings: Settings
+    gathered: dict[tuple[int, Start], list[Moments]] = field(default_factory=dict)
+
+    def fitted(self, starts: Sequence[Start]) -> Candidate:
+        """Give the model for records that begin in given ways."""
+        task = self._task(starts)
+        dynamics = self.guess.dynamics() if self.guess else StaticDynamics(n_outputs=task.outputs)
+        layout = SlopeColumns.of(task.thresholds_v)
+        refuse_unreached(task.records, layout.grids)
+        paths = task.paths(dynamics)
+        parts = []
+        for i, (record, start) in enumerate(zip(task.records, task.starts, strict=True)):
+            if (i, start) not in self.gathered:
+                path = paths[i] if paths else None
+                self.gathered[i, start] = static_moments(
+                    [record], layout.grids, [start], task.whole_delay, path
+                )
+            parts.append(self.gathered[i, start])
+        moments = [pooled(part) for part in zip(*parts, strict=True)]
+        found = solve_static(task.records, task.thresholds_v, layout, moments, "least_squares")
+        return task.candidate(found.hysteresis, dynamics)
+
+    def _task(self, starts: Sequence[Start]) -> Task:
+        """Beginnings of the records with thresholds and delay of a first look."""
+        quick, begun = shortened(self.records, starts, FIRST_SAMPLES)
+        delay = self.guess.delay_samples if self.guess else self.settings.delay_samples or 0
+        row = input_grids(quick, FIRST_OPERATORS, "voltage")
+        return Task(quick, begun, [list(row) for _ in quick[0].y_um], delay, self.settings, lambda _: None)
 
 
 def first_task(
@@ -91,7 +118,7 @@ def first_task(
     if starts != begun:
         guesses = guesses_of(records, starts, settings, tell)
         last = guesses[-1]
-    first = _first_model(records, starts, last, settings)
+    first = _FirstModels(records, last, settings).fitted(starts)
     starts = judged_starts(records, first.predict, settle_s_of(guesses), start_mode(settings))
     static = _static_delay(records, starts, settings, tell)
     delay = guesses[-1].delay_samples if guesses else static

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -223,6 +223,7 @@ def found_starts(
     settle_s : time in which the dynamics forget [s]
     mode : ``auto``; ``rest`` or ``repeated`` if it is known
     """
+    fit = cache(fit)  # one and the same start is asked for again and again
     ways = alike_starts(records)
     if mode != "auto":
         return judged_starts(records, fit(ways["cautious"]), settle_s, mode)
