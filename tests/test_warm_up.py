@@ -11,6 +11,7 @@ import pytest
 from hammerstein import compiled
 from hammerstein.commands import warm_up
 from hammerstein.commands.warm_up import TAKES, compiled_beside
+from hammerstein.experiment.plan import plan_of
 from hammerstein.scenario import scenario_of
 
 SCENARIO = """
@@ -72,15 +73,21 @@ def _scenario(**values):
     )[1]
 
 
-@pytest.mark.parametrize(("jobs", "processors", "helped"), [(2, 2, True), (1, 2, False), (2, 1, False)])
+@pytest.mark.parametrize(
+    ("jobs", "processors", "free", "helped"),
+    [(2, 2, 1e9, True), (1, 2, 1e9, False), (2, 1, 1e9, False), (2, 2, 1.5, False), (2, 2, 0.5, False)],
+)
 def test_a_process_beside_begins_with_the_first_loop_and_ends_with_the_block(
-    monkeypatch, jobs, processors, helped
+    monkeypatch, jobs, processors, free, helped
 ):
+    """Where there are two jobs, two processors, and room for the run twice."""
     monkeypatch.setattr(warm_up, "Processes", Beside)
     monkeypatch.setattr(Beside, "told", [])
     monkeypatch.setattr("os.cpu_count", lambda: processors)
     monkeypatch.setattr(warm_up, "begin_loading", lambda *_: None)
     said, scenario = [], _scenario()
+    needed = plan_of(scenario).bytes
+    monkeypatch.setattr("hammerstein.experiment.plan.free_bytes", lambda: free * needed)
     with compiled_beside(said.append, scenario, jobs):
         assert (said, Beside.told) == ([], [])
         compiled._waiting.pop()()  # as before a loop is compiled

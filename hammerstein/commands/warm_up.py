@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import wait
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,9 +57,12 @@ def compiled_beside(say: Callable[[str], None], scenario: Scenario, jobs: int) -
     scenario : what is about to be run
     jobs : how much may run side by side
     """
+    from hammerstein.experiment.plan import jobs_that_fit, plans_of
     from hammerstein.hysteresis.play_kernels import respond_turning_points
 
-    helped = min(jobs, os.cpu_count() or 1) > 1 and len(scenario.compensators) > 0
+    plans = plans_of({"here": scenario, "beside": scenario}).values()  # its signals are as long there
+    fitting = jobs_that_fit(plans, min(jobs, os.cpu_count() or 1))
+    helped = len(plans) == 2 and fitting > 1 and len(scenario.compensators) > 0
     if helped and not _is_cached(respond_turning_points):  # everything needs it
         begin_loading(FOR_RUNS)
     with ExitStack() as ends:
@@ -110,9 +114,9 @@ def _use_laws(scenario: Scenario) -> None:
         with suppress(HammersteinError):
             law = law_of(compensator, plant.model, plant)
             setup = SetUp(alone, plant, {}, {compensator.label: law})
-            case = next(setup.cases())
-            setup.experiment(case)
-            used.append((setup, case))
+            for case in islice(setup.cases(), 1):
+                setup.experiment(case)
+                used.append((setup, case))
     for setup, case in used:
         with suppress(HammersteinError):
             rows_of(setup, case)
