@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 
 import psutil
 import pytest
@@ -236,6 +238,28 @@ def test_the_environment_is_what_it_was_when_the_processes_have_begun(monkeypatc
     before = dict(os.environ)
     with _imports_from_where_this_does():
         assert os.environ["PYTHONPATH"] == os.pathsep.join(sys.path)
+    assert dict(os.environ) == before
+
+
+def test_threads_that_begin_processes_at_once_leave_the_environment_as_it_was(monkeypatch):
+    """A notebook may have put a Path on the path, which Python passes by."""
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    monkeypatch.setattr("sys.path", [*sys.path, Path("notebook")])
+    before, interval = dict(os.environ), sys.getswitchinterval()
+
+    def enter_often():
+        for _ in range(1000):
+            with _imports_from_where_this_does():
+                pass
+
+    sys.setswitchinterval(1e-5)
+    try:
+        with ThreadPoolExecutor(4) as threads:
+            for done in [threads.submit(enter_often) for _ in range(4)]:
+                done.result()
+    finally:
+        sys.setswitchinterval(interval)
     assert dict(os.environ) == before
 
 

@@ -41,6 +41,7 @@ LOADED_ONCE = (
 """What a run to its report needs and takes seconds to load."""
 
 
+_BEGINNING = threading.Lock()
 _FOR_GOOD = ExitStack()
 """What a process holds until its end."""
 
@@ -75,17 +76,19 @@ def _imports_from_where_this_does() -> Iterator[None]:
     It is begun with ``python -c``, which looks there first, and up to Python 3.12.7 and 3.13.0 it is not told
     where else (https://github.com/python/cpython/issues/117378).
     """
-    wanted = {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
-    before = {name: os.environ.get(name) for name in wanted}
-    os.environ.update(wanted)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+    places = [place for place in sys.path if isinstance(place, str)]  # Python passes others by
+    wanted = {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(places)}
+    with _BEGINNING:  # the environment is that of all threads
+        before = {name: os.environ.get(name) for name in wanted}
+        os.environ.update(wanted)
+        try:
+            yield
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
 
 
 @contextmanager
