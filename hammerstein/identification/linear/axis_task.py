@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import Axis, CreepMode, LinearBlock
+from hammerstein.dynamics.models import StateMatrices
 from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.static.normal_equations import Moments, moments_of, pooled
 from hammerstein.identification.static.regressors import (
@@ -30,9 +31,6 @@ SERIES = 16
 """Terms of the exponential series, for a matrix with a norm of at most a half: the next one is rounding."""
 MIXED = 3
 """Columns of an input beside that of its slopes."""
-Matrices = tuple[Array, Array, Array, Array]
-"""A, B, C, D."""
-
 STEP = 1e-6
 """Change of a parameter for its derivative: the parameters are logarithms and relative gains."""
 
@@ -244,7 +242,7 @@ class AxisTask:
         each = [self._observed(*axis_matrices(self.shape, x)) for x in places]
         return held_each(each, sample_time_s, self.late(sample_time_s)[1])
 
-    def _observed(self, a: Array, b: Array, c: Array, d: Array) -> Matrices:
+    def _observed(self, a: Array, b: Array, c: Array, d: Array) -> StateMatrices:
         """Continuous A, B, C, D of an axis and the sensor behind it, whose state comes last."""
         if self.sensor.bandwidth_hz is None:
             return a, b, c, d
@@ -330,7 +328,7 @@ def held(a: Array, b: Array, c: Array, d: Array, sample_time_s: float, late: flo
     return held_each([(a, b, c, d)], sample_time_s, late)[0]
 
 
-def held_each(blocks: Sequence[Matrices], sample_time_s: float, late: float = 0.0) -> list[LinearBlock]:
+def held_each(blocks: Sequence[StateMatrices], sample_time_s: float, late: float = 0.0) -> list[LinearBlock]:
     """What ``held`` gives of each block; all have as many states and inputs."""
     if late:
         begins = held_each(blocks, late * sample_time_s)
