@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import cached_property, partial
@@ -16,7 +15,7 @@ from hammerstein.experiment.set_up import Case, Progress, SetUp
 from hammerstein.metrics import Row
 from hammerstein.model.simulation import WIRES, Response
 from hammerstein.runtime.fanning import Jobs, in_order, on_workers
-from hammerstein.runtime.store import Kept, Store, key_of
+from hammerstein.runtime.store import Kept, Store, digest_of, key_of
 from hammerstein.signals import FromFile
 
 NUMBERS_NOT = {"label", "identification", "model", "only_at_hz"}
@@ -78,26 +77,27 @@ class KeptCases:
         return key_of(kind, content)
 
     @cached_property
-    def _common(self) -> dict[str, Any]:
-        """What all cases depend on."""
+    def _common(self) -> str:
+        """Digest of what all cases depend on."""
         setup, scenario = self.setup, self.setup.scenario
-        return {
-            "actuator": json.loads(setup.plant.model.to_json()),
+        content = {
+            "actuator": setup.plant.model.to_json(),
             "instruments": setup.plant.instruments.model_dump_json(),
             "volts": scenario.drive is not None,
             "measure": scenario.measure.model_dump_json(),
             "seed": scenario.seed,
             "metrics": [metric.name for metric in scenario.metrics()],
         }
+        return digest_of(content)
 
     @cached_property
-    def _tested(self) -> Mapping[str, Any]:
-        """Options and model of everything that is tested, by label."""
+    def _tested(self) -> Mapping[str, str]:
+        """Digest of options and model of everything that is tested, by label."""
         scenario, models = self.setup.scenario, self.setup.models
         options = {c.label: c.model_dump_json(exclude=NUMBERS_NOT) for c in scenario.compensators}
         limits = {source.label: source.only_at_hz for source in scenario.models}
         return {
-            label: [options.get(label), limits.get(label), json.loads(model.to_json())]
+            label: digest_of([options.get(label), limits.get(label), model.to_json()])
             for label, model in models.items()
         }
 

@@ -149,8 +149,12 @@ def key_of(kind: str, content: Any) -> str:
     kind : what is worked out
     content : everything that the result depends on beside them
     """
-    text = json.dumps([kind, computed_by(), content], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return digest_of([kind, computed_by(), content])
+
+
+def digest_of(content: Any) -> str:
+    """Digest of plain JSON, in which the order of keys says nothing."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def opened(fresh: bool = False) -> tuple[Store | None, str]:
