@@ -17,7 +17,7 @@ from hammerstein.arrays import Array
 from hammerstein.compiled import CHECKED, told_before_compiling
 from hammerstein.errors import HammersteinError
 from hammerstein.model import HammersteinModel
-from hammerstein.runtime.processes import FOR_RUNS, begin_loading
+from hammerstein.runtime.processes import FOR_LAWS, begin_loading
 from hammerstein.runtime.workers import Processes
 
 if TYPE_CHECKING:
@@ -64,13 +64,13 @@ def compiled_beside(say: Callable[[str], None], scenario: Scenario, jobs: int) -
     fitting = jobs_that_fit(plans, min(jobs, os.cpu_count() or 1))
     helped = len(plans) == 2 and fitting > 1 and len(scenario.compensators) > 0
     if helped and not _is_cached(respond_turning_points):  # everything needs it
-        begin_loading(FOR_RUNS)
+        begin_loading(FOR_LAWS)
     with ExitStack() as ends:
 
         def begin() -> None:
             say(f"compiling time loops that are needed for the first time, {TAKES}")
             if helped:
-                processes = Processes(1, FOR_RUNS)
+                processes = Processes(1, FOR_LAWS)
                 ends.callback(processes.shutdown, cancel_futures=True)
                 processes.submit(_use_laws, scenario)
 

@@ -85,14 +85,16 @@ class LinearBlock(ByValue):
 
         The input may come ``late_s`` late, less than a sample. Its last value is then carried as a state and
         works until the new one arrives (Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., 1997,
-        section 2.3).
+        section 2.3). State and input together are a block without input, whose step is a matrix exponential:
+        what ``scipy.signal.cont2discrete`` does, which takes longer to load than a short run to simulate.
         """
-        from scipy.signal import cont2discrete
+        from scipy.linalg import expm
 
         if late_s:
             return self.held(late_s).then(self.held(sample_time_s - late_s), sample_time_s)
-        a, b, c, d, _ = cont2discrete((self.A, self.B, self.C, self.D), sample_time_s, "zoh")
-        return LinearBlock(a, b, c, d, sample_time_s)
+        n, m = self.B.shape
+        step = expm(np.block([[self.A, self.B], [np.zeros((m, n + m))]]) * sample_time_s)
+        return LinearBlock(step[:n, :n], step[:n, n:], self.C, self.D, sample_time_s)
 
     def behind(self, first: LinearBlock) -> LinearBlock:
         """Give both in a row in continuous time, this one last; the states of the other one come first."""

@@ -324,13 +324,15 @@ def _models(
     scenario: Scenario, plant: Plant, progress: Progress | None, fresh: str, jobs: Jobs
 ) -> dict[str, HammersteinModel]:
     """Models by label; one that several compensators share is identified once."""
-    from hammerstein.experiment.simulated_identification import identify_each
-
     found: dict[Any, HammersteinModel] = {}
     models = {}
     sources: tuple[ModelSource, ...] = (*scenario.compensators, *scenario.models)
     specs = dict.fromkeys(s.identification for s in sources if s.identification is not None)
-    identified = identify_each(plant, list(specs), scenario.seed, fresh, jobs)
+    identified: Iterator[HammersteinModel] = iter(())
+    if specs:
+        from hammerstein.experiment.simulated_identification import identify_each
+
+        identified = identify_each(plant, list(specs), scenario.seed, fresh, jobs)
     for i, source in enumerate(sources):
         if progress:
             progress(f"identifying{on_workers(jobs)}", i, len(sources))

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.signal import lfilter
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import CreepMode
@@ -38,6 +36,8 @@ def fit_creep(v_um: Array, y_um: Array, sample_time_s: float, modes: int) -> tup
     ------
     IdentificationError : the record does not tell the modes apart
     """
+    from scipy.optimize import least_squares
+
     fast = np.concatenate([[0.0], v_um[:-1]])
     span = len(v_um) * sample_time_s
     begin = np.log(span * np.geomspace(0.005, 0.5, modes))
@@ -66,5 +66,7 @@ def fit_creep(v_um: Array, y_um: Array, sample_time_s: float, modes: int) -> tup
 
 def _slow(v: Array, time_constant_s: float, sample_time_s: float) -> Array:
     """First-order lag of a held signal."""
+    from scipy.signal import lfilter
+
     pole = math.exp(-sample_time_s / time_constant_s)
     return np.asarray(lfilter([0.0, 1.0 - pole], [1.0, -pole], v))
