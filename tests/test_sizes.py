@@ -7,7 +7,7 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.plan import Part, Plan, jobs_that_fit, longest_first, plan_of, slowness, together
 from hammerstein.experiment.run import run, simulate
 from hammerstein.plugins import load_plugins
-from hammerstein.runtime import memory
+from hammerstein.runtime import control_groups, memory
 from hammerstein.runtime.room import PAGE, room
 from hammerstein.scenario import Scenario
 
@@ -121,10 +121,10 @@ def test_free_memory_is_what_the_tightest_limit_leaves(tmp_path, monkeypatch):
         (tmp_path / "groups" / folder).mkdir(parents=True, exist_ok=True)
         (tmp_path / "groups" / folder / "memory.max").write_text(limit + "\n")
         (tmp_path / "groups" / folder / "memory.current").write_text(used + "\n")
-    monkeypatch.setattr(memory, "GROUPS", tmp_path / "groups")
-    monkeypatch.setattr(memory, "OWN_GROUP", own)
+    monkeypatch.setattr(control_groups, "GROUPS", tmp_path / "groups")
+    monkeypatch.setattr(control_groups, "OWN_GROUP", own)
     assert memory.free_bytes() == 600_000
-    monkeypatch.setattr(memory, "OWN_GROUP", tmp_path / "none")
+    monkeypatch.setattr(control_groups, "OWN_GROUP", tmp_path / "none")
     free = memory.free_bytes()
     assert free is None or free > 1e6
 

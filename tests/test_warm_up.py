@@ -83,7 +83,7 @@ def test_a_process_beside_begins_with_the_first_loop_and_ends_with_the_block(
     """Where there are two jobs, two processors, and room for the run twice."""
     monkeypatch.setattr(warm_up, "Processes", Beside)
     monkeypatch.setattr(Beside, "told", [])
-    monkeypatch.setattr("os.cpu_count", lambda: processors)
+    monkeypatch.setattr(warm_up, "processors", lambda: processors)
     monkeypatch.setattr(warm_up, "begin_loading", lambda *_: None)
     said, scenario = [], _scenario()
     needed = plan_of(scenario).bytes

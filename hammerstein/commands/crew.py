@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hammerstein.commands.terminal import complain
+from hammerstein.runtime.processors import processors
 
 if TYPE_CHECKING:
     from hammerstein.runtime import fanning
@@ -23,10 +23,8 @@ Address = Annotated[
     ),
 ]
 
-Jobs = Annotated[
-    int, typer.Option(min=1, help="Runs side by side.", show_default="the processors of this machine")
-]
-PROCESSORS = os.cpu_count() or 1
+Jobs = Annotated[int, typer.Option(min=1, help="Runs side by side.", show_default="one for each processor")]
+PROCESSORS = processors()
 Yes = Annotated[bool, typer.Option("--yes", help="Start also what takes more than ten minutes.")]
 
 WORTH_PROCESSES_S = 4.0

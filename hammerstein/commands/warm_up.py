@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import wait
 from contextlib import ExitStack, contextmanager, suppress
@@ -18,6 +17,7 @@ from hammerstein.compiled import CHECKED, told_before_compiling
 from hammerstein.errors import HammersteinError
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.processes import FOR_LAWS, begin_loading
+from hammerstein.runtime.processors import processors
 from hammerstein.runtime.workers import Processes
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def compiled_beside(say: Callable[[str], None], scenario: Scenario, jobs: int) -
     from hammerstein.hysteresis.play_kernels import respond_turning_points
 
     plans = plans_of({"here": scenario, "beside": scenario}).values()  # its signals are as long there
-    fitting = jobs_that_fit(plans, min(jobs, os.cpu_count() or 1))
+    fitting = jobs_that_fit(plans, min(jobs, processors()))
     helped = len(plans) == 2 and fitting > 1 and len(scenario.compensators) > 0
     if helped and not _is_cached(respond_turning_points):  # everything needs it
         begin_loading(FOR_LAWS)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, ParamSpec, TypeVar
 
+from hammerstein.runtime.processors import processors
 from hammerstein.runtime.workers import Threads
 
 P = ParamSpec("P")
@@ -43,7 +43,7 @@ def workers_of(jobs: Jobs) -> int:
     """How many tasks are worked on at a time."""
     if isinstance(jobs, int):
         return jobs
-    return getattr(jobs, "workers", None) or os.cpu_count() or 1
+    return getattr(jobs, "workers", None) or processors()
 
 
 def on_workers(jobs: Jobs) -> str:

@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 from hammerstein.errors import SimulationError
+from hammerstein.runtime.control_groups import groups, numbers
 
 BYTES = 8
 COPIES = 2
@@ -17,8 +18,6 @@ SMALL_BYTES, SMALL_SHARE = 1e7, 0.01
 again, for to read its files takes as long as a short run."""
 UNLIMITED = 2**60
 """A limit from here on is none."""
-GROUPS = Path("/sys/fs/cgroup")
-OWN_GROUP = Path("/proc/self/cgroup")
 
 
 def run_bytes(samples: float, inputs: int, outputs: int) -> float:
@@ -77,33 +76,14 @@ def _of_the_machine() -> Iterator[float]:
 
 
 def _of_the_groups() -> Iterator[float]:
-    """What the control groups around this process leave of their limits (version 2, then 1)."""
-    try:
-        lines = OWN_GROUP.read_text().splitlines()
-    except OSError:
-        return
-    for line in lines:
-        _, controllers, path = line.split(":", 2)
-        if controllers and "memory" not in controllers.split(","):
-            continue
-        top = GROUPS / "memory" if controllers else GROUPS
-        names = ("limit", "usage") if controllers else ("max", "current")
-        folder = top / path.lstrip("/")
-        for place in (folder, *folder.parents):
-            files = [place / (f"memory.{n}_in_bytes" if controllers else f"memory.{n}") for n in names]
-            limit, used = (_number(file) for file in files)
-            if limit is not None and used is not None and limit < UNLIMITED:
-                yield max(limit - used, 0.0)
-            if place == top:
-                break
-
-
-def _number(file: Path) -> float | None:
-    """Content of a file of the system; None for one that says "max" or is not there."""
-    try:
-        return float(int(file.read_text()))
-    except (OSError, ValueError):
-        return None
+    """What the groups around this process leave of their limits."""
+    for folder, second in groups("memory"):
+        names = ("memory.max", "memory.current")
+        if not second:
+            names = ("memory.limit_in_bytes", "memory.usage_in_bytes")
+        limit, used = (numbers(folder / name) for name in names)
+        if limit and used and limit[0] < UNLIMITED:
+            yield max(limit[0] - used[0], 0.0)
 
 
 def _of_the_process() -> Iterator[float]:
