@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import as_completed
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from hammerstein.errors import HammersteinError, InputError, LostProcessError, together
@@ -12,7 +12,7 @@ from hammerstein.experiment.plan import longest_first, plans_of
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.experiment.set_up import Progress
-from hammerstein.runtime.fanning import Jobs, spread
+from hammerstein.runtime.fanning import Jobs
 from hammerstein.runtime.faults import as_error
 from hammerstein.runtime.storage.manifest import refuse_name
 from hammerstein.runtime.store import Store
@@ -96,14 +96,16 @@ def run_all(
         return
     planned = longest_first(plans_of(scenarios))
     order = [*planned, *(name for name in scenarios if name not in planned)]
-    tasks = [partial(_outcome, name, scenarios[name], finish, 1, None, store) for name in order]
     with Processes(min(jobs, len(scenarios))) as processes:
-        for batch in spread(tasks, processes, lambda: len(tasks)):
-            for number, future in batch:
-                try:
-                    yield future.result()
-                except LostProcessError as error:
-                    yield Outcome(order[number], None, _of(order[number], error))
+        under_way = {
+            processes.submit(_outcome, name, scenarios[name], finish, 1, None, store): name for name in order
+        }
+        for future in as_completed(under_way):
+            name = under_way.pop(future)
+            try:
+                yield future.result()
+            except LostProcessError as error:
+                yield Outcome(name, None, _of(name, error))
 
 
 def _outcome(

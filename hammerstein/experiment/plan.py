@@ -9,6 +9,7 @@ import time
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from functools import cache
+from heapq import heapify, heappop, heapreplace
 
 from hammerstein.compensators import (
     ExactInverse,
@@ -134,10 +135,18 @@ def longest_first(plans: Mapping[str, Plan]) -> list[str]:
 
     What several identify in the same way counts for the first of them: then no two do it side by side.
     """
-    left, kept, order = dict(plans), set[Hashable](), list[str]()
-    while left:
-        order.append(max(left, key=lambda name: left[name].without(kept).seconds))
-        kept |= left.pop(order[-1]).kept
+    kept, order = set[Hashable](), list[str]()
+    waiting = [(-plan.seconds, number, name) for number, (name, plan) in enumerate(plans.items())]
+    heapify(waiting)
+    while waiting:
+        before, number, name = waiting[0]
+        now = -plans[name].without(kept).seconds  # it may only have become less
+        if now > before:
+            heapreplace(waiting, (now, number, name))
+            continue
+        heappop(waiting)
+        order.append(name)
+        kept |= plans[name].kept
     return order
 
 
