@@ -110,7 +110,7 @@ def test_wrong_options(tmp_path, capsys, arguments, message):
 def test_wrong_number_of_axes(tmp_path, capsys):
     (tmp_path / "one.csv").write_text("time_s,x\n0,0\n0.1,1\n")
     assert _call("compensate", "duo_bimorph", tmp_path / "one.csv") == 2
-    assert "1 columns beside time_s; the model has 2 outputs" in capsys.readouterr().err
+    assert "has the columns x; give one for each axis: x, y" in capsys.readouterr().err
 
 
 def test_columns_are_taken_by_their_names(tmp_path):

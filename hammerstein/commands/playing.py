@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.blocks.axis_names import column
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.files import Content
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response
-from hammerstein.records.units import axis_name
-from hammerstein.signals.tables import read_signal
+from hammerstein.signals.tables import chosen, read_signal
 
 PLAYED = Content("file of played voltages", sign="time_s,played_")
 EVENLY = 1e-3
@@ -73,7 +71,7 @@ def played(model_path: str, drive_path: Path, with_sensor: bool = False) -> Play
     """
     model = HammersteinModel.load(model_path)
     time_s, values, names = read_signal(drive_path)
-    u = values[_chosen(model, names, drive_path)]
+    u = values[chosen(drive_path, names, model.inputs, "voltage", "drive")]
     sample_time_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     uneven = np.abs(np.diff(time_s) - sample_time_s) > EVENLY * sample_time_s
     if uneven.any():
@@ -88,22 +86,3 @@ def played(model_path: str, drive_path: Path, with_sensor: bool = False) -> Play
     except SimulationError as error:
         raise SimulationError(f"{drive_path}: {error}") from None
     return Played(model, PurePath(model_path).name, time_s, response, with_sensor)
-
-
-def _chosen(model: HammersteinModel, names: list[str], path: Path) -> list[int]:
-    """Columns of the inputs: those of a drive file, those of the inputs' names, or all there are."""
-    bare = [axis_name(name) for name in names]
-    for wanted, there in (
-        ([column("drive", name, "v") for name in model.inputs], names),
-        (list(model.inputs), names),
-        (list(model.inputs), bare),
-    ):
-        if all(name in there for name in wanted):
-            return [there.index(name) for name in wanted]
-    if len(names) != len(model.inputs):
-        raise InputError(
-            str(path),
-            f"has the columns {', '.join(names)}; give one for each input of the model: "
-            f"{', '.join(model.inputs)}",
-        )
-    return list(range(len(names)))

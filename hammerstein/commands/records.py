@@ -174,7 +174,9 @@ def _show_fit(fit: Fit) -> None:
 def compensate(
     *,
     model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
-    reference: Annotated[Path, typer.Argument(help="CSV: time_s, then one column an axis, in um.")],
+    reference: Annotated[
+        Path, typer.Argument(help="CSV: time_s and one column an axis; in um if it names no unit.")
+    ],
     law: Annotated[
         str,
         typer.Option(

@@ -102,7 +102,9 @@ def _title(page: Path) -> str:
 
 def play(
     model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
-    drive: Annotated[Path, typer.Argument(help="CSV: time_s, then one column an input, in V.")],
+    drive: Annotated[
+        Path, typer.Argument(help="CSV: time_s and one column an input; in V if it names no unit.")
+    ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where the positions go.")] = Path("played.csv"),
     sensor: Annotated[
         bool, typer.Option("--sensor", help="Through the model's converter and sensor, noise included.")

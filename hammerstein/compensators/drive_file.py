@@ -21,7 +21,7 @@ from hammerstein.compensators.reach import Reach, Shortfall, reach, require_reac
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, SimulationError
 from hammerstein.files import Content
 from hammerstein.model import HammersteinModel
-from hammerstein.signals.tables import read_signal
+from hammerstein.signals.tables import chosen, read_signal
 from hammerstein.validation import mistakes_of
 
 CONTENT = Content("drive file", sign="time_s,drive_")
@@ -352,18 +352,17 @@ def _slower(
     )
 
 
-def read_path(path: Path, model: HammersteinModel, sample_time_s: float) -> tuple[Array, Array, bool]:
-    """Times (sample,), reference (output, sample) on the drive's grid, and whether it was resampled.
+def read_path(
+    path: Path, model: HammersteinModel, sample_time_s: float, word: str = "reference"
+) -> tuple[Array, Array, bool]:
+    """Times (sample,), positions (output, sample) on the drive's grid, and whether they were resampled.
+
+    word : what a column of a file of ours holds, ``reference`` or ``reading``
 
     Raises InputError for a file that is no such path.
     """
     times, values, names = read_signal(path)
-    if len(values) != len(model.outputs):
-        raise InputError(
-            str(path), f"has {len(values)} columns beside time_s; the model has {len(model.outputs)} outputs"
-        )
-    if set(names) == set(model.outputs):  # named like the outputs: their order in the file does not matter
-        values = values[[names.index(name) for name in model.outputs]]
+    values = values[chosen(path, names, model.outputs, "displacement", word)]
     samples = math.floor((times[-1] - times[0]) / sample_time_s + 1e-6) + 1
     grid = times[0] + np.arange(samples) * sample_time_s
     same = samples == len(times) and bool(np.abs(times - grid).max() < 1e-3 * sample_time_s)

@@ -32,6 +32,8 @@ from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ModelSource
 from hammerstein.scenario.tested import TestedCompensator
 from hammerstein.signals import Excitation, FromFile, OnAxes, Reference
+from hammerstein.signals.tables import chosen
+from hammerstein.signals.units import Kind
 
 AnyLaw = Law[Any] | Controller[Any] | Learner
 Progress = Callable[[str, int, int], None]
@@ -361,7 +363,8 @@ def _check_signal(scenario: Scenario, plant: Plant, source: str) -> None:
         if isinstance(signal, OnAxes) and isinstance(signal.axis, int) and not 1 <= signal.axis <= n_axes:
             mistakes.append(Mistake("axis", f"{signal.axis} does not exist; the actuator has {n_axes}"))
         if isinstance(signal, FromFile):
-            _check_order(signal, scenario_axes(scenario, plant.model))
+            unit: Kind = "voltage" if scenario.reference is None else "displacement"
+            _check_order(signal, scenario_axes(scenario, plant.model), unit)
     mistakes += _too_fast(scenario, plant)
     if mistakes:
         raise InputError(source, list(dict.fromkeys(mistakes)))
@@ -383,13 +386,14 @@ def _too_fast(scenario: Scenario, plant: Plant) -> Iterator[Mistake]:
                 )
 
 
-def _check_order(signal: FromFile, axes: tuple[str, ...]) -> None:
-    """Refuse a file whose columns are the actuator's axes in another order."""
+def _check_order(signal: FromFile, axes: tuple[str, ...], kind: Kind) -> None:
+    """Refuse a file whose columns are not the actuator's axes, in its order and in a unit of this kind."""
     names = signal.table()[2]
-    if set(names) == set(axes) and names != list(axes):
+    word = "drive" if kind == "voltage" else "reference"
+    if chosen(signal.path, names, axes, kind, word) != list(range(len(axes))):
         raise InputError(
             signal.path,
-            f"has its columns in the order {', '.join(names)}; put them in the order {', '.join(axes)}",
+            f"has the columns {', '.join(names)}; give one for each of {', '.join(axes)}, in this order",
         )
 
 

@@ -20,7 +20,7 @@ from hammerstein.records.checks import (
 from hammerstein.records.readers import Columns, Header, read_array, read_columns
 from hammerstein.records.record import Record
 from hammerstein.records.scales import factors_of, refuse_other_time, sample_time_of
-from hammerstein.records.units import Kind, axis_name
+from hammerstein.signals.units import Kind, axis_name
 
 PathLike = str | Path
 

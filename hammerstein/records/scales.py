@@ -11,7 +11,7 @@ from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.checks import hidden_gaps, sample_time, time_mistakes, where
 from hammerstein.records.readers import Columns, named_time
-from hammerstein.records.units import BASE, Kind, unit_in
+from hammerstein.signals.units import BASE, Kind, unit_in
 
 OTHER_RATE = 0.01
 """Part by which a rate may differ from the one of the file's time column."""

@@ -19,7 +19,7 @@ import numpy as np
 from hammerstein.arrays import Array, Flags, Indices
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.checks import SHOWN, not_listed, where
-from hammerstein.records.units import is_unit
+from hammerstein.signals.units import is_unit
 
 HEAD_BYTES = 1 << 18
 HEAD_LINES = 3000

@@ -5,15 +5,18 @@ from __future__ import annotations
 import io
 import re
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.errors import InputError
+from hammerstein.blocks.axis_names import column
+from hammerstein.errors import InputError, Notice
 from hammerstein.files import read_limited
 from hammerstein.quantities import POSITION_UM
+from hammerstein.signals.units import BASE, Kind, axis_name, unit_in
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,8 +28,8 @@ SHOWN = 80
 def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     """Read a CSV file with a column ``time_s`` and one column an axis.
 
-    Returns times (row,) [s], values (axis, row), and the names of the axes' columns.
-    InputError names the row and column that are wrong.
+    Returns times (row,) [s], values (axis, row) in V and um by the units in the names of their columns, and
+    these names. InputError names the row and column that are wrong.
     """
     import pandas as pd
 
@@ -55,7 +58,59 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     if len(late):
         raise InputError(str(path), f"row {rows[int(late[0]) + 1]}: time_s does not increase")
     axes = frame.drop(columns="time_s")
-    return times, axes.to_numpy(dtype=float).T, [str(name) for name in axes.columns]
+    names = [str(name) for name in axes.columns]
+    factors = [unit.factor if (unit := unit_in(name)) else 1.0 for name in names]
+    return times, np.array(factors)[:, None] * axes.to_numpy(dtype=float).T, names
+
+
+def chosen(path: str | Path, names: Sequence[str], axes: Sequence[str], kind: Kind, word: str) -> list[int]:
+    """Columns (axis,) of a table that hold these axes: by their names, or in their order where none has one.
+
+    Parameters
+    ----------
+    path : of the file, for messages
+    names : of its columns beside ``time_s``
+    axes : names of the axes
+    kind : what is wanted of them
+    word : what they hold in a file of ours, such as ``reference`` in ``reference_x_um``
+
+    Raises
+    ------
+    InputError : some columns are named like axes and others are not, there are too many or too few, or one is
+        in a unit of another kind
+    """
+    found = _named(names, axes, [column(word, axis, BASE[kind].lower()) for axis in axes])
+    if found is None:
+        if len(names) != len(axes) or {_plain(name) for name in names} & {_plain(axis) for axis in axes}:
+            what = f"has the columns {', '.join(names)}; give one for each axis: {', '.join(axes)}"
+            raise InputError(str(path), what)
+        found = list(range(len(names)))
+        pairs = ", ".join(f"{name} for {axis}" for name, axis in zip(names, axes, strict=True))
+        warnings.warn(f"{path}: its columns are taken in their order: {pairs}", Notice, stacklevel=2)
+    for name in (names[i] for i in found):
+        unit = unit_in(name)
+        if unit is not None and unit.kind != kind:
+            raise InputError(str(path), f"column {name} is in {unit.symbol}, which is no {kind}")
+    return found
+
+
+def _named(names: Sequence[str], axes: Sequence[str], ours: Sequence[str]) -> list[int] | None:
+    """Columns of the names that a file of ours has, else of the axes' names; None where one is missing."""
+    forms = (
+        (ours, names),
+        (axes, names),
+        (axes, [axis_name(name) for name in names]),
+        ([_plain(axis) for axis in axes], [_plain(name) for name in names]),
+    )
+    for wanted, there in forms:
+        if all(there.count(name) == 1 for name in wanted):
+            return [there.index(name) for name in wanted]
+    return None
+
+
+def _plain(name: str) -> str:
+    """Name of a column without its unit, in small letters."""
+    return axis_name(name).casefold()
 
 
 def _table(text: str, path: Path) -> pd.DataFrame:

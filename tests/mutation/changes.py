@@ -22,7 +22,7 @@ NUMERICAL = (
     "hammerstein/records/leads.py",
     "hammerstein/records/robust_fit.py",
     "hammerstein/records/turning_points.py",
-    "hammerstein/records/units.py",
+    "hammerstein/signals/units.py",
     "hammerstein/experiment/measure.py",
     "hammerstein/experiment/recording.py",
     "hammerstein/experiment/settling.py",

@@ -42,7 +42,7 @@ def learn_from_files(
     design = design_of(model_path, path, law, options, terms)
     samples, time_s = design.reference_um.shape[1], design.model.instruments.drive.sample_time_s
     drive = _drive_of(trial[0], design.model, samples)
-    _, measured, resampled = read_path(trial[1], design.model, time_s)
+    _, measured, resampled = read_path(trial[1], design.model, time_s, "reading")
     if resampled:
         raise InputError(str(trial[1]), f"is not sampled every {time_s:g} s, as the drive is; record it so")
     bandwidth = design.model.instruments.sensor.bandwidth_hz

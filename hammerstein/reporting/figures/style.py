@@ -20,7 +20,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.compiled import uncollected
 from hammerstein.escaping import clean
-from hammerstein.records.units import is_unit, without_unit
+from hammerstein.signals.units import is_unit, without_unit
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

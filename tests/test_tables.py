@@ -1,0 +1,124 @@
+"""Columns of a path or a drive: their unit and their axis are read, and never guessed against their names."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from hammerstein import HammersteinModel, Scenario, simulate
+from hammerstein.commands.cli import main
+from hammerstein.errors import InputError, Notice
+from hammerstein.signals.tables import chosen, read_signal
+
+SAMPLE_TIME_S = 50e-6
+
+
+def call(*arguments):
+    with pytest.raises(SystemExit) as caught:
+        main([str(a) for a in arguments])
+    return caught.value.code or 0
+
+
+def path_um(samples=800):
+    turn = 2.0 * np.pi * 50.0 * SAMPLE_TIME_S * np.arange(samples)
+    grown = np.minimum(1.0, turn / 3.0) ** 2
+    return np.array([10.0 * grown * np.sin(turn), 4.0 * grown * (1.0 - np.cos(turn))])
+
+
+def write(place, **columns):
+    """A table with times and these columns."""
+    values = next(iter(columns.values()))
+    pd.DataFrame({"time_s": SAMPLE_TIME_S * np.arange(len(values)), **columns}).to_csv(place, index=False)
+    return place
+
+
+def drive(tmp_path, **columns):
+    """Voltages (input, sample) that ``compensate`` sends for a path with these columns."""
+    out = tmp_path / "drive.csv"
+    path = write(tmp_path / "path.csv", **columns)
+    assert call("compensate", "duo_bimorph_static", path, "--law", "exact_inverse", "--out", out) == 0
+    return pd.read_csv(out, comment="#")[["drive_x_v", "drive_y_v"]].to_numpy().T
+
+
+@pytest.mark.parametrize(
+    ("names", "per_um"), [(("x_mm", "y_mm"), 1e-3), (("x [nm]", "y [nm]"), 1e3), (("X (um)", "Y (um)"), 1.0)]
+)
+def test_a_path_in_another_unit_gives_the_same_voltages(tmp_path, names, per_um):
+    x, y = path_um()
+    wanted = drive(tmp_path, x=x, y=y)
+    found = drive(tmp_path, **dict(zip(names, (x * per_um, y * per_um), strict=True)))
+    assert np.abs(wanted).max() > 1.0
+    assert np.allclose(found, wanted, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("names", [("y", "x"), ("y_um", "x_um"), ("reference_y_um", "reference_x_um")])
+def test_columns_go_to_the_axes_that_they_are_named_after(tmp_path, names):
+    x, y = path_um()
+    wanted = drive(tmp_path, x=x, y=y)
+    found = drive(tmp_path, **dict(zip(names, (y, x), strict=True)))
+    assert np.array_equal(found, wanted)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("y", "z"), "has the columns y, z; give one for each axis: x, y"),
+        (("x", "x_um"), "has the columns x, x_um; give one for each axis: x, y"),
+        (("x_mV", "y_mV"), "column x_mV is in mV, which is no displacement"),
+    ],
+)
+def test_columns_that_contradict_the_axes_are_refused(tmp_path, capsys, names, said):
+    x, y = path_um()
+    path = write(tmp_path / "path.csv", **dict(zip(names, (x, y), strict=True)))
+    out = tmp_path / "drive.csv"
+    assert call("compensate", "duo_bimorph", path, "--out", out) == 2
+    assert said in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_columns_of_other_names_are_taken_in_their_order_and_that_is_told(tmp_path):
+    with pytest.warns(Notice, match="in their order: left for x, right for y"):
+        assert chosen("path.csv", ["left", "right"], ["x", "y"], "displacement", "reference") == [0, 1]
+
+
+def test_voltages_in_millivolts_are_played_as_such(tmp_path):
+    volts = 0.5 * path_um()
+    model = HammersteinModel.load("duo_bimorph")
+    wanted = model.simulate(volts, SAMPLE_TIME_S).position_um
+    drive_file = write(tmp_path / "drive.csv", **{"y": volts[1], "x [mV]": 1e3 * volts[0]})
+    out = tmp_path / "played.csv"
+    assert call("play", "duo_bimorph", drive_file, "--out", out) == 0
+    played = pd.read_csv(out, comment="#")[["position_x_um", "position_y_um"]].to_numpy().T
+    assert np.allclose(played, wanted, rtol=0.0, atol=1e-6)
+    _, values, _ = read_signal(drive_file)
+    assert np.allclose(values, volts[::-1], rtol=1e-12)
+
+
+def scenario(path, **more):
+    return Scenario.model_validate(
+        {
+            "question": "?",
+            "actuator": "duo_bimorph_static",
+            "reference": {"kind": "file", "path": str(path), **more},
+            "compensators": [{"label": "a", "law": "exact_inverse", "model": "duo_bimorph_static"}],
+        }
+    )
+
+
+def test_a_file_of_a_scenario_is_read_in_its_unit(tmp_path):
+    x, y = path_um()
+    wanted = simulate(scenario(write(tmp_path / "um.csv", x=x, y=y)))
+    found = simulate(scenario(write(tmp_path / "mm.csv", x_mm=x * 1e-3, y_mm=y * 1e-3)))
+    assert np.allclose(found.reference_um, wanted.reference_um, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("y_um", "x_um"), "one for each of x, y, in this order"),
+        (("x_V", "y_V"), "is in V, which is no displacement"),
+    ],
+)
+def test_a_file_of_a_scenario_that_contradicts_the_axes_is_refused(tmp_path, names, said):
+    path = write(tmp_path / "path.csv", **dict(zip(names, path_um(), strict=True)))
+    with pytest.raises(InputError, match=said):
+        simulate(scenario(path))
