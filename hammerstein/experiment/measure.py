@@ -24,6 +24,17 @@ from hammerstein.signals import OneFrequency
 LAGGING = 2.0  # reading against true position: from here on most of the error is the sensor's
 BEYOND = 0.02  # part of the recorded range by which a drive may leave it before that is said
 HOLD_SHARE = 0.01  # of the amplitude; a hold that costs more is told
+SIMULATED = "the simulated actuator"
+FLAGGED = "flagged by its fit report"
+ITSELF = "designed from the simulated actuator itself"
+FAR = (
+    "but the model was found from {low:.4g} to {high:.4g} V. It knows nothing of the loop beyond: identify "
+    "it as far (amplitude_v), or ask for less."
+)
+FAR_ITSELF = (
+    "but it was recorded from {low:.4g} to {high:.4g} V. Nobody knows how it moves beyond: give its drive a "
+    "range (instruments.drive.range_v), or ask for less."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,26 +205,35 @@ def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
     ]
 
 
+def _flagged(setup: SetUp) -> list[str]:
+    """Say what the fit reports of models say against them; of the simulated actuator's own, too."""
+    models = {**setup.models, SIMULATED: setup.plant.model}
+    verdicts = {label: model.verdict for label, model in models.items()}
+    return [
+        f"{label}: {FLAGGED}: {'; '.join(verdict.statements) or 'see there'}."
+        for label, verdict in verdicts.items()
+        if verdict is not None and verdict.flagged
+    ]
+
+
 def _far_from_home(setup: SetUp, results: Sequence[Result]) -> list[str]:
-    """Say where a model is used at voltages that its own records did not cover."""
+    """Say where a model is used at voltages that its own records did not cover, or the actuator itself."""
+    plant = setup.plant.model
     farthest: dict[str, tuple[float, str]] = {}
     for result in results:
         drive = result.trace.response.drive_v
         labels = [result.trace.label] if result.trace.label else list(setup.models)
-        for label in labels:
-            known, names = setup.models[label].recorded, setup.plant.model.inputs
-            for name, row, low, high in zip(names, drive, known.lowest_v, known.highest_v, strict=True):
+        used = {label: (setup.models[label].recorded, FAR) for label in labels}
+        if plant.voltages is not None:
+            used[SIMULATED] = plant.voltages, FAR_ITSELF
+        for label, (known, why) in used.items():
+            for name, row, low, high in zip(
+                plant.inputs, drive, known.lowest_v, known.highest_v, strict=True
+            ):
                 excess = max(float(row.max()) - high, low - float(row.min()))
                 if excess > max(BEYOND * (high - low), farthest.get(label, (0.0, ""))[0]):
-                    went = f"{row.min():.4g} to {row.max():.4g} V on {name}"
-                    farthest[label] = (
-                        excess,
-                        (
-                            f"{label}: the drive goes from {went}, but the model was found from {low:.4g} to "
-                            f"{high:.4g} V. It knows nothing of the loop beyond; identify it with the "
-                            "amplitude_v of the run."
-                        ),
-                    )
+                    went = f"the drive goes from {row.min():.4g} to {row.max():.4g} V on {name}"
+                    farthest[label] = excess, f"{label}: {went}, {why.format(low=low, high=high)}"
     return [text for _, text in farthest.values()]
 
 
@@ -262,11 +282,15 @@ def hold_share(frequency_hz: float, sample_time_s: float) -> float:
 def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     """What a reader of the report must know: convergence, saturation, and what did not settle."""
     statements = [f"{label}: {text}" for label, law in setup.laws.items() if (text := law.statement())]
+    verdict = setup.plant.model.verdict
+    worst = max(verdict.nrmse_percent, default=0.0) if verdict is not None else 0.0
+    known = f", {worst:.2g} % of the range by its fit report" if worst else ""
     statements += [
-        f"{label}: designed from the simulated actuator itself. On a real one the model's error comes on top."
+        f"{label}: {ITSELF}. On a real one the model's error comes on top{known}."
         for label in setup.laws
         if setup.models[label].digest() == setup.plant.model.digest()
     ]
+    statements += _flagged(setup)
     statements += _far_from_home(setup, results)
     statements += _sampling(setup)
     statements += _sensor_lag(setup, [row for result in results for row in result.rows])

@@ -27,6 +27,9 @@ MOST_LABELS = 4  # compensators or models that are told in one clause
 NOT_SETTLED = "has not settled"  # the words of a statement of the report
 SENSOR_CUT = "the sensor's range cut"  # those of another
 DIVERGES = "does not converge: slopes"  # the same
+FLAGGED = ": flagged by its fit report"  # the same
+ITSELF = ": designed from the simulated actuator itself"  # the same
+GUESSED = "Nobody knows how it moves beyond"  # the same
 
 Quote = Callable[[str], str]
 T = TypeVar("T")
@@ -305,8 +308,19 @@ def _loops(report: Report) -> Iterator[str]:
         yield f"At {condition.words()} {'; '.join(texts)}."
 
 
+def doubts(report: Report) -> list[str]:
+    """Statements of a report for which its figures may be worth nothing."""
+    return [text for text in report.statements if FLAGGED in text or GUESSED in text]
+
+
 def _conduct(report: Report) -> Iterator[str]:
     """Whether the drive's range was enough, and whether what repeats had settled."""
+    if any(ITSELF in text for text in report.statements):
+        yield "A law made from the simulated actuator itself knows it better than anyone knows a real one."
+    if flagged := [text.partition(FLAGGED)[0] for text in report.statements if FLAGGED in text]:
+        yield f"Flagged by {'its' if len(flagged) == 1 else 'their'} fit report: {', '.join(flagged)}."
+    if any(GUESSED in text for text in report.statements):
+        yield "The voltages leave those of the simulated actuator's records: how it moves there is a guess."
     compared = report.scenario.reference is not None  # each compensator is a run, models share theirs
     runs = {(r.compensator if compared else "", r.excited_axis, Condition.of(r)): r for r in report.rows}
     cut = sum(bool(row.saturated_samples) for row in runs.values())

@@ -16,7 +16,7 @@ from hammerstein.blocks.axis_names import column
 from hammerstein.errors import InputError, Notice
 from hammerstein.files import read_limited
 from hammerstein.quantities import POSITION_UM
-from hammerstein.signals.units import BASE, Kind, axis_name, unit_in
+from hammerstein.signals.units import BASE, Kind, Unit, axis_name, unit_in
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -59,7 +59,7 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
         raise InputError(str(path), f"row {rows[int(late[0]) + 1]}: time_s does not increase")
     axes = frame.drop(columns="time_s")
     names = [str(name) for name in axes.columns]
-    factors = [unit.factor if (unit := unit_in(name)) else 1.0 for name in names]
+    factors = [unit.factor if (unit := _unit(name)) else 1.0 for name in names]
     return times, np.array(factors)[:, None] * axes.to_numpy(dtype=float).T, names
 
 
@@ -88,7 +88,7 @@ def chosen(path: str | Path, names: Sequence[str], axes: Sequence[str], kind: Ki
         pairs = ", ".join(f"{name} for {axis}" for name, axis in zip(names, axes, strict=True))
         warnings.warn(f"{path}: its columns are taken in their order: {pairs}", Notice, stacklevel=2)
     for name in (names[i] for i in found):
-        unit = unit_in(name)
+        unit = _unit(name)
         if unit is not None and unit.kind != kind:
             raise InputError(str(path), f"column {name} is in {unit.symbol}, which is no {kind}")
     return found
@@ -106,6 +106,12 @@ def _named(names: Sequence[str], axes: Sequence[str], ours: Sequence[str]) -> li
         if all(there.count(name) == 1 for name in wanted):
             return [there.index(name) for name in wanted]
     return None
+
+
+def _unit(name: str) -> Unit | None:
+    """Unit in the name of a column of voltages or positions; one of time is a word, such as "second"."""
+    unit = unit_in(name)
+    return None if unit is not None and unit.kind == "time" else unit
 
 
 def _plain(name: str) -> str:

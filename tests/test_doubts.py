@@ -1,0 +1,85 @@
+"""What makes the figures of a report worth little is said in its answer, and on the terminal."""
+
+import json
+
+import pytest
+
+from hammerstein import HammersteinModel, Scenario, run
+from hammerstein.blocks.voltages import Verdict, Voltages
+from hammerstein.commands.cli import main
+from hammerstein.reporting.summary import answer, doubts
+
+GUESS = "The voltages leave those of the simulated actuator's records"
+
+
+def stage(place, most_v=5.0, **verdict):
+    """File of a model that was recorded from -most_v to most_v."""
+    model = HammersteinModel.load("duo_bimorph_static")
+    recorded = Voltages.symmetric(most_v, 2)
+    given = Verdict(flagged=False, held_out=True) if not verdict else Verdict.model_validate(verdict)
+    content = json.loads(model.to_json()) | {
+        "voltages": json.loads(recorded.model_dump_json()),
+        "verdict": json.loads(given.model_dump_json()),
+    }
+    place.write_text(json.dumps(content))
+    return str(place)
+
+
+def sine(actuator, model, amplitude_um=10.0):
+    return Scenario.model_validate(
+        {
+            "question": "How far off?",
+            "actuator": actuator,
+            "reference": {"kind": "sine", "amplitude_um": amplitude_um, "frequency_hz": 50.0, "axis": 1},
+            "compensators": [{"label": "exact", "law": "exact_inverse", "model": model}],
+        }
+    )
+
+
+@pytest.mark.parametrize(("amplitude_um", "said"), [(30.0, True), (2.0, False)])
+def test_an_actuator_that_leaves_its_own_records_is_a_guess(tmp_path, amplitude_um, said):
+    file = stage(tmp_path / "stage.json")
+    report = run(sine(file, "duo_bimorph_static", amplitude_um))
+    assert (GUESS in answer(report)) == said
+    told = [text for text in report.statements if text.startswith("the simulated actuator: the drive goes")]
+    assert len(told) == said
+    for text in told:
+        assert "V on x, but it was recorded from -5 to 5 V" in text
+        assert "instruments.drive.range_v" in text
+
+
+def test_a_packaged_actuator_was_never_recorded():
+    assert GUESS not in answer(run(sine("duo_bimorph_static", "duo_bimorph_static", 30.0)))
+
+
+def test_flags_of_a_model_and_of_what_is_simulated_are_told(tmp_path, capsys):
+    bad = stage(tmp_path / "bad.json", 100.0, flagged=True, statements=["the record drifts"], held_out=True)
+    good = stage(tmp_path / "good.json", 100.0)
+    assert doubts(run(sine(good, good))) == []
+    report = run(sine(good, bad))
+    assert doubts(report) == ["exact: flagged by its fit report: the record drifts."]
+    assert "Flagged by its fit report: exact." in answer(report)
+    both = answer(run(sine(bad, bad)))
+    assert "Flagged by their fit report: exact, the simulated actuator." in both
+    scenario = tmp_path / "sine.toml"
+    scenario.write_text(
+        f"""
+question = "How far off?"
+actuator = {bad!r}
+reference = {{ kind = "sine", amplitude_um = 10.0, frequency_hz = 50.0, axis = 1 }}
+compensators = [{{ label = "exact", law = "exact_inverse", model = {good!r} }}]
+"""
+    )
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(scenario), "--out", str(tmp_path / "out"), "--no-figures"])
+    assert not ended.value.code
+    said = capsys.readouterr().err
+    assert "sine: the simulated actuator: flagged by its fit report: the record drifts." in said
+
+
+def test_what_is_designed_from_the_actuator_itself_is_said_with_the_error_of_its_fit(tmp_path):
+    file = stage(tmp_path / "stage.json", 100.0, flagged=False, held_out=True, nrmse_percent=[0.5, 2.0])
+    report = run(sine(file, file))
+    assert "knows it better than anyone knows a real one" in answer(report)
+    assert any("comes on top, 2 % of the range by its fit report." in text for text in report.statements)
+    assert "knows it better" not in answer(run(sine("duo_bimorph", "duo_bimorph_static")))
