@@ -204,3 +204,27 @@ def test_a_system_without_states_is_exported():
     np.testing.assert_array_equal(system.D, np.eye(2))
     assert system.nstates == 0
     assert system.dt is None  # fits a continuous and a discrete system
+
+
+@pytest.mark.parametrize("frequency_hz", [3.0, 40.0, 250.0, 900.0])
+def test_how_far_sines_come_out_from_slow_ones(frequency_hz):
+    """A resonance leaves |1 / (1 - r^2 + 2j zeta r) - 1| of a sine at r times its frequency, the hold of a
+    sample of T half a sample of delay more; of two axes the worse one counts."""
+    sample_time_s, zeta, resonances = 2e-6, 0.12, (280.0, 300.0)
+    axes = tuple(Axis(resonance_hz=f, damping_ratio=zeta) for f in resonances)
+    found = discretise(AxesDynamics(axes=axes), sample_time_s).lag([frequency_hz])[0]
+    late = np.exp(-1j * np.pi * frequency_hz * sample_time_s)
+    ratios = [frequency_hz / f for f in resonances]
+    wanted = max(abs(late / (1.0 - r**2 + 2j * zeta * r) - 1.0) for r in ratios)
+    assert found == pytest.approx(wanted, rel=2e-4)
+
+
+def test_how_far_sines_come_out_is_what_python_control_says():
+    slow = CreepMode(gain=0.1, time_constant_s=0.5)
+    block = discretise(
+        AxesDynamics(axes=[Axis(resonance_hz=300.0, damping_ratio=0.1, creep=[slow])] * 2), 50e-6
+    )
+    hertz = np.array([0.1, 1.0, 100.0, 2000.0])
+    gain = control.frequency_response(block.system(), 2.0 * np.pi * np.append(1e-9, hertz)).complex
+    wanted = np.abs(gain[0, 0] / gain[0, 0, 0] - 1.0)[1:]
+    assert block.lag(hertz) == pytest.approx(wanted, rel=1e-6)

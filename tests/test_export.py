@@ -14,9 +14,11 @@ from hypothesis import HealthCheck, given, settings, strategies as st, target
 
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError, InternalError, SimulationError, ToleranceError
+from hammerstein.export.code import CCode
 from hammerstein.export.compiling import FLAGS, compiler
 from hammerstein.export.folder import REQUEST_FILE, check_export, files_of, write_export
 from hammerstein.export.operations import Code
+from hammerstein.export.request import request_of
 from hammerstein.export.worst import dearest
 from hammerstein.hysteresis.busy_kernels import WINDOW
 
@@ -364,3 +366,24 @@ def test_the_preview_has_one_name_and_hears_to_its_old_one(tmp_path, capsys, mon
 
 def test_flags_say_no_fused_multiply_adds():
     assert "-ffp-contract=off" in FLAGS
+
+
+@pytest.mark.parametrize(
+    ("law", "model", "told"),
+    [
+        ("exact_inverse", "duo_bimorph", True),
+        ("inverse_multiplicative", "duo_bimorph", True),
+        ("exact_inverse", "duo_bimorph_static", False),
+        ("hammerstein_inverse", "duo_bimorph", False),
+    ],
+)
+def test_a_law_that_takes_the_dynamics_for_none_says_what_that_leaves(law, model, told):
+    request, loaded = request_of(model, law, None)
+    said = [text for text in CCode(request, loaded, request.block(loaded)).statements() if "for none" in text]
+    assert len(said) == told
+    for text in said:
+        first, second = (float(hertz) for hertz in re.findall(r"from ([\d.e+]+) Hz on", text))
+        for share, hertz in ((0.01, first), (0.1, second)):
+            r, zeta = hertz / 280.0, loaded.dynamics.axes[0].damping_ratio
+            lag = abs(np.exp(-0.5j * 2 * np.pi * hertz * 50e-6) / (1.0 - r**2 + 2j * zeta * r) - 1.0)
+            assert lag == pytest.approx(share, rel=0.3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from hammerstein.blocks.driving import RangeLike
 from hammerstein.plugins import Family
@@ -23,6 +23,9 @@ class Compensator(Strict, ABC):
 
     if TYPE_CHECKING:  # a field of every kind, behind its others
         law: str
+
+    static: ClassVar[bool] = False
+    """Whether its law takes the dynamics of a model for none."""
 
     @abstractmethod
     def design(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -153,6 +153,7 @@ def _alone(direct: Sequence[Pair]) -> PrandtlIshlinskii:
 class DecoupledInverse(Compensator):
     """The analytic inverse of each direct transfer (paper, reference 20)."""
 
+    static: ClassVar[bool] = True
     law: Literal["decoupled_inverse"] = "decoupled_inverse"
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:

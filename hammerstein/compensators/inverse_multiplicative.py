@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -255,6 +255,7 @@ def _auto_gain(hysteresis: Hysteresis[Any], amplitude_v: float, slopes: Array) -
 class InverseMultiplicative(Compensator):
     """The paper's compensator without inversion (Theorem 4.1)."""
 
+    static: ClassVar[bool] = True
     law: Literal["inverse_multiplicative"] = "inverse_multiplicative"
     gain: Annotated[
         Literal["identity", "auto"] | tuple[tuple[Gain, ...], ...], AfterValidator(of_equal_rows)

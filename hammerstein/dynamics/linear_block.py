@@ -110,6 +110,17 @@ class LinearBlock(ByValue):
         c, d = np.hstack([self.D, self.C]), np.zeros_like(self.D)
         return LinearBlock(a, b, c, d, sample_time_s)
 
+    def lag(self, frequency_hz: ArrayLike) -> Array:
+        """How far sines (frequency,) come out from where slow ones do, as a part of their amplitude.
+
+        The largest entry of |G(z) G(1)^-1 - 1| at z = exp(j 2 pi f T), of a block on a grid.
+        """
+        turns = np.asarray(frequency_hz, dtype=np.float64) * self.sample_time_s
+        z = np.exp(2j * np.pi * np.concatenate([[0.0], turns]))
+        states = np.linalg.solve(z[:, None, None] * np.eye(len(self.A)) - self.A, self.B.astype(complex))
+        gain = self.C @ states + self.D
+        return np.asarray(np.abs(gain[1:] @ np.linalg.inv(gain[0]) - np.eye(len(gain[0]))).max(axis=(1, 2)))
+
     def rest(self) -> Array:
         """State (n,) of a block that was never driven."""
         return np.zeros(self.A.shape[0])

@@ -12,6 +12,8 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law
+from hammerstein.compensators import COMPENSATORS
+from hammerstein.dynamics import discretise
 from hammerstein.escaping import clean, templates_of
 from hammerstein.export.beside import Beside
 from hammerstein.export.c_blocks import CPart, Table
@@ -28,6 +30,10 @@ from hammerstein.quantities import POSITION_UM, VOLTAGE_V
 
 INWARDS = {"low": 1.0, "lowest_v": 1.0, "high": -1.0, "highest_v": -1.0}
 """Ends of the range: in single precision they are rounded to its inside."""
+
+
+LAGS, LAG_POINTS = (0.01, 0.1), 2000
+"""Parts of a sine that dynamics may cost before that is told, and frequencies that are tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +203,12 @@ class CCode:
                 f"{ahead} times with the path before the first drive is due, or take its delay of "
                 f"{ahead * request.sample_time_s:.3g} s."
             )
-        return [*said, text] if (text := self.block.statement()) else said
+        kind = COMPENSATORS.kinds[request.law]
+        also = (
+            _left_by_dynamics(self.model, request.sample_time_s) if kind.static else "",
+            self.block.statement(),
+        )
+        return [*said, *filter(None, also)]
 
     def _cost_words(self, measured: MeasuredCode) -> str:
         cost = self.cost
@@ -250,7 +261,18 @@ def _verdict(model: HammersteinModel) -> str:
     if verdict.flagged:
         return "FLAGGED by its fit report: " + "; ".join(verdict.statements or ("see there",)) + "."
     held = "judged by a record held back" if verdict.held_out else "no record was held back to judge it"
-    return f"{verdict.sentence or 'not flagged'} ({held})."
+    return verdict.sentence or f"not flagged ({held})."
+
+
+def _left_by_dynamics(model: HammersteinModel, sample_time_s: float) -> str:
+    """What a law leaves of sines that takes the dynamics for none, and from which frequency on."""
+    hertz = np.geomspace(1e-3, 0.5 / sample_time_s, LAG_POINTS)
+    lag = discretise(model.dynamics, sample_time_s).lag(hertz)
+    ends = [(share, hertz[np.argmax(lag > share)]) for share in LAGS if (lag > share).any()]
+    if not ends:
+        return ""
+    told = " and ".join(f"{100.0 * share:g} % of a sine from {f:.2g} Hz on" for share, f in ends)
+    return f"This law takes the dynamics for none: besides the model's own error it leaves {told}."
 
 
 @cache

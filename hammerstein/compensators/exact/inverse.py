@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property, singledispatch
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -291,6 +291,7 @@ def _difference(whole: float, part: float) -> float:
 class ExactInverse(Compensator):
     """The exact inverse of the static block, cross-couplings included."""
 
+    static: ClassVar[bool] = True
     law: Literal["exact_inverse"] = "exact_inverse"
     softening_v: Volts = Field(default=0.0, description="voltage over which the jump at a reversal is spread")
     run_anyway: bool = Field(default=False, description="accept a model without an inverse")
