@@ -25,13 +25,16 @@ if TYPE_CHECKING:
 
 TAKES = "about 15 s"
 """How long it takes, as README.md says, too."""
+SAID = f"compiling time loops that are needed for the first time, up to {TAKES}"
 
 RANGE_V, SAMPLE_TIME_S, SAMPLES = 10.0, 50e-6, 800
 
 
 def compile_when_needed(say: Callable[[str], None]) -> None:
     """Tell a person, before the first loop is compiled; each is compiled when it is needed."""
-    told_before_compiling(lambda: say(f"compiling time loops that are needed for the first time, {TAKES}"))
+    told_before_compiling(
+        lambda: say(f"compiling time loops that are needed for the first time, up to {TAKES}")
+    )
 
 
 def compile_all(say: Callable[[str], None]) -> None:
@@ -68,7 +71,7 @@ def compiled_beside(say: Callable[[str], None], scenario: Scenario, jobs: int) -
     with ExitStack() as ends:
 
         def begin() -> None:
-            say(f"compiling time loops that are needed for the first time, {TAKES}")
+            say(SAID)
             if helped:
                 processes = Processes(1, FOR_LAWS)
                 ends.callback(processes.shutdown, cancel_futures=True)

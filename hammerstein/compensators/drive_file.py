@@ -101,9 +101,16 @@ class Compensation:
         said = [f"Model {self.source}, found from {self.model.recorded.statement(self.model.inputs)}."]
         said += verdict_statements(self.model)
         said += [self._start(), f"Range {self.law.range.words(self.model.inputs)}."]
-        said += [
-            "Predicted: the error if the actuator were exactly the model. Its fit report says how far it is."
-        ]
+        verdict = self.model.verdict
+        off = verdict.error(self.model.outputs) if verdict is not None else ""
+        said.append(
+            "Predicted: the error if the actuator were exactly the model. "
+            + (
+                f"By its fit report the model is off by {off}."
+                if off
+                else "Its file does not say how far off it is."
+            )
+        )
         if not self.shortfall.complete:
             said.append(self.shortfall.statement(self.model.inputs, self.model.outputs))
         said += [text] if (text := self.law.statement()) else []

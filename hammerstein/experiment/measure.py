@@ -282,13 +282,13 @@ def hold_share(frequency_hz: float, sample_time_s: float) -> float:
 def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     """What a reader of the report must know: convergence, saturation, and what did not settle."""
     statements = [f"{label}: {text}" for label, law in setup.laws.items() if (text := law.statement())]
-    verdict = setup.plant.model.verdict
-    worst = max(verdict.nrmse_percent, default=0.0) if verdict is not None else 0.0
-    known = f", {worst:.2g} % of the range by its fit report" if worst else ""
+    plant = setup.plant.model
+    off = plant.verdict.error(plant.outputs) if plant.verdict is not None else ""
+    known = f", by its fit report {off}" if off else ""
     statements += [
         f"{label}: {ITSELF}. On a real one the model's error comes on top{known}."
         for label in setup.laws
-        if setup.models[label].digest() == setup.plant.model.digest()
+        if setup.models[label].digest() == plant.digest()
     ]
     statements += _flagged(setup)
     statements += _far_from_home(setup, results)
