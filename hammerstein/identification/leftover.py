@@ -108,8 +108,10 @@ def _proposal(settings: Settings, slow: bool) -> str:
     if settings.dynamics == "second_order":
         tried.append("--dynamics auto, which adds a low-pass")
     if not tried:
+        if settings.hysteresis == "prandtl_ishlinskii":
+            tried.append("--hysteresis asymmetric, or every kind side by side with compare")
         tried.append(
-            "records with fewer effects at once (slower, one axis at a time): saturation, asymmetric "
-            "branches and coupled resonances are not in this kind of model"
+            "records with fewer effects at once (slower, one axis at a time): saturation and coupled "
+            "resonances are not in this kind of model"
         )
     return "; or ".join(tried)

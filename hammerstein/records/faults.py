@@ -148,7 +148,7 @@ def _drift_text(drift_um: float, rows: Indices, record: Record) -> str:
         return ""
     return (
         f"drifts by {drift_um:.3g} um from row {rows[0]} to row {rows[-1]}, in {seconds:.3g} s, whatever the "
-        "voltages do: let the set-up settle, or take the drift off"
+        "voltages do: let the set-up settle before it is recorded, or subtract the trend from this column"
     )
 
 
