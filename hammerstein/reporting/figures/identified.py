@@ -37,6 +37,7 @@ from hammerstein.reporting.figures.style import (
     styled,
     thin_trace,
     time_axis,
+    unmarked_style,
 )
 
 if TYPE_CHECKING:
@@ -154,9 +155,9 @@ def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
         entries: dict[str, Artist] = {}
         for o, row in enumerate(panels):
             for number, kind in enumerate(kinds):
-                entries[KIND_NAMES[kind]] = _draw_residual(
-                    row, left[kind][o], record.sample_time_s, number, most
-                )
+                kept = kind == fit.kind
+                line = _draw_residual(row, left[kind][o], record.sample_time_s, number, most, on_top=kept)
+                entries[KIND_NAMES[kind] + (", kept" if kept else "")] = line
             _, unit = time_axis(record.sample_time_s * record.samples)
             row[0].set(ylabel=f"error of {axis_label(fit.outputs[o], 'µm')}", xlabel=unit)
             row[1].set(ylabel="amplitude [µm]", xlabel="frequency [Hz]", xscale="log", yscale="log")
@@ -173,18 +174,21 @@ def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
     return figure
 
 
-def _draw_residual(row: Sequence[Axes], error: Array, sample_time_s: float, number: int, most: int) -> Artist:
+def _draw_residual(
+    row: Sequence[Axes], error: Array, sample_time_s: float, number: int, most: int, *, on_top: bool
+) -> Artist:
     """One curve over time, of many samples the band that they fill, and one over frequency."""
     factor, _ = time_axis(sample_time_s * len(error))
-    style = line_style(number) | {"linewidth": 1.0, "marker": ""}
+    style = unmarked_style(number) | {"linewidth": 1.0, "zorder": 20 if on_top else 2 + number}
     time = np.asarray(factor * sample_time_s * np.arange(len(error)))
     if len(error) <= most:
-        row[0].plot(time, error, zorder=2 + number, **style)
+        row[0].plot(time, error, **style)
     else:
         edges, low, high = extremes(time, error, BANDS)
-        row[0].fill_between(edges, low, high, zorder=2 + number, color=style["color"], linewidth=1.0)
+        band = {name: style[name] for name in ("color", "linewidth", "zorder")}
+        row[0].fill_between(edges, low, high, **band)
     frequency_hz, amplitude_um = spectrum(error, sample_time_s)
-    (line,) = row[1].plot(frequency_hz, amplitude_um, zorder=2 + number, **style)
+    (line,) = row[1].plot(frequency_hz, amplitude_um, **style)
     return line
 
 

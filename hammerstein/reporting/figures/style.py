@@ -123,6 +123,12 @@ def line_style(number: int) -> dict[str, Any]:
     return {"color": COLOURS[place], "linestyle": line, "marker": marker, "markerfacecolor": "white"}
 
 
+def unmarked_style(number: int) -> dict[str, Any]:
+    """Colour and line of the curve with this number, where markers would hide what is drawn."""
+    line = "-" if number == 0 else OVERLAYS[(number - 1) % len(OVERLAYS)]
+    return {"color": COLOURS[number % len(COLOURS)], "linestyle": line}
+
+
 def overlay_style(number: int) -> dict[str, Any]:
     """Line of the model with this number, drawn over what was measured: thin, dark and broken."""
     return {"color": DARK, "linestyle": OVERLAYS[number % len(OVERLAYS)], "linewidth": 1.0}
