@@ -39,6 +39,7 @@ class Invertibility:
     jump_v : (input,) jump of the drive at a reversal, twice the smallest threshold [V]
     inputs : names of the inputs; numbers if not given
     zones_v : voltages between two breakpoints of the dead-zones there, by input [V]; empty without any
+    unproven : why nothing is known of the signs, where they were not counted; empty where they were
     """
 
     positive: int
@@ -50,6 +51,7 @@ class Invertibility:
     jump_v: Array
     inputs: tuple[str, ...] = ()
     zones_v: tuple[tuple[float, float], ...] = ()
+    unproven: str = ""
 
     def _name(self, k: int) -> str:
         return f"input {self.inputs[k] if self.inputs else k + 1}"
@@ -60,7 +62,7 @@ class Invertibility:
     @property
     def invertible(self) -> bool:
         """True if every reference within the range has exactly one drive."""
-        return self.singular == 0 and min(self.positive, self.negative) == 0
+        return not self.unproven and self.singular == 0 and min(self.positive, self.negative) == 0
 
     def statement(self) -> str:
         """Say in a sentence whether there is an inverse, and if not, where it fails."""
@@ -71,6 +73,8 @@ class Invertibility:
                 f"The model has an inverse for every reference: the determinants of its {total} slope "
                 "matrices have one sign."
             ) + (f" Where an input turns, its drive jumps: {jumps}." if self.jump_v.any() else "")
+        if self.unproven:
+            return f"That the model has an inverse is not proven: {self.unproven}."
         other = min(self.positive, self.negative)
         places = "; ".join(
             f"{self._name(k)} with {n} operators engaged (thresholds to {r:.4g} V){self._between(k)}"
@@ -161,23 +165,36 @@ def _(
     first = np.array([[w[0] for w in row] for row in hysteresis.weights_um_per_v])
     always = all(plays.thresholds_v[0] == 0.0 == plays.growth_s[0] for plays in hysteresis.inputs)
     mean = 0.5 * (first + weights.sum(axis=1).T)
-    number, jump = 1, np.zeros(m)
-    for n in hysteresis.bank.n:
-        number *= 2 ** (int(n) - 1)
-    singular = abs(np.linalg.det(mean)) <= SINGULAR * np.prod(np.linalg.norm(mean, axis=0))
-    sure = not singular and always
-    if sure:
-        for k in range(m):
-            shares = np.linalg.solve(mean, weights[k].T)
-            own, others = shares[k], np.delete(shares, k, axis=0)
-            least = own[0] + np.minimum(own[1:], 0.0).sum()
-            sizes = [max(row[0] + np.maximum(row[1:], 0.0).sum(), -row[0] - np.minimum(row[1:], 0.0).sum())
-                     for row in others]  # fmt: skip
-            sure = sure and least > sum(sizes) + SINGULAR
-    counts = (number, 0, 0) if sure else (0, 0, number)
-    engaged = () if sure else tuple(int(n) for n in hysteresis.bank.n)
-    thresholds = () if sure else tuple(float(plays.thresholds_v[-1]) for plays in hysteresis.inputs)
-    return Invertibility(*counts, engaged, thresholds, mean, jump)
+    number = math.prod(2 ** (int(n) - 1) for n in hysteresis.bank.n)
+    return Invertibility(
+        number, 0, 0, (), (), mean, np.zeros(m), unproven=_why_unproven(weights, mean, always=always)
+    )
+
+
+def _why_unproven(weights: Array, mean: Array, *, always: bool) -> str:
+    """Why plays that move in any combination may leave no inverse; empty where they cannot.
+
+    weights : (input, play, output) [um/V]; mean : slopes (output, input); always : whether the first
+        play of each input moves with it at all times
+    """
+    if not always:
+        return "a play without a threshold is missing, so that an input may move nothing"
+    if abs(np.linalg.det(mean)) <= SINGULAR * np.prod(np.linalg.norm(mean, axis=0)):
+        return "the mean slopes are singular"
+    for k, own_weights in enumerate(weights):
+        shares = np.linalg.solve(mean, own_weights.T)
+        own, others = shares[k], np.delete(shares, k, axis=0)
+        least = own[0] + np.minimum(own[1:], 0.0).sum()
+        highest = others[:, 0] + np.maximum(others[:, 1:], 0.0).sum(axis=1)
+        lowest = others[:, 0] + np.minimum(others[:, 1:], 0.0).sum(axis=1)
+        most = float(np.maximum(highest, -lowest).sum())
+        if least <= most + SINGULAR:
+            beside = f", and may move the others by {most:.3g} of theirs" if len(others) else ""
+            return (
+                f"while thresholds change with the rate, the plays of input {k + 1} move in any combination; "
+                f"at the least it then keeps {least:.3g} of its own mean slope{beside}"
+            )
+    return ""
 
 
 @invertibility.register
