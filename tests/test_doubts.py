@@ -77,6 +77,22 @@ compensators = [{{ label = "exact", law = "exact_inverse", model = {good!r} }}]
     assert "sine: the simulated actuator: flagged by its fit report: the record drifts." in said
 
 
+@pytest.mark.parametrize("command", ["compensate", "export"])
+def test_warnings_of_a_model_are_printed_even_where_little_is_wanted(tmp_path, capsys, command):
+    bad = stage(tmp_path / "bad.json", 10.0, flagged=True, statements=["the record drifts"], held_out=False)
+    path = tmp_path / "path.csv"
+    path.write_text("time_s,x,y\n" + "".join(f"{k * 50e-6},{0.01 * k},0\n" for k in range(100)))
+    given = [str(path)] if command == "compensate" else []
+    out = ["--out", str(tmp_path / "out"), "--law", "exact_inverse", "--accept-flagged"]
+    with pytest.raises(SystemExit) as ended:
+        main(["-q", command, bad, *given, *out])
+    assert not ended.value.code
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "FLAGGED by its fit report: the record drifts" in said.err
+    assert ("no record was held back" in said.err) == (command == "compensate")
+
+
 def test_what_is_designed_from_the_actuator_itself_is_said_with_the_error_of_its_fit(tmp_path):
     file = stage(tmp_path / "stage.json", 100.0, flagged=False, held_out=True, nrmse_percent=[0.5, 2.0])
     off = "comes on top, by its fit report 0.5 % of the range of x and 2 % of that of y on records held back."

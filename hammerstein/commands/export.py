@@ -9,7 +9,7 @@ import typer
 
 from hammerstein.commands.grouped import grouped
 from hammerstein.commands.law_options import LawWords, Sent
-from hammerstein.commands.terminal import complain, tell, tell_json
+from hammerstein.commands.terminal import complain, tell, tell_json, tell_statements
 
 FORMATS = ("c", "fmu")
 
@@ -94,6 +94,5 @@ def _write(
     if as_json:
         tell_json({"export": str(out), "statements": written.statements, "files": written.files})
         return
-    for text in written.statements:
-        tell(text)
+    tell_statements(written.statements)
     tell(f"{', '.join(written.files)} in {out}; make check replays golden.csv")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hammerstein.commands.law_options import volts
-from hammerstein.commands.terminal import tell, tell_json
+from hammerstein.commands.terminal import tell, tell_json, tell_statements
 
 if TYPE_CHECKING:
     from hammerstein.compensators.cycle import Cycle
@@ -111,6 +111,5 @@ def _tell(asked: Period, figures: dict[str, Any], said: list[str], what: str) ->
     if asked.as_json:
         tell_json({"drive": str(asked.out), **figures, "statements": said})
         return
-    for words in said:
-        tell(words)
+    tell_statements(said)
     tell(f"{what} in {asked.out}")

@@ -14,7 +14,7 @@ from hammerstein.commands.grouped import grouped
 from hammerstein.commands.law_options import LawWords, Sent
 from hammerstein.commands.record_options import AsJson, HeldBack, Identified, RecordFiles
 from hammerstein.commands.refusals import refuse_output, told_by_options
-from hammerstein.commands.terminal import complain, show, tell, tell_json
+from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_statements
 from hammerstein.commands.watch import Spinner
 
 if TYPE_CHECKING:
@@ -244,6 +244,5 @@ def compensate(
         tell_json({"drive": str(out), **found.summary()})
         return
     show(compensation_table(found))
-    for text in found.statements():
-        tell(text)
+    tell_statements(found.statements())
     tell(f"voltages in {out}")

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import sys
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, TextIO
 
 from hammerstein.errors import HammersteinError
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 WIDTH_OF_A_FILE = 160
+WARNINGS = ("FLAGGED", "Verdict: FLAGGED", "Warning:")
+"""How statements begin that warn."""
 _hushed = False
 
 
@@ -49,6 +52,12 @@ def tell(text: str) -> None:
     """Print for a person; OutputError if it cannot be written."""
     if not _hushed:
         _print(clean(text))
+
+
+def tell_statements(texts: Iterable[str]) -> None:
+    """Print what must be known of a result; its warnings on stderr, in any case."""
+    for text in texts:
+        (complain if text.startswith(WARNINGS) else tell)(text)
 
 
 def tell_json(content: Any, **options: Any) -> None:
