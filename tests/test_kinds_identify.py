@@ -156,3 +156,19 @@ def test_a_model_that_stands_still_after_a_reversal_is_told_to_have_no_inverse()
     stuck, free = (PrandtlIshlinskii([[Pair([0.0, 2.0], w)]]) for w in ([0.0, 3.0], [1.0, 2.0]))
     record = Record([u], free.respond([u])[0], 1e-3)
     assert [trial.invertible for trial in trials_of(*tried_on([record], stuck, free), ())] == [False, True]
+
+
+def test_what_a_kind_is_compared_with_has_its_delay_where_that_suits():
+    """Without dynamics a kind finds a delay of its own; a linear gain with a worse one is no rival."""
+    late = 3
+    stack = record_of(20, 1)
+    y = np.concatenate([np.repeat(stack.y_um[:, :1], late, axis=1), stack.y_um[:, :-late]], axis=1)
+    whole = Record(stack.u_v, y, stack.sample_time_s)
+    records, held = [whole.part(0, whole.samples // 2)], [whole.part(whole.samples // 2, whole.samples)]
+    _, fit = identify(records, Settings(hysteresis="asymmetric", dynamics="none"), validation=held)
+    u, read = records[0].u_v[0], records[0].y_um[0]
+    columns = np.stack([np.concatenate([np.full(late, u[0]), u[:-late]]), np.ones_like(u)])
+    weights, *_ = np.linalg.lstsq(columns.T, read, rcond=None)
+    left = 100.0 * np.std(read - weights @ columns) / np.ptp(read)
+    assert fit.delay_samples == late
+    assert fit.fit["linear"].nrmse_percent[0] == pytest.approx(left, rel=0.02)

@@ -28,6 +28,7 @@ from hammerstein.identification.static.history import FEWEST, each_alone, judged
 from hammerstein.identification.static.rate_dependent import TWO_RATES, fit_rate_dependent
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import SquaresSolver, Thresholds, half_swing
+from hammerstein.identification.static_candidates import begun_static
 from hammerstein.identification.task import Built, Found, Task
 from hammerstein.identification.together import fitted_together
 from hammerstein.identification.verdict import drive_hz, invertibility_of
@@ -76,7 +77,7 @@ def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tu
     task : with the starts and the delay of the model that is kept
     built : the models with that one
     """
-    settings, kind = task.settings, task.settings.hysteresis
+    settings, kind, with_plays = task.settings, task.settings.hysteresis, task.delay_samples
     task.progress(f"fitting the {kind.replace('_', ' ')} hysteresis")
     before = built.best
     task = task.delayed_as(before.candidate.dynamics)
@@ -92,9 +93,27 @@ def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tu
     task = replace(task, starts=found.starts, delay_samples=found.behind.delay_samples)
     name: Kind = "static_hysteresis" if found.behind.is_static else "hammerstein"
     axes = () if found.behind.is_static else found.behind.fits
-    models = {**built.found, "classical": before, name: Found(found.candidate, before.blocks, axes)}
+    plays = {**built.found, "classical": before}
+    if name == built.kind == "static_hysteresis" and task.delay_samples != with_plays:
+        plays = _better(task, plays, _plays_of(task))
+    models = {**plays, name: Found(found.candidate, before.blocks, axes)}
     notes = (*built.notes, *found.block.notes)
     return task, replace(built, found=models, kind=name, axes=axes, notes=notes)
+
+
+def _plays_of(task: Task) -> dict[Kind, Found]:
+    """Linear gain and plays, with the delay that a model without plays alone was kept with."""
+    found = begun_static(task).found
+    return {"linear": found["linear"], "classical": found["static_hysteresis"]}
+
+
+def _better(task: Task, found: dict[Kind, Found], others: dict[Kind, Found]) -> dict[Kind, Found]:
+    """Models of which those are replaced that another one of their kind leaves less of the records than."""
+
+    def left(one: Found) -> float:
+        return score(one.candidate, task.records, task.starts).mean_percent
+
+    return {kind: min([one, others.get(kind, one)], key=left) for kind, one in found.items()}
 
 
 def _late(task: Task, thresholds_v: Thresholds, free: bool) -> list[Whole]:
