@@ -147,19 +147,19 @@ class Comparison:
         where = "on the records held back" if self.held else "on the fitted records themselves"
         count = f"{chosen.parameters} parameter{'s' * (chosen.parameters != 1)}"
         said = [
-            f"Recommended: {chosen.name}, {count}; it leaves {chosen.judged.mean_percent:.3g} % of the range "
-            f"{where}."
+            f"Recommended: {chosen.name}, {count}; its error is {chosen.judged.mean_percent:.3g} % of the "
+            f"range {where}."
         ]
         if best is not chosen:
             said.append(
-                f"{best.name} leaves {best.judged.mean_percent:.3g} % with {best.parameters}: {NO_BETTER}."
+                f"{best.name} has {best.judged.mean_percent:.3g} % with {best.parameters}: {NO_BETTER}."
                 if chosen.as_good
-                else f"{best.name} leaves {best.judged.mean_percent:.3g} %, but has no inverse."
+                else f"{best.name} has {best.judged.mean_percent:.3g} %, but no inverse."
             )
         if not self.held:
             said.append(
-                "No record was held back, so that more parameters always look better here: hold one back "
-                "with --validate before you rely on this."
+                "No record was held back, so that models of more parameters look better here than they "
+                "are: hold one back with --validate before you rely on this."
             )
         if chosen.flags:
             said.append(f"It does not represent these records: {'; '.join(chosen.flags)}.")
