@@ -174,10 +174,10 @@ def test_play_says_what_is_wrong(
     ("file", "words"),
     [
         ("stage.json", ["model", "u_x, u_y", "recorded"]),
-        ("circle.toml", ["scenario", "How round", "hysteresis and dynamics", "20, 50, 100"]),
+        ("circle.toml", ["scenario", "How far", "hysteresis and dynamics", "20, 50, 100"]),
         ("record_x.csv", ["4200", "u_x", "-10 to 10"]),
         ("stage_fit/fit.json", ["fit report", "record_x.csv"]),
-        ("reports/circle/report.json", ["report", "How round"]),
+        ("reports/circle/report.json", ["report", "How far"]),
         ("reports/baseline/circle.json", ["baseline", "rows"]),
         ("duo_bimorph", ["model", "15 operators", "279.7 Hz"]),
     ],
