@@ -163,3 +163,23 @@ def test_the_drive_keeps_the_time_of_the_reference_file(tmp_path):
     assert (late.drive_v == early.drive_v).all()
     assert not late.resampled
     assert late.summary()["statements"] == late.statements()
+
+
+@pytest.mark.parametrize(("frequency_hz", "proposed"), [(30.0, True), (3000.0, False)])
+def test_a_filter_is_proposed_where_the_path_itself_is_left(tmp_path, capsys, frequency_hz, proposed):
+    """A slow triangle keeps its shape without its corners; of a fast sine nothing would be left."""
+    t = np.arange(2000) * T
+    turn = frequency_hz * t
+    x = (
+        45.0 * (np.abs((turn - 0.25) % 1.0 - 0.5) * 4.0 - 1.0)
+        if proposed
+        else 15.0 * np.sin(2 * np.pi * turn)
+    )
+    frame = pd.DataFrame({"time_s": t, "x": x * smooth_step(t / 0.02), "y": 0.0 * t})
+    frame.to_csv(tmp_path / "path.csv", index=False)
+    assert _call("compensate", "duo_bimorph", tmp_path / "path.csv", "--out", tmp_path / "drive.csv") == 3
+    said = capsys.readouterr().err
+    assert ("With --filter-hz" in said) == proposed
+    assert ("Ask for a smaller or a slower path" in said) != proposed
+    assert "output x is missed" in said
+    assert "output y is missed" not in said

@@ -28,6 +28,8 @@ CONTENT = Content("drive file", sign="time_s,drive_")
 
 HEADING = "Voltages to send, as they are: absolute, in V. Times in s, positions in um."
 FILTER_TRIALS, FILTER_DECADES = 16, 300.0
+LOST_SHARE = 0.2
+"""Part of a path, in rms, that a filter may take away to be proposed."""
 
 LawLike = str | Compensator
 """A law by its name in a scenario, or a compensator."""
@@ -334,12 +336,15 @@ def _slower(
     reference: Array,
     sample_time_s: float,
 ) -> str:
-    """Bandwidth of the reference filter with which the path is within reach, as a sentence; or nothing."""
+    """Bandwidth of the reference filter with which the path is within reach, as a sentence; or nothing.
+
+    A filter that takes the path itself away is none.
+    """
     if not isinstance(compensator, HammersteinInverse) or compensator.filter_hz is not None:
         return ""
     nyquist = 0.5 / sample_time_s
     lowest = max(2.0 / (reference.shape[1] * sample_time_s), nyquist / FILTER_DECADES)
-    best = None
+    best, most = None, LOST_SHARE * float(np.std(reference, axis=1).max())
     for frequency in np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS):
         rounded = float(f"{frequency:.2g}")
         try:
@@ -349,13 +354,14 @@ def _slower(
         except HammersteinError:
             break
         if found.complete:
-            best = rounded, float(np.abs(found.error_um).max())
+            lost = float(np.sqrt(np.mean(found.error_um**2, axis=1)).max())
+            best = (rounded, float(np.abs(found.error_um).max())) if lost < most else None
             break
     if best is None:
-        return ""
+        return "Ask for a smaller or a slower path. "
     return (
-        f"With --filter-hz {best[0]:g} it is within reach: its corners are then rounded, by up to "
-        f"{best[1]:.3g} um. "
+        f"With --filter-hz {best[0]:g} it is within reach: what is faster is then left out, up to "
+        f"{best[1]:.3g} um of it. "
     )
 
 

@@ -24,6 +24,7 @@ from hammerstein.model import HammersteinModel
 STROKE_SAMPLES = 50
 BISECTIONS = 40
 MISSED_UM = 1e-6
+MISSED_SHARE = 0.01  # of what the worst output is missed by; those that are missed by less are not named
 ROUGH_BISECTIONS = 14
 """Of a law without inverse, which is slow and leaves more than a finer search would find."""
 PASSES = 4
@@ -184,8 +185,9 @@ class Shortfall:
                     f"sample {first} ({first * self.sample_time_s:.4g} s)"
                 )
         for name, row, worst_um in zip(outputs, self.error_um, self._worst(), strict=True):
-            where = int(np.argmax(np.abs(row)))
-            parts.append(f"output {name} is missed by up to {worst_um:.4g} um (sample {where})")
+            if worst_um > MISSED_SHARE * max(self._worst()):
+                where = int(np.argmax(np.abs(row)))
+                parts.append(f"output {name} is missed by up to {worst_um:.4g} um (sample {where})")
         axis, sample = self.turn
         return "; ".join(parts) + (
             f". The path turns hardest at sample {sample} of {outputs[axis]}; where it has a corner or a "
