@@ -1,13 +1,15 @@
-"""Every number that a file may hold has limits, in the message and in the schema."""
+"""Every number that a file may hold has limits, in message and schema, and every key says what it is."""
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from hammerstein.blocks.instruments import Drive, Sensor
+from hammerstein.commands.start import guide_pages
 from hammerstein.model import ModelFile
 from hammerstein.quantities import BANDWIDTH_HZ, FREQUENCY_HZ
 from hammerstein.scenario import Scenario, load_scenario
+from hammerstein.signals import SIGNALS
 
 
 def _numbers(node, path=""):
@@ -140,3 +142,23 @@ def test_the_same_limits_hold_in_python():
                 "uncertainty": {"noise": 2},
             }
         )
+
+
+def test_every_key_of_a_scenario_is_described():
+    schema = Scenario.model_json_schema()
+    bare = [
+        (table, key)
+        for table, part in {"": schema, **schema["$defs"]}.items()
+        for key, node in part.get("properties", {}).items()
+        if not node.get("description") and "const" not in node
+    ]
+    assert bare == []
+
+
+@pytest.mark.parametrize("name", SIGNALS.kinds)
+def test_the_guide_names_every_key_of_every_signal(name):
+    page = guide_pages()["signals"].read_text()
+    (row,) = [line for line in page.splitlines() if line.startswith(f"| `{name}` |")]
+    for key in SIGNALS.kinds[name].model_fields:
+        inked = f"`{key}_um`" if key in ("amplitude", "radius", "offset") else f"`{key}`"
+        assert inked in page if key in ("kind", "offset", "smooth_start_s") else inked in row

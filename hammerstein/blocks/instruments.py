@@ -173,8 +173,8 @@ class Instruments(Strict):
 
     model_config = ConfigDict(ser_json_inf_nan="strings")
 
-    drive: Drive = Drive()
-    sensor: Sensor = Sensor()
+    drive: Drive = Field(default=Drive(), description="converter and amplifier")
+    sensor: Sensor = Field(default=Sensor(), description="what reads the position")
 
     @classmethod
     def ideal(cls, sample_time_s: float = 50e-6) -> Instruments:

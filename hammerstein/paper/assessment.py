@@ -46,7 +46,7 @@ class Paper(Assessment):
     reading_first: ClassVar[bool] = True  # as the paper's figures show it
 
     figure: str = Field(default="", description='the figure that the scenario simulates, such as "Fig. 9"')
-    claims: tuple[Claim, ...] = ()
+    claims: tuple[Claim, ...] = Field(default=(), description="what the paper says of it")
     also_on: tuple[AlsoOn, ...] = Field(
         default=(), description="other actuators that the claims are asked of, for comparison"
     )

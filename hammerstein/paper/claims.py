@@ -45,17 +45,23 @@ class Quantity(BaseModel):
 
     model_config = _STRICT
 
-    metric: MetricName
-    compensator: str | None = None
-    excited_axis: str | None = None
-    measured_axis: str | None = None
-    frequency_hz: Frequency | None = None
-    from_hz: Frequency | None = None
-    to_hz: Frequency | None = None
-    amplitude_v: Size | None = None
-    amplitude_um: Size | None = None
-    trial: Trial | None = None
-    of: Literal["max", "min", "mean", "spread", "octaves_below", "octaves_above"] = "max"
+    metric: MetricName = Field(description="figure of merit, a column of the report")
+    compensator: str | None = Field(default=None, description="label that rows are selected by")
+    excited_axis: str | None = Field(default=None, description="driven axis that rows are selected by")
+    measured_axis: str | None = Field(default=None, description="measured axis that rows are selected by")
+    frequency_hz: Frequency | None = Field(default=None, description="frequency that rows are selected by")
+    from_hz: Frequency | None = Field(default=None, description="lowest frequency of the rows")
+    to_hz: Frequency | None = Field(default=None, description="highest frequency of the rows")
+    amplitude_v: Size | None = Field(
+        default=None, description="amplitude of the drive that rows are selected by"
+    )
+    amplitude_um: Size | None = Field(
+        default=None, description="amplitude of the reference that rows are selected by"
+    )
+    trial: Trial | None = Field(default=None, description="trial that rows are selected by")
+    of: Literal["max", "min", "mean", "spread", "octaves_below", "octaves_above"] = Field(
+        default="max", description="how the selected rows become one number"
+    )
     found_hz: Frequency | None = Field(default=None, description="where octaves are counted from")
     times: Agreed = Field(default=2.0, description="figure that ends the octaves, over that at found_hz")
 
@@ -115,8 +121,8 @@ class Agreement(BaseModel):
     model_config = _STRICT
 
     within: Agreed | None = Field(default=None, description="relative distance from the paper's figure")
-    at_most: Figure | None = None
-    at_least: Figure | None = None
+    at_most: Figure | None = Field(default=None, description="largest value that agrees")
+    at_least: Figure | None = Field(default=None, description="least value that agrees")
 
     @model_validator(mode="after")
     def _says_something(self) -> Self:
@@ -156,18 +162,18 @@ class Claim(BaseModel):
 
     model_config = _STRICT
 
-    id: Annotated[str, Field(min_length=1)]
-    statement: Annotated[str, Field(min_length=1)]
+    id: Annotated[str, Field(min_length=1)] = Field(description="short name")
+    statement: Annotated[str, Field(min_length=1)] = Field(description="what the paper says")
     paper: Figure | None = Field(default=None, description="the paper's figure, if it prints one")
-    unit: str = ""
-    quantity: Quantity
+    unit: str = Field(default="", description="unit of the figures")
+    quantity: Quantity = Field(description="what is simulated for it")
     over: Quantity | None = Field(default=None, description="divide by this quantity")
     row_by_row: bool = Field(
         default=False,
         description="divide each row by that of the same axes, frequency and amplitude, then reduce",
     )
     factor: Figure = Field(default=1.0, description="multiply by this, such as 0.5 for half a height")
-    agreement: Agreement
+    agreement: Agreement = Field(description="what counts as agreement")
     note: str = Field(default="", description="what a reader should know if the claim is not met")
     calibrated: bool = Field(
         default=False, description="the actuator was made to meet it: it is listed apart and not counted"

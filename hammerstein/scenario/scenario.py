@@ -49,10 +49,18 @@ class Sweep(Strict):
         default=None, description="every combination of the values of several keys, or one after the other"
     )
 
-    frequency_hz: Frequencies | None = None
-    amplitude_um: Sizes | None = None
-    amplitude_v: Sizes | None = None
-    radius_um: Sizes | None = None
+    frequency_hz: Frequencies | None = Field(
+        default=None, description="frequencies, each in place of the signal's"
+    )
+    amplitude_um: Sizes | None = Field(
+        default=None, description="amplitudes of a reference, each in place of its own"
+    )
+    amplitude_v: Sizes | None = Field(
+        default=None, description="amplitudes of a drive, each in place of its own"
+    )
+    radius_um: Sizes | None = Field(
+        default=None, description="radii of a reference, each in place of its own"
+    )
     trial: Trials | None = Field(default=None, description="trials of compensators that learn, from 1 on")
 
     def values(self) -> list[tuple[str, tuple[float, ...]]]:
@@ -103,8 +111,10 @@ class Measure(Strict):
 class Tolerance(Strict):
     """How far a number may move from its baseline: the larger of the two counts."""
 
-    relative: Tolerated = 1e-3
-    absolute: Tolerated = 1e-6
+    relative: Tolerated = Field(
+        default=1e-3, description="part of the accepted number by which a new one may differ"
+    )
+    absolute: Tolerated = Field(default=1e-6, description="difference that is allowed in any case")
 
 
 class Scenario(Strict):
@@ -112,18 +122,26 @@ class Scenario(Strict):
 
     model_config = ConfigDict(ser_json_inf_nan="strings")
 
-    question: Annotated[str, Field(min_length=1)]
+    question: Annotated[str, Field(min_length=1)] = Field(
+        description="what is asked: the title of the report"
+    )
     actuator: FileName = Field(default=DEFAULT, description="packaged actuator or model file")
-    seed: Seed = 1
+    seed: Seed = Field(default=1, description="of the sensor's noise")
     instruments: Instruments = Field(
         default=Instruments(), description="what is given here replaces the actuator's own"
     )
     reference: Reference | None = Field(default=None, description="path to follow, in um")
     drive: Excitation | None = Field(default=None, description="voltage to apply, in V")
-    sweep: Sweep = Sweep()
-    measure: Measure = Measure()
-    compensators: tuple[Tested, ...] = ()
-    models: tuple[ModelSource, ...] = ()
+    sweep: Sweep = Field(
+        default=Sweep(), description="values that take the place of one of the signal; each is a run"
+    )
+    measure: Measure = Field(default=Measure(), description="how long is waited and measured")
+    compensators: tuple[Tested, ...] = Field(
+        default=(), description="laws that follow the reference, each a run"
+    )
+    models: tuple[ModelSource, ...] = Field(
+        default=(), description="models whose prediction of the drive is compared"
+    )
     uncertainty: Uncertainty | None = Field(default=None, description="repeat the run on drawn actuators")
     study: Study | None = Field(
         default=None, description="other values of any numeric key, for hammerstein sweep"
@@ -131,7 +149,9 @@ class Scenario(Strict):
     answered_by: MetricName | None = Field(
         default=None, description="figure of merit that answers the question; it is said and drawn first"
     )
-    tolerances: dict[NumberName, Tolerance] = Field(default_factory=dict)
+    tolerances: dict[NumberName, Tolerance] = Field(
+        default_factory=dict, description="how far numbers may move before a check complains, by their names"
+    )
     assessment: Annotated[Assessment, ASSESSMENTS.field()] | None = Field(
         default=None, description="what its numbers should be; each kind plugs in"
     )

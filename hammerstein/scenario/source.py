@@ -32,16 +32,18 @@ class ClosedFormSpec(Strict):
     """Identify the static block by the paper's closed form, one input driven at a time (section 3.3)."""
 
     method: Literal["closed_form"] = "closed_form"
-    frequency_hz: Frequency = 50.0
+    frequency_hz: Frequency = Field(default=50.0, description="frequency of the sine that is recorded")
     amplitude_v: Size | None = Field(
         default=None, description="about the middle of the actuator's range; all of that if not given"
     )
     waveform: Literal["sine", "triangle"] | None = Field(
         default=None, description="what drives the input: a sine if not given"
     )
-    operators: Operators = 15
-    settle_cycles: Cycles = 5
-    measured_cycles: Cycles = 10
+    operators: Operators = Field(default=15, description="plays of each pair of axes")
+    settle_cycles: Cycles = Field(default=5, description="cycles before the record")
+    measured_cycles: Cycles = Field(
+        default=10, description="cycles of the record, of which the mean is taken"
+    )
     sample_time_s: SampleTime | None = Field(
         default=None, description="sample time of this experiment, where it is not that of the run"
     )
@@ -64,9 +66,15 @@ class JointFitSpec(Strict):
     amplitude_v: Size | None = Field(
         default=None, description="about the middle of the actuator's range; all of that if not given"
     )
-    operators: Operators | Literal["auto"] = 15
-    partition: Partition = "time"
-    frequencies_hz: Frequencies = (50.0,)
+    operators: Operators | Literal["auto"] = Field(
+        default=15, description="plays of each pair of axes, or what the records call for"
+    )
+    partition: Partition = Field(
+        default="time", description="how thresholds are placed, or fitted, see the guide of identify"
+    )
+    frequencies_hz: Frequencies = Field(
+        default=(50.0,), description="frequencies of the sines that are recorded"
+    )
     record_s: Length = Field(default=0.1, description="length of each sine, and of the multisine")
     sample_time_s: SampleTime | None = Field(
         default=None, description="sample time of this experiment, where it is not that of the run"
@@ -82,7 +90,7 @@ class JointFitSpec(Strict):
     dynamics: DynamicsKind | None = Field(
         default=None, description="linear block of each axis; second_order, a resonance, if not given"
     )
-    creep_modes: Modes = 0
+    creep_modes: Modes = Field(default=0, description="slow modes of each axis, from a record of their own")
     creep_record_s: Length = Field(default=600.0, description="length of the slow record")
 
     def settings(self) -> Settings:
@@ -128,8 +136,12 @@ IdentificationSpec = Annotated[
 class ModelSource(Strict):
     """A labelled model: identified from a simulated experiment, or read from a model file."""
 
-    label: Annotated[str, Field(min_length=1, max_length=60)]
-    identification: IdentificationSpec | None = None
+    label: Annotated[str, Field(min_length=1, max_length=60)] = Field(
+        description="name in tables and figures"
+    )
+    identification: IdentificationSpec | None = Field(
+        default=None, description="experiment that a model is identified with, if no model is given"
+    )
     model: FileName | None = Field(default=None, description="model file, or name of a packaged actuator")
     only_at_hz: Frequencies | None = Field(
         default=None, description="frequencies of the sweep at which it is tested; all if not given"

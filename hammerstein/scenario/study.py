@@ -26,11 +26,14 @@ class Study(Strict):
     ``random`` and ``sobol`` take so many ``samples`` between the two values of each key.
     """
 
-    how: Literal["product", "zip", "random", "sobol"] = "product"
+    how: Literal["product", "zip", "random", "sobol"] = Field(
+        default="product",
+        description="every combination of the values, the first ones together and so on, or samples",
+    )
     samples: Draws | None = Field(
         default=None, description="of random and sobol; of the latter a power of two"
     )
-    seed: Seed = 1
+    seed: Seed = Field(default=1, description="of the samples")
     values: dict[str, Values] = Field(
         min_length=1, description='by key, such as "compensators[1].gain"; its two limits for samples'
     )

@@ -53,16 +53,16 @@ class Uncertainty(Strict):
     with them.
     """
 
-    draws: Draws = 50
-    seed: Seed = 1
+    draws: Draws = Field(default=50, description="actuators that are drawn")
+    seed: Seed = Field(default=1, description="of the draws")
     weights: Deviation | Literal["standard_errors"] = Field(
         default=0.0,
         description='relative, or "standard_errors": covariance in the actuator\'s model file',
     )
-    resonance: Deviation = 0.0
-    damping: Deviation = 0.0
-    creep: Deviation = 0.0
-    noise: Deviation = 0.0
+    resonance: Deviation = Field(default=0.0, description="relative standard deviation of the resonances")
+    damping: Deviation = Field(default=0.0, description="relative standard deviation of the damping ratios")
+    creep: Deviation = Field(default=0.0, description="relative standard deviation of the creep gains")
+    noise: Deviation = Field(default=0.0, description="relative standard deviation of the sensor's noise")
     sensitivity: BaseSamples | None = Field(
         default=None,
         description="base samples, a power of two, of the search for the parameters that cost most",

@@ -124,7 +124,7 @@ def smooth_step(x: Array) -> Array:
 class OneFrequency(Shape, ABC):
     """A signal of one frequency."""
 
-    frequency_hz: Frequency
+    frequency_hz: Frequency = Field(description="frequency in Hz")
 
     @property
     def period_s(self) -> float:
@@ -145,8 +145,8 @@ class OnAxes(OneFrequency, ABC):
     axis: Axes | Literal["each", "all"] = Field(
         default="each", description='number of the axis from 1, "each" in turn, or "all" together'
     )
-    amplitude: Size
-    phase_deg: Phase = 0.0
+    amplitude: Size = Field(description="half of the way from end to end, in the unit of the key")
+    phase_deg: Phase = Field(default=0.0, description="phase at time 0, in degrees")
 
     @abstractmethod
     def _wave(self, cycles: Array) -> Array:
@@ -197,8 +197,8 @@ class Circle(OneFrequency):
     pointwise: ClassVar[bool] = True
 
     kind: Literal["circle"] = "circle"
-    radius: Size
-    phase_deg: Phase = 0.0
+    radius: Size = Field(description="radius, in the unit of the key")
+    phase_deg: Phase = Field(default=0.0, description="where it begins, in degrees from the first axis")
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "circle")
@@ -211,10 +211,10 @@ class Spiral(OneFrequency):
     pointwise: ClassVar[bool] = True
 
     kind: Literal["spiral"] = "spiral"
-    radius: Size
+    radius: Size = Field(description="radius before the decay, in the unit of the key")
     trigger_s: Wait = Field(description="time at which the decay starts")
     decay_s: Length = Field(description="time constant of the decay")
-    phase_deg: Phase = 0.0
+    phase_deg: Phase = Field(default=0.0, description="where it begins, in degrees from the first axis")
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "spiral")
@@ -233,10 +233,10 @@ class Lissajous(Shape):
     pointwise: ClassVar[bool] = True
 
     kind: Literal["lissajous"] = "lissajous"
-    amplitude: Size
-    frequency_x_hz: Frequency
-    frequency_y_hz: Frequency
-    phase_deg: Phase = 0.0
+    amplitude: Size = Field(description="half of the width and of the height, in the unit of the key")
+    frequency_x_hz: Frequency = Field(description="frequency of the first axis in Hz")
+    frequency_y_hz: Frequency = Field(description="frequency of the second axis in Hz")
+    phase_deg: Phase = Field(default=0.0, description="phase of both axes at time 0, in degrees")
 
     @model_validator(mode="after")
     def _repeats_soon(self) -> Self:
@@ -275,10 +275,10 @@ class Multisine(Shape):
     """
 
     kind: Literal["multisine"] = "multisine"
-    amplitude: Size
-    lowest_hz: Frequency
-    highest_hz: Frequency
-    seed: Seed = 0
+    amplitude: Size = Field(description="largest value, three times the rms, in the unit of the key")
+    lowest_hz: Frequency = Field(description="lowest line and distance of the lines, in Hz")
+    highest_hz: Frequency = Field(description="highest line in Hz, at the most")
+    seed: Seed = Field(default=0, description="of the random phases")
 
     @model_validator(mode="after")
     def _band_is_ordered(self) -> Self:
@@ -337,8 +337,8 @@ class FromFile(Shape):
     """
 
     kind: Literal["file"] = "file"
-    path: FileName
-    scale: Scale = 1.0
+    path: FileName = Field(description="CSV file: time_s and one column an axis, in its order")
+    scale: Scale = Field(default=1.0, description="factor for all values of the file")
 
     def middle(self, n_axes: int, rest: Array) -> Array:
         """A file of voltages holds them as they are."""

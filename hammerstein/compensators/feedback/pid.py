@@ -296,8 +296,13 @@ class Feedback(Compensator):
     )
     derivative: bool = Field(default=False, description="compute a derivative gain too")
     proportional: tuple[Gain, ...] | None = Field(default=None, description="gain of each output")
-    integral_per_s: tuple[Gain, ...] | None = None
-    derivative_s: tuple[Gain, ...] | None = None
+    integral_per_s: tuple[Gain, ...] | None = Field(
+        default=None,
+        description="integral gain of each axis, 1/s times the proportional unit; designed if not given",
+    )
+    derivative_s: tuple[Gain, ...] | None = Field(
+        default=None, description="derivative gain of each axis, s times the proportional unit"
+    )
 
     @model_validator(mode="after")
     def _gains_come_together(self) -> Self:
