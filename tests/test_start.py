@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 from hammerstein.commands.cli import app, main
 from hammerstein.model import HammersteinModel
+from hammerstein.records.array_files import array_columns
 from hammerstein.regression.baseline import Baseline
 
 KEPT_MB = "100"
@@ -302,3 +303,20 @@ def test_its_best_compensator_leaves_little(folder: Path) -> None:
 
 def test_completion_is_offered() -> None:
     assert "--install-completion" in help_of().output
+
+
+def test_show_lists_the_arrays_of_a_file_and_how_their_columns_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = np.arange(40.0)
+    np.savez(tmp_path / "both.npz", u=np.stack([rows, rows]), t=rows, gain=np.float64(2.0))
+    np.save(tmp_path / "one.npy", np.zeros((40, 3, 2)))
+    assert call("show", tmp_path / "both.npz", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["u"] == "40 samples; its columns are u:(1 to 2)"
+    assert found["t"] == "40 samples; its columns are t"
+    assert found["gain"] == "a single number"
+    assert array_columns(tmp_path / "both.npz", ["u:2", "t"]).shape == (2, 40)
+    assert call("show", tmp_path / "one.npy") == 0
+    assert "40 samples; its columns are (1 to 3):(1 to 2)" in capsys.readouterr().out
+    assert array_columns(tmp_path / "one.npy", ["3:2"]).shape == (1, 40)

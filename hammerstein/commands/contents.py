@@ -83,9 +83,9 @@ def contents_of(path: Path) -> Contents:
     if path.suffix.lower() == ".json":
         return _json(path)
     if path.suffix.lower() in SUFFIXES:
-        raise InputError(
-            str(path), "holds arrays; hammerstein loops --inputs NAME --outputs NAME tells what is in them"
-        )
+        from hammerstein.records.array_files import arrays_in
+
+        return Contents("arrays", tuple(arrays_in(path)))
     if path.suffix.lower() in PAGES:
         raise InputError(str(path), "is a page to be read; what it is made of stands in the .json beside it")
     facts = tuple(_table(path))

@@ -57,6 +57,30 @@ def array_columns(path: Path, wanted: Sequence[str]) -> Array:
     return np.vstack(columns)
 
 
+def arrays_in(path: Path) -> Iterator[tuple[str, str]]:
+    """Names of the arrays of a file, and how long they are and how their columns are named.
+
+    Raises InputError where the file cannot be read.
+    """
+    for name, load in _variables(path).items():
+        try:
+            shape = np.shape(load())
+        except InputError as error:
+            yield name or "array", error.mistakes[0].what
+            continue
+        except Exception as error:  # as above
+            yield name or "array", f"cannot be read ({_reason(error)})"
+            continue
+        if not shape:
+            yield name or "array", "a single number"
+            continue
+        longest = int(np.argmax(shape))
+        sizes = [n for axis, n in enumerate(shape) if axis != longest]
+        limits = ":".join(f"(1 to {n})" for n in sizes)
+        column = f"{name}:{limits}" if name and limits else limits or name
+        yield name or "array", f"{shape[longest]} samples" + (f"; its columns are {column}" if column else "")
+
+
 def whole_array(path: Path, variable: str) -> Array:
     """One array with all its axes; the variable may be empty where the file holds a single one.
 
