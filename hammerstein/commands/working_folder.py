@@ -78,7 +78,11 @@ def folder_of(assessment: str, target: Path) -> None:
 
 @contextmanager
 def _made(target: Path) -> Iterator[Path]:
-    """Make files in a hidden room; move them to the target when all are there, and nothing over anything."""
+    """Make files in a hidden room; move them to the target when all are there, and nothing over anything.
+
+    Where they do not come to be all there, no folder is left that was not there before.
+    """
+    made = [place for place in (target, *target.parents) if not place.exists()]
     try:
         target.mkdir(parents=True, exist_ok=True)
         room = Path(tempfile.mkdtemp(prefix=".hammerstein-init-", dir=target))
@@ -86,12 +90,17 @@ def _made(target: Path) -> Iterator[Path]:
         raise InputError(
             str(target), f"cannot be written ({reason_of(error)}); choose another folder"
         ) from None
-    begun(room, lambda: shutil.rmtree(room, ignore_errors=True))
+
+    def undone() -> None:
+        shutil.rmtree(room, ignore_errors=True)
+        remove_empty(made)
+
+    begun(room, undone)
     try:
         yield room
         _move(room, target)
     finally:
-        shutil.rmtree(room, ignore_errors=True)
+        undone()
         ended(room)
 
 
