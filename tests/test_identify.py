@@ -430,3 +430,16 @@ def test_phase_lag_is_suspected_only_where_the_loop_was_seen_to_widen():
     assert (
         f"its loop is {slow:.2g} % wide at 1.25 Hz and {quick:.2g} % at 12.5 Hz: phase lag looks like" in both
     )
+
+
+def test_the_response_of_a_model_is_estimated_as_that_of_the_records(bimorph_fit):
+    """A window smears both alike: where inputs explain the output, a good model lies on what was measured."""
+    panels = identified_figures(bimorph_fit[1])["response"].axes
+    apart = []
+    for place in (0, 4):  # the direct pairs of two axes, each row with its coherence behind them
+        measured, model = (line.get_ydata() for line in panels[place].lines)
+        (coherence,) = (line.get_ydata() for line in panels[place // 3 * 3 + 2].lines)
+        sure = coherence > 0.8
+        assert sure.sum() > 5
+        apart.append(np.abs(model / measured - 1.0)[sure].max())
+    assert max(apart) < 0.02

@@ -24,8 +24,8 @@ CAPTIONS = {
     "residual": "What each kind of model leaves: over time, and the largest amplitude in bands of frequency.",
     "operators": "Error on parts of the records that were held out, against the number of operators. The "
     "grey bar marks this model.",
-    "response": "Gain of each pair, measured and by the model at the amplitude of the records, and the part "
-    "of each output's power that the inputs explain linearly.",
+    "response": "Gain of each pair: of the records, and of what the model makes of their voltages, by the "
+    "same estimate; and the part of each output's power that the inputs explain linearly.",
 }
 
 

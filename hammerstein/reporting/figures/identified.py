@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hammerstein.arrays import Array, Complex
+from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
-from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.driven import driven_inputs
 from hammerstein.records.loops import SAME_SWING, widest_cycle
@@ -51,8 +50,6 @@ LINES = 160
 BANDS = 120
 """Parts of a noisy trace of many samples, of each of which the lowest and highest sample are drawn."""
 LEAST = 1e-12
-PHASES = 1024
-"""Samples of the sine with which a static block's describing function is found."""
 MEASURED, SEPARATED = "measured", "measured, less the model's response to the other inputs"
 BROAD_SHARE = 0.5
 """Records from this part of the longest one's length on are used for the measured response."""
@@ -73,15 +70,22 @@ def identified_figures(fit: Fit) -> dict[str, Figure]:
         figures["operators"] = operators_figure(fit)
     if not fit.is_static:
         with contextlib.suppress(IdentificationError):  # sines alone tell no response at the lines between
-            figures["response"] = response_figure(fit, measured_response(_longest(fit.records)))
+            figures["response"] = response_figure(fit, *_responses(fit))
     return figures
 
 
-def _longest(records: Sequence[Record]) -> list[Record]:
-    """Records long enough, and on one sample time, for lines that stand close together."""
-    slowest = max(record.samples for record in records)
-    long = [record for record in records if record.samples >= BROAD_SHARE * slowest]
-    return [record for record in long if record.sample_time_s == long[0].sample_time_s]
+def _responses(fit: Fit) -> tuple[FrequencyResponse, FrequencyResponse]:
+    """Response that records tell, and the one that they would tell of the model: by the same estimate.
+
+    Records are taken that are long enough, and on one sample time, for lines that stand close together. What
+    a window smears in the one it smears in the other.
+    """
+    least = BROAD_SHARE * max(record.samples for record in fit.records)
+    long = [pair for pair in zip(fit.records, fit.starts, strict=True) if pair[0].samples >= least]
+    alike = [pair for pair in long if pair[0].sample_time_s == long[0][0].sample_time_s]
+    model = fit.candidates[fit.kind]
+    said = [replace(record, y_um=model.predict(record, start)) for record, start in alike]
+    return measured_response([record for record, _ in alike]), measured_response(said)
 
 
 def measured_loops(fit: Fit) -> Figure | None:
@@ -247,18 +251,17 @@ def operators_figure(fit: Fit) -> Figure:
     return figure
 
 
-def response_figure(fit: Fit, measured: FrequencyResponse) -> Figure:
+def response_figure(fit: Fit, measured: FrequencyResponse, said: FrequencyResponse) -> Figure:
     """Gain of every pair over frequency, measured and by the model, and the coherence of each output.
 
-    The model is drawn with the describing function of its static block at the amplitude of the records.
+    That of the model is what the same estimate makes of its response to the voltages of the records.
 
     Parameters
     ----------
     fit : what ``identify`` has found
-    measured : response without a model
+    measured, said : responses without a model: of the records, and of what the model makes of their voltages
     """
-    said = model_response(fit.candidates[fit.kind], fit, measured.frequency_hz)
-    p, m = said.shape[1:]
+    p, m = measured.response.shape[:2]
     with styled():
         figure = new_figure(0.9 + 1.9 * p)
         panels = figure.subplots(p, m + 1, squeeze=False, sharex=True)
@@ -274,7 +277,7 @@ def response_figure(fit: Fit, measured: FrequencyResponse) -> Figure:
                 _draw_spectrum(axes, measured.frequency_hz, measured.coherence[o], 0)
                 axes.set_ylim(-0.05, 1.05)
                 continue
-            gain, model_gain = np.abs(measured.response[o, k]), np.abs(said[:, o, k])
+            gain, model_gain = np.abs(measured.response[o, k]), np.abs(said.response[o, k])
             entries["measured"] = _draw_spectrum(axes, measured.frequency_hz, gain, 0)
             entries[KIND_NAMES[fit.kind]] = _draw_spectrum(axes, measured.frequency_hz, model_gain, 1)
             axes.set(yscale="log", ylabel="gain [µm/V]")
@@ -290,32 +293,3 @@ def _draw_spectrum(axes: Axes, frequency_hz: Array, values: Array, number: int) 
     x, y = thin_trace(frequency_hz, np.maximum(values, LEAST), 2 * LINES)
     (line,) = axes.plot(x, y, markevery=every, **style)
     return line
-
-
-def model_response(model: Candidate, fit: Fit, frequency_hz: Array) -> Complex:
-    """Linearised response (frequency, output, input) of a model with its sensor [um/V]."""
-    block = model.sensor.path(model.dynamics, fit.sample_time_s)
-    p = len(fit.outputs)
-    linear = block.response(frequency_hz)[:, block.n_outputs - p :]
-    return np.asarray(linear @ describing_gain(model, fit.amplitudes_v))
-
-
-def describing_gain(model: Candidate, amplitudes_v: Sequence[float]) -> Complex:
-    """Describing function (output, input) of the static block to a sine on one input at a time [um/V].
-
-        N(A) = (first harmonic of the settled response to A sin) / A
-
-    Its angle is the lag of the loop.
-
-    Source: Gelb and Vander Velde, Multiple-Input Describing Functions, 1968.
-    """
-    phase = 2.0 * np.pi * np.arange(PHASES) / PHASES
-    columns = []
-    for k, amplitude in enumerate(amplitudes_v):
-        u = np.zeros((len(amplitudes_v), PHASES))
-        u[k] = amplitude * np.sin(phase)
-        _, memory = model.hysteresis.respond(u)
-        v, _ = model.hysteresis.respond(u, memory)
-        harmonic = 2j / PHASES * (v @ np.exp(-1j * phase))
-        columns.append(harmonic / amplitude if amplitude else np.zeros(len(v)))
-    return np.asarray(np.stack(columns, axis=1))
