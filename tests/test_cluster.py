@@ -1,5 +1,6 @@
 """Work sent to a Dask scheduler: the same bits, whoever does it, and whoever dies."""
 
+import asyncio
 import json
 import os
 import re
@@ -9,7 +10,6 @@ import sys
 import threading
 import time
 import warnings
-from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
@@ -218,10 +218,18 @@ def test_a_lost_scheduler_is_told_and_what_was_finished_is_kept(folder, own_dask
     assert {path: path.stat().st_ino for path in kept} == times  # not written again
 
 
+class Forgotten:
+    """A future of Dask that nobody tells anything."""
+
+    def __await__(self):
+        return asyncio.sleep(3600.0).__await__()
+
+
 @pytest.mark.long
 def test_a_task_that_dask_forgets_when_the_scheduler_is_lost_is_told(own_dask, monkeypatch):
     with cluster.joined(own_dask.address) as crew:
-        monkeypatch.setattr(crew._inner, "submit", lambda *_: Future())  # as while the connection breaks
+        # as while the connection breaks
+        monkeypatch.setattr(crew._client, "submit", lambda *_, **__: Forgotten())
         waiting = crew.submit(os.getpid)
         own_dask.scheduler.kill()
         error = waiting.exception(60)

@@ -50,7 +50,7 @@ class Cluster(Executor):
     def __init__(self, client: Any, address: str) -> None:
         self.address = address
         self.workers = 0
-        self._client, self._inner = client, client.get_executor()
+        self._client = client
         self._expected = computes_with()
         self._closed, self._gone = threading.Event(), threading.Event()
         self._open: set[Future[Any]] = set()
@@ -68,10 +68,10 @@ class Cluster(Executor):
                 raise self._lost()
             self._open.add(future)
         try:
-            inner = self._inner.submit(_done, self._expected, task)
+            inner = self._client.submit(_done, self._expected, task, pure=False)
+            self._client.loop.add_callback(self._hand_over, future, inner)
         except Exception as error:  # closed since we looked
             raise self._lost() from error
-        inner.add_done_callback(partial(self._hand_over, future))
         future.add_done_callback(lambda outer: inner.cancel() if outer.cancelled() else None)
         return future
 
@@ -81,25 +81,33 @@ class Cluster(Executor):
         with contextlib.suppress(Exception):  # it may be lost
             self._client.close(timeout=CLOSING_S)
 
-    def _hand_over(self, future: Future[T], inner: Future[T]) -> None:
-        """What has become of a task, in our own words."""
-        from distributed import KilledWorker
+    async def _hand_over(self, future: Future[T], inner: Any) -> None:
+        """Tell what has become of a task.
 
-        if not self._taken(future):
-            return
+        Dask's own executor asks for the state after the result, when it may be lost again.
+        """
         try:
-            future.set_result(inner.result())
-        except CancelledError:
-            future.set_exception(self._lost())
-        except KilledWorker as error:
-            future.set_exception(
-                LostProcessError(
-                    f"{error.allowed_failures + 1} workers died with the same task. The system ends a "
-                    "process when the memory is full: give the workers more, or less at once"
-                )
-            )
+            result = await inner
         except BaseException as error:
-            future.set_exception(error)
+            if self._taken(future):
+                future.set_exception(self._told(error))
+        else:
+            if self._taken(future):
+                future.set_result(result)
+
+    def _told(self, error: BaseException) -> BaseException:
+        """An error of Dask in our own words; others as they are."""
+        from distributed import KilledWorker
+        from distributed.comm import CommClosedError
+
+        if isinstance(error, (CancelledError, asyncio.CancelledError, CommClosedError)):
+            return self._lost()
+        if isinstance(error, KilledWorker):
+            return LostProcessError(
+                f"{error.allowed_failures + 1} workers died with the same task. The system ends a process "
+                "when the memory is full: give the workers more, or less at once"
+            )
+        return error
 
     def _taken(self, future: Future[Any]) -> bool:
         """Whether it is for the caller to say what has become of a task: only once, and not if cancelled."""
