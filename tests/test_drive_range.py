@@ -235,7 +235,7 @@ def test_a_corner_gets_a_filter_with_a_number(tmp_path, capsys):
     axes = AxesDynamics(axes=(Axis(resonance_hz=100.0, damping_ratio=0.02),) * 2)
     model_of(axes).save(tmp_path / "stage.json")
     t = T * np.arange(8000)
-    triangle = 40.0 * np.abs((60.0 * t + 0.5) % 1.0 - 0.5)
+    triangle = 40.0 * np.abs((20.0 * t + 0.5) % 1.0 - 0.5)
     pd.DataFrame({"time_s": t, "x": triangle, "y": triangle}).to_csv(tmp_path / "path.csv", index=False)
     command = (tmp_path, "--start", "45,45")
     assert compensate(*command) == 3

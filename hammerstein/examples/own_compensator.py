@@ -19,7 +19,7 @@ class Scaled(hammerstein.Compensator):
     """The exact inverse of a model whose weights are all scaled: what does a wrong gain cost?"""
 
     law: Literal["scaled"] = "scaled"
-    factor: float = Field(default=1.05, ge=0.5, le=2.0)
+    factor: float = Field(default=1.05, ge=0.5, le=2.0, description="of all weights")
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Design the inverse of the scaled model."""
