@@ -176,7 +176,7 @@ def test_play_says_what_is_wrong(
     [
         ("stage.json", ["model", "u_x, u_y", "recorded"]),
         ("circle.toml", ["scenario", "How far", "hysteresis and dynamics", "20, 50, 100"]),
-        ("record_x.csv", ["4200", "u_x", "-10 to 10"]),
+        ("record_x.csv", ["6000", "u_x", "-10 to 10"]),
         ("stage_fit/fit.json", ["fit report", "record_x.csv"]),
         ("reports/circle/report.json", ["report", "How far"]),
         ("reports/baseline/circle.json", ["baseline", "rows"]),

@@ -26,7 +26,7 @@ Say = Callable[[str], None]
 
 STARTER = Path(__file__).parents[1] / "starter"
 SAMPLE_TIME_S, AMPLITUDE_V = 50e-6, 10.0
-SINE_SAMPLES, MULTISINE_SAMPLES = 1200, 3000
+SINE_HZ, SINE_SAMPLES, MULTISINE_SAMPLES = 20.0, 3000, 3000
 COLUMNS = ("u_x", "u_y"), ("x", "y")
 CI = ".github/workflows/hammerstein.yml"
 
@@ -158,7 +158,7 @@ def _write_record(room: Path, axis: int) -> Path:
     from hammerstein.model import HammersteinModel
     from hammerstein.signals import Multisine, Sine
 
-    sine = Sine(amplitude=AMPLITUDE_V, frequency_hz=50.0, axis=1)
+    sine = Sine(amplitude=AMPLITUDE_V, frequency_hz=SINE_HZ, axis=1)
     multisine = Multisine(amplitude=AMPLITUDE_V, lowest_hz=5.0, highest_hz=450.0)
     parts = [
         signal.sample(SAMPLE_TIME_S * np.arange(samples, dtype=np.float64), 1)[0]
@@ -190,12 +190,15 @@ def _write_path(place: Path) -> None:
 def _identify(files: list[Path], place: Path, say: Say) -> None:
     from hammerstein.identification.identify import identify
     from hammerstein.identification.settings import Settings
+    from hammerstein.model import HammersteinModel
     from hammerstein.records.reading import read_records
     from hammerstein.reporting.fit_folder import write_fit
 
     inputs, outputs = COLUMNS
     records = read_records(files, inputs=inputs, outputs=outputs, time="time_s")
-    model, fit = identify(records, Settings(dynamics="second_order"), name=place.stem, progress=say)
+    sensor = HammersteinModel.load(DEFAULT).instruments.sensor  # its bandwidth stands on a data sheet
+    settings = Settings(dynamics="second_order", sensor_bandwidth_hz=sensor.bandwidth_hz)
+    model, fit = identify(records, settings, name=place.stem, progress=say)
     say("drawing")
     write_fit(model, fit, place, place.parent / f"{place.stem}_fit")
 
