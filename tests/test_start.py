@@ -212,9 +212,11 @@ def test_show_counts_what_is_met(folder: Path, capsys: pytest.CaptureFixture[str
     ("name", "text", "told"),
     [
         ("no.json", "{", "is not JSON"),
+        ("no.npz", "no archive", "is no .npz file that can be read (it holds other things than numbers)"),
         ("digits.json", "9" * 5000, "is not JSON: Exceeds the limit (4300 digits)"),
         ("other.json", "{}", "is no model"),
         ("none.csv", None, "does not exist"),
+        ("none.npz", None, "does not exist"),
         ("report.html", "<p>1 2 3", "is a page to be read"),
         ("report.json", json.dumps(REPORT | {"rows": 3}), "rows  must be a list"),
         ("asked.json", json.dumps(REPORT | {"scenario": [1]}), "scenario  must be a table"),

@@ -84,7 +84,9 @@ def contents_of(path: Path) -> Contents:
         return _json(path)
     if path.suffix.lower() in SUFFIXES:
         from hammerstein.records.array_files import arrays_in
+        from hammerstein.records.readers import refuse_missing
 
+        refuse_missing(path)
         return Contents("arrays", tuple(arrays_in(path)))
     if path.suffix.lower() in PAGES:
         raise InputError(str(path), "is a page to be read; what it is made of stands in the .json beside it")

@@ -302,7 +302,8 @@ def settings_of(
             raise InputError("identification", [Mistake("thresholds", what)]) from None
     counts: dict[str, Any] = {}
     for name, word in (("operators", operators), ("creep_modes", creep_modes)):
-        if word != "auto" and not re.fullmatch(r"[0-9]{1,9}", word):
-            raise InputError("identification", [Mistake(name, f"{word!r} is neither a number nor auto")])
+        if word != "auto" and not re.fullmatch(r"-?[0-9]{1,9}", word):
+            what = f"must be a whole number or auto, not {word!r}"
+            raise InputError("identification", [Mistake(name, what)])
         counts[name] = "auto" if word == "auto" else int(word)
     return Settings(**counts, **options)

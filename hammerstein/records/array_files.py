@@ -140,6 +140,8 @@ def refuse_large(shape: Sequence[int]) -> None:
 def _reason(error: Exception) -> str:
     """What a library says of a damaged file, as far as a person can read it."""
     text = str(error).partition("\n")[0]
+    if re.search(r"pickle|Python objects|Object arrays", text):
+        return "it holds other things than numbers"
     return "its header is damaged" if " object at 0x" in text or not text else text[:200]
 
 

@@ -134,7 +134,9 @@ class Header:
 
     def listed(self) -> str:
         """Its columns with their numbers, for a message."""
-        return _known("", unique(self.names), len(self.units)) if self.units else "name them"
+        if not self.units:
+            return "`hammerstein show` lists what is in the file"
+        return _known("", unique(self.names), len(self.units))
 
 
 def named_time(path: str | Path) -> Columns | None:
