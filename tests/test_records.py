@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
+import scipy.io
 from record_cases import N, U, X, message, plays
 
+from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
 from hammerstein.records.driven import driven_inputs
+from hammerstein.records.loops import loop_table
 from hammerstein.records.reading import read_paired_records, read_records
 from hammerstein.records.record import Record
 
@@ -184,3 +189,53 @@ def test_a_cell_that_no_displacement_is_is_named_before_anything_is_summed():
     y[0, 7] = 1e300
     with pytest.raises(InputError, match=r"column x, row 8 +holds 1e\+300 um, which must be -1e9 to 1e9"):
         Record(u, y, 0.01, ["u"], ["x"])
+
+
+class TestPairsOnTheCommandLine:
+    """``--axes`` reads what ``read_paired_records`` reads, and its mistakes are those of options."""
+
+    @pytest.fixture
+    def pair(self, tmp_path):
+        scipy.io.savemat(tmp_path / "both.mat", {"u": np.outer(U, [1.0, 0.5]), "x": np.outer(X, [1.0, 0.5])})
+        np.save(tmp_path / "u.npy", np.outer(U, [1.0, 0.5]))
+        np.save(tmp_path / "x.npy", np.outer(X, [1.0, 0.5]))
+        return tmp_path
+
+    @staticmethod
+    def loops(*words):
+        with pytest.raises(SystemExit) as end:
+            main(["loops", "--json", "--no-figures", *map(str, words)])
+        return end.value.code
+
+    @pytest.mark.parametrize(
+        "names", [("u.npy", "x.npy"), ("both.mat", "both.mat", "--inputs", "u", "--outputs", "x")]
+    )
+    def test_every_experiment_is_a_record(self, pair, capsys, names):
+        files = [pair / name if "." in name else name for name in names]
+        assert self.loops(*files, "--axes", "sample,experiment", "--rate", "200") == 0
+        found = json.loads(capsys.readouterr().out)["loops"]
+        alone = [loop for record in self.records(pair) for loop in loop_table(record)]
+        assert [loop["height_um"] for loop in found] == [loop.height_um for loop in alone]
+        assert {loop["file"].rpartition(", ")[2] for loop in found} == {"experiment 1", "experiment 2"}
+
+    @staticmethod
+    def records(pair):
+        return read_paired_records(
+            pair / "u.npy", pair / "x.npy", axes=("sample", "experiment"), rate_hz=200.0
+        )
+
+    @pytest.mark.parametrize(
+        ("words", "told"),
+        [
+            (["x.npy", "u.npy", "--rate", "200"], "come in pairs, first voltages"),
+            (["x.npy"], "give --rate, not --time"),
+            (["x.npy", "--rate", "200", "--axes", "sample,chanel"], "--axes: are sample, chanel"),
+            (["x.npy", "--rate", "200", "--inputs", "w"], "there is no variable w"),
+            (["x.npy", "--rate", "200", "--output-scale", "0"], "--output-scale"),
+            (["none.npy", "--rate", "200"], "does not exist"),
+        ],
+    )
+    def test_mistakes(self, pair, capsys, monkeypatch, words, told):
+        monkeypatch.chdir(pair)
+        assert self.loops("u.npy", "--axes", "sample,experiment", *words) == 2
+        assert told in capsys.readouterr().err

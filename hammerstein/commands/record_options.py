@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -32,6 +32,14 @@ class RecordFiles:
     outputs: Annotated[
         str | None, typer.Option(metavar="COL[,COL]", help="Displacement columns; by units if not given.")
     ] = None
+    axes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME[,NAME]",
+            help="Files are pairs of arrays, voltages and displacements, with these axes: sample, channel, "
+            "experiment, period. --inputs and --outputs name variables then.",
+        ),
+    ] = None
     rate: Annotated[float | None, typer.Option(metavar="HZ", help="Samples a second.")] = None
     time: Annotated[
         str | None,
@@ -53,8 +61,11 @@ class RecordFiles:
         """Records of the files, or of those that are held back."""
         from hammerstein.records.reading import read_records
 
+        files = self.files if held is None else held
+        if self.axes is not None:
+            return tuple(record for pair in self._pairs(files) for record in self._of(*pair, all_driven))
         return read_records(
-            self.files if held is None else held,
+            files,
             inputs=_columns(self.inputs),
             outputs=_columns(self.outputs),
             rate_hz=self.rate,
@@ -63,6 +74,34 @@ class RecordFiles:
             output_scale=self.output_scale,
             all_driven=all_driven,
         )
+
+    def _pairs(self, files: Sequence[Path]) -> Iterator[tuple[Path, Path]]:
+        """Files with voltages and with displacements, in the order in which they were given."""
+        from hammerstein.errors import InputError
+
+        if len(files) % 2:
+            what = "files come in pairs, first voltages, then displacements; "
+            raise InputError("--axes", f"{what}{files[-1]} has no other")
+        return zip(files[::2], files[1::2], strict=True)
+
+    def _of(self, voltages: Path, displacements: Path, all_driven: bool) -> tuple[Record, ...]:
+        from hammerstein.commands.refusals import told_by_options
+        from hammerstein.errors import InputError
+        from hammerstein.records.reading import read_paired_records
+
+        if self.rate is None or self.time is not None:
+            raise InputError("--axes", "arrays in pairs have no column of time: give --rate, not --time")
+        with told_by_options("axes"):
+            return read_paired_records(
+                voltages,
+                displacements,
+                axes=_columns(self.axes) or (),
+                rate_hz=self.rate,
+                input_scale=1.0 if self.input_scale is None else self.input_scale,
+                output_scale=1.0 if self.output_scale is None else self.output_scale,
+                variables=(self.inputs, self.outputs),
+                all_driven=all_driven,
+            )
 
     def gains(self, records: Sequence[Record]) -> list[Gain]:
         """Gains of the records; a person is asked about those that no actuator has, a script is refused."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hammerstein.files import Content
 
-_ALONE = ("start", "range")
+_ALONE = ("start", "range", "axes")
 """Options whose own values make a message of their own."""
 _OPTIONS = {
     "sample_time_s": "sample-time",

@@ -204,6 +204,7 @@ def read_paired_records(
     input_scale: float = 1.0,
     output_scale: float = 1.0,
     variables: tuple[str | None, str | None] = (None, None),
+    all_driven: bool = True,
 ) -> tuple[Record, ...]:
     """Records whose voltages and displacements stand in two files of arrays, ``.npy``, ``.npz`` or ``.mat``.
 
@@ -219,6 +220,7 @@ def read_paired_records(
     rate_hz : samples a second [Hz]
     input_scale, output_scale : factors that turn the files' numbers into V and um
     variables : names of the two variables, where a file holds more than one
+    all_driven : whether every input must be driven in some record, as identification needs it
 
     Raises
     ------
@@ -249,6 +251,8 @@ def read_paired_records(
             failures.append(error)
     if failures:
         raise together(failures, "records")
+    if all_driven:
+        _refuse_never_driven(records)
     return tuple(records)
 
 
