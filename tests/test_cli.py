@@ -4,7 +4,9 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -53,6 +55,37 @@ def test_run_writes_a_report(folder, capsys):
     assert wanted <= set(table.columns)
     assert table["measured_axis"].tolist() == ["x", "y"]
     assert table["rms_um"].notna().all()
+
+
+CUT = """
+question = "What does a small range cut of a path from a file?"
+actuator = "duo_bimorph"
+instruments = { drive = { range_v = [-2, 2] } }
+[reference]
+kind = "file"
+path = "path.csv"
+[[compensators]]
+label = "fast"
+law = "hammerstein_inverse"
+model = "duo_bimorph"
+"""
+
+
+def test_the_table_counts_a_cut_sample_once_and_names_no_frequency_of_a_file(folder, capsys):
+    t = 50e-6 * np.arange(4000)
+    path = 7.0 * np.sin(2.0 * np.pi * 450.0 * t)
+    pd.DataFrame({"time_s": t, "x": path, "y": 0.8 * path}).to_csv(folder / "path.csv", index=False)
+    (folder / "cut.toml").write_text(CUT)
+    assert _call("run", "cut.toml", "--no-figures") == 0
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if " fast " in line)
+    table, report = pd.read_csv("reports/cut/rms.csv"), Path("reports/cut/report.md").read_text()
+    (samples,) = set(table["saturated_samples"])
+    assert len(table) == 2
+    assert samples > 0
+    assert line.split()[:2] == ["cut", "fast"]
+    assert line.split()[-1] == str(samples)
+    assert len(line.split()) == 6  # no frequency
+    assert f"fast, axis all: the drive's range cut {samples} samples" in report
 
 
 def test_two_runs_write_the_same_bytes(folder):

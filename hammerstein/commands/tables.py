@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -78,13 +79,13 @@ def plan_table(plans: Mapping[str, Plan], jobs: int) -> Table:
 
 
 def _figures(rows: Sequence[Row]) -> list[str]:
-    frequencies = sorted({row.frequency_hz for row in rows})
-    span = f"{frequencies[0]:g}" + (f" ... {frequencies[-1]:g}" if len(frequencies) > 1 else "")
-    cells = [span]
+    frequencies = sorted({row.frequency_hz for row in rows if row.frequency_hz})
+    cells = [" ... ".join(f"{f:g}" for f in dict.fromkeys([*frequencies[:1], *frequencies[-1:]]))]
     for name in ("rms_um", "max_um", "max_true_um"):
         values = [value for row in rows if (value := getattr(row, name)) is not None]
         cells.append(f"{max(values):.3f}" if values else "")
-    return [*cells, str(sum(int(row.saturated_samples or 0) for row in rows))]
+    cut = {replace(row, measured_axis="").place: int(row.saturated_samples or 0) for row in rows}
+    return [*cells, str(sum(cut.values()))]
 
 
 def actuator_table(models: Iterable[HammersteinModel]) -> Table:

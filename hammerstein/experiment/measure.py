@@ -198,7 +198,7 @@ def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
         return []
     reading, true, row = max(lagging, key=lambda found: found[0] - found[1])
     return [
-        f"The sensor of {bandwidth:g} Hz lags: with {row.compensator!r} at {row.frequency_hz:g} Hz its "
+        f"The sensor of {bandwidth:g} Hz lags: with {row.compensator!r}{row.at} its "
         f"reading on {row.measured_axis} is {reading:.3g} um rms off the reference, the true position "
         f"{true:.3g} um. "
         "A compensator is to be judged by the true position."
@@ -296,9 +296,7 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     statements += _sensor_lag(setup, [row for result in results for row in result.rows])
     for result in results:
         row = result.rows[0]
-        where = (
-            f"{row.compensator or setup.plant.model.name} at {row.frequency_hz:g} Hz, axis {row.excited_axis}"
-        )
+        where = f"{row.compensator or setup.plant.model.name}{row.at}, axis {row.excited_axis}"
         if result.unsettled:
             statements.append(f"{where}: the loop has not settled; {result.unsettled}.")
         if cut := row.saturated_samples:

@@ -194,7 +194,7 @@ def _rows_in(results: Iterable[Result]) -> tuple[Row, ...]:
     for row in rows:
         if figure := row.not_finite():
             raise SimulationError(
-                f"{figure} of {row.measured_axis} is {getattr(row, figure)} at {row.frequency_hz:g} Hz with "
+                f"{figure} of {row.measured_axis} is {getattr(row, figure)}{row.at} with "
                 f"{row.compensator or 'this drive'}: nothing follows. Use another amplitude or frequency"
             )
     return rows

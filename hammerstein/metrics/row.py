@@ -31,6 +31,11 @@ class Keyed:
         """The same without the names."""
         return tuple(self.key().values())
 
+    @property
+    def at(self) -> str:
+        """Frequency in words, such as `` at 50 Hz``; nothing of a signal that has none."""
+        return f" at {self.frequency_hz:g} Hz" if self.frequency_hz else ""
+
 
 KEY = tuple(field.name for field in fields(Keyed))
 """Names of what tells one row from the others."""

@@ -22,8 +22,8 @@ CAPTIONS = {
     "loops": "One cycle of each input, measured and by the model (dark, broken). Of an input that only moves "
     "together with others, what the model says of the others is taken off what was measured.",
     "residual": "What each kind of model leaves: over time, and the largest amplitude in bands of frequency.",
-    "operators": "Error on parts of the records that were held out, against the number of operators. The "
-    "grey bar marks this model.",
+    "operators": "Lines: error on parts of the records that were held out, against the number of operators, "
+    "with thresholds that are not fitted. The grey bar and the stars are this model.",
     "response": "Gain of each pair: of the records, and of what the model makes of their voltages, by the "
     "same estimate; and the part of each output's power that the inputs explain linearly.",
 }
