@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import chirp, cont2discrete, lfilter
 
 from hammerstein.records.outliers import Outliers, without_outliers
 
@@ -75,3 +75,27 @@ def test_the_highest_peaks_of_a_multisine_are_none():
     assert not found.lost_y.any()
     u[0, 9000] += 40.0  # and a spike that the actuator never saw is one
     assert np.flatnonzero(without_outliers(u, y).lost_u[0]).tolist() == [9000]
+
+
+def ringing(samples=60_000, rate_hz=10_000.0):
+    """Voltage and output of a stage at 620 Hz with little damping: a slow sine, then a sweep across it."""
+    t = np.arange(samples) / rate_hz
+    u = np.where(t < 5.0, 50.0 * np.sin(2.0 * np.pi * t), 6.0 * chirp(t - 5.0, 20.0, 1.0, 1000.0))
+    w, damping = 2.0 * np.pi * 620.0, 0.02
+    b, a, _ = cont2discrete(([w * w], [1.0, 2.0 * damping * w, w * w]), 1.0 / rate_hz)
+    return u[None], 0.2 * lfilter(b.ravel(), a, u)[None] + 0.004 * np.random.default_rng(1).standard_normal(
+        (1, samples)
+    )
+
+
+def test_a_resonance_that_is_swept_across_is_none():
+    """Its steps are large beside those of the slow sine, but like those around them."""
+    u, y = ringing()
+    assert np.abs(y[0, 50_000:]).max() > 1.5 * np.abs(y[0, :50_000]).max()
+    assert not without_outliers(u, y).lost_y.any()
+
+
+def test_a_spike_beside_such_a_resonance_is_one():
+    u, y = ringing()
+    y[0, [12_345, 40_001]] += 60.0
+    assert np.flatnonzero(without_outliers(u, y).lost_y[0]).tolist() == [12_345, 40_001]

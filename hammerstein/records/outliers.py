@@ -28,6 +28,8 @@ FAR = 0.5
 JUMP = 4.0
 SMALLEST = 0.02
 """A jump is suspected from this many times the usual large step on, and from this part of the range."""
+NEAR = 16
+"""Steps on each side, than whose median a jump is so many times larger, too."""
 LONGEST = 0.005
 """Longest excursion away and back that is suspected, in parts of the record."""
 APART = 3.0
@@ -186,12 +188,16 @@ def _suspects(x: Array) -> Flags:
     """Samples that leave the range of the others, or jump away and back."""
     low, high = np.quantile(x, [USUAL, 1.0 - USUAL])
     span = float(high - low)
-    suspects = (x > high + FAR * span) | (x < low - FAR * span) if span > 0.0 else np.zeros(len(x), bool)
-    suspects |= _placeholder(x)
+    suspects = _placeholder(x)
     steps = np.diff(x)
     size = np.abs(steps)
+    far = (x > high + FAR * span) | (x < low - FAR * span) if span > 0.0 else suspects
+    for start, stop in runs(far):
+        if _stand_out(size, np.array([start - 1, stop])).any():
+            suspects[start : stop + 1] = True
     usual = np.quantile(size, 1.0 - 2.0 * USUAL)
     jumps = np.flatnonzero(size > max(JUMP * usual, SMALLEST * span))
+    jumps = jumps[_stand_out(size, jumps)]
     if 0 < jumps.size <= 4.0 * MOST * len(x) + 4:
         longest = max(LONGEST * len(x), 3.0)
         for a, b in pairwise(jumps):
@@ -199,6 +205,18 @@ def _suspects(x: Array) -> Flags:
             if away_and_back and abs(x[b + 1] - x[a]) < 0.5 * min(size[a], size[b]):
                 suspects[a + 1 : b + 1] = True
     return suspects
+
+
+def _stand_out(size: Array, places: Indices) -> Flags:
+    """Whether steps are large among those near them: those of a resonance, however large, are alike.
+
+    size : (step,) of all steps; places : (place,) of those asked for; there are none before and behind
+    """
+    there = (places >= 0) & (places < len(size))
+    around = np.pad(size, NEAR, constant_values=np.nan)[places[there, None] + np.arange(2 * NEAR + 1)]
+    large = np.zeros(len(places), dtype=bool)
+    large[there] = size[places[there]] > JUMP * np.nanmedian(around, axis=1)
+    return large
 
 
 def _placeholder(x: Array) -> Flags:
