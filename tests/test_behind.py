@@ -1,5 +1,6 @@
 """Lag, resonance, creep and delay found together with hysteresis of any kind."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -21,10 +22,13 @@ from hammerstein.hysteresis import (
     RatePlays,
 )
 from hammerstein.identification.identify import identify
+from hammerstein.identification.kinds import several_rates
+from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.rate_dependent import fit_rate_dependent
 from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.verdict import axis_statements
 from hammerstein.records.record import Record
 
 T = 1e-4
@@ -215,3 +219,64 @@ def test_the_delay_of_the_micromanipulator_is_chosen_from_its_records(micromanip
     assert fit.validation["static_hysteresis"].nrmse_percent[0] <= 0.65
     assert fit.delay_samples in (2, 3)
     assert fit.invertible
+
+
+def slow_then_fast(parts):
+    """Sines one after the other: amplitude [V], frequency [Hz], cycles."""
+    return np.concatenate(
+        [a * np.sin(2.0 * np.pi * f * T * np.arange(round(n / f / T))) for a, f, n in parts]
+    )
+
+
+@pytest.mark.parametrize(
+    ("u", "several"),
+    [
+        (slow_then_fast([(10.0, 5.0, 5)]), False),
+        (slow_then_fast([(10.0, 5.0, 3), (5.0, 5.0, 3), (2.0, 5.0, 3)]), False),
+        (slow_then_fast([(10.0, 5.0, 3), (2.0, 200.0, 20)]), True),
+        (slow_then_fast([(10.0, 5.0, 3), (0.2, 200.0, 20)]), False),  # too small to be told by
+        (
+            np.interp(
+                np.arange(900),
+                [0, 100, 300, 500, 700, 750, 800, 850, 900],
+                np.array([0, 1, -1, 1, -1, -0.5, -1, -0.5, -1]),
+            ),
+            False,
+        ),  # of one speed
+    ],
+)
+def test_rates_are_several_in_one_record_too(u, several):
+    assert several_rates([Record([u], [u], T)]) == several
+
+
+@cache
+def hardly_creeping(creep_modes):
+    """A record whose slow sine and fast one tell a low-pass, and creep of 0.2 % not quite."""
+    t = 1e-3 * np.arange(12_000)
+    u = np.where(t < 10.0, 8.0 - 8.0 * np.cos(np.pi * t), 3.2 * np.sin(80.0 * np.pi * t))[None]
+    axis = Axis(lag_s=2e-3, creep=(CreepMode(gain=0.002, time_constant_s=3.0),))
+    y = discretise(AxesDynamics(axes=(axis,)), 1e-3).respond(static_um("bouc_wen", u))[0]
+    record = Record(u, y + 0.005 * np.random.default_rng(1).standard_normal(y.shape), 1e-3)
+    kept = {"thresholds_v": R, "dynamics": "lag", "error_curve": False, "start": "rest", "dead_zones": 3}
+    return identify([record], Settings(hysteresis="asymmetric", creep_modes=creep_modes, **kept))
+
+
+def test_creep_that_is_asked_for_stays_and_is_said_to_be_unsure():
+    """With plays it always did; behind other kinds it was left out without a word."""
+    [free], [asked] = (hardly_creeping(modes)[0].dynamics.axes for modes in ("auto", 1))
+    assert free.creep == ()
+    assert len(asked.creep) == 1
+    assert any("creep of y1 over" in text for text in hardly_creeping(1)[1].not_identifiable)
+
+
+def test_creep_that_is_left_out_although_it_explains_much_is_told():
+    axis = Axis(lag_s=1e-3)
+    slow = axis.model_copy(update={"creep": (CreepMode(gain=0.07, time_constant_s=1.8),)})
+    larger = AxisFit(slow, None, None, (0.05,), rms_um=0.03, static_rms_um=1.0, lag_error_percent=1.0)
+    fit = AxisFit(axis, None, None, (), rms_um=0.07, static_rms_um=1.0, lag_error_percent=1.0, unsure=larger)
+    [text] = [text for text in axis_statements(["x"], [fit]) if "creep" in text]
+    assert "a slow mode over 1.8 s would leave 0.03 um in place of 0.07 um" in text
+    assert "(0.07 +- 0.05)" in text
+    assert text.endswith("--creep-modes 1")
+    hardly = replace(fit, unsure=replace(larger, rms_um=0.068))
+    assert not any("creep" in text for text in axis_statements(["x"], [hardly]))

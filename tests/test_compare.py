@@ -232,7 +232,7 @@ def test_the_command_writes_pages_figure_and_numbers(
     [
         (("--validate", "a.csv"), "among the records that are fitted"),
         (("--dynamics", "quick"), "--dynamics"),
-        (("--operators", "many"), "neither a number nor auto"),
+        (("--operators", "many"), "must be a whole number or auto"),
         (("--out", "a.csv"), "a.csv"),
     ],
 )

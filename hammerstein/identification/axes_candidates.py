@@ -243,7 +243,8 @@ def _with_lag_and_creep(
     for step in steps:
         task.progress(f"trying a {'low-pass' if step == 'lag' else 'creep mode'} beside it")
         found = tuple(_with(task, grids, blocks, o, fit, step) for o, fit in enumerate(axes))
-        if all(new is old for new, old in zip(found, axes, strict=True)):
+        if all(new.axis is old.axis for new, old in zip(found, axes, strict=True)):
+            axes = found
             continue
         trial = static_blocks(task, thresholds_of(blocks), dynamics_of(found), settings.solver)
         trial = replace(trial, fitted=blocks.fitted)
@@ -275,8 +276,9 @@ def _with(task: Task, grids: tuple[Array, ...], blocks: Blocks, o: int, old: Axi
     if point.rms > (1.0 - FELT) * rms_behind(quick, x):
         return old
     fit = fit_axis(replace(full, shape=larger), point.x)
-    told = axis_identified(fit) and (step == "lag" or creep_identified(fit, task.records))
-    return fit if told else old
+    if axis_identified(fit) and (step == "lag" or creep_identified(fit, task.records)):
+        return fit
+    return replace(old, unsure=fit) if step == "creep" else old
 
 
 def _with_fewer_if_needed(

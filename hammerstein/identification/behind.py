@@ -140,13 +140,18 @@ def sure_behind(task: Task, hysteresis: Hysteresis[Any], found: Behind) -> Behin
         task.progress(f"fitting what stands between the hysteresis and {task.records[0].outputs[o]}")
         [one] = _axis_tasks(late, hysteresis, o, (len(hysteresis.weights[o]),))
         one = replace(one, shape=shape)
-        fits.append(_sure(one, found.fits[o] if found.fits else fit_axis(one, x)))
+        fit = found.fits[o] if found.fits else fit_axis(one, x)
+        fits.append(_sure(one, fit, asked=task.settings.creep_modes != "auto"))
     return Behind(tuple(fit.axis for fit in fits), found.delay_samples, tuple(fits))
 
 
-def _sure(one: AxisTask, fit: AxisFit) -> AxisFit:
-    """The axis without slow modes and a resonance that the records do not tell, one after the other."""
-    while fit.axis.creep and not (creep_identified(fit, one.records) and _physical(fit.axis)):
+def _sure(one: AxisTask, fit: AxisFit, asked: bool) -> AxisFit:
+    """The axis without slow modes and a resonance that the records do not tell, one after the other.
+
+    asked : whether a number of slow modes was asked for; they stay, told or not
+    """
+    whole = fit
+    while fit.axis.creep and not ((asked or creep_identified(fit, one.records)) and _physical(fit.axis)):
         shape, x = parameters_of(fit.axis)
         sizes = zip(fit.axis.creep, fit.creep_gain_errors, strict=True)
         least = int(np.argmin([abs(mode.gain) / max(error, TINY) for mode, error in sizes]))
@@ -156,7 +161,7 @@ def _sure(one: AxisTask, fit: AxisFit) -> AxisFit:
     if fit.axis.resonance_hz is not None and not axis_identified(fit):
         shape, x = parameters_of(fit.axis)
         fit = fit_axis(replace(one, shape=replace(shape, resonance=False)), x[2:])
-    return fit
+    return fit if fit is whole or not _physical(whole.axis) else replace(fit, unsure=whole)
 
 
 def _physical(axis: Axis) -> bool:
@@ -217,7 +222,8 @@ def _forward_selection(task: Task, one: AxisTask, quick: AxisTask, begin: Axis) 
     settings, name = task.settings, task.records[0].outputs[one.output]
     may = {"lag": ("lag",), "second_order": ("resonance",), "auto": ("lag", "resonance")}
     fast = may.get(settings.dynamics, ())
-    most = MOST_CREEP if settings.creep_modes == "auto" else int(settings.creep_modes)
+    asks = settings.creep_modes != "auto"
+    most = int(settings.creep_modes) if asks else MOST_CREEP
     shape, x = parameters_of(begin)
     here = refine(replace(one, shape=shape), x, SEARCHED) if shape.parameters else None
     x, error = (here.x, here.rms) if here else (x, rms_behind(replace(one, shape=shape), x))
@@ -231,11 +237,15 @@ def _forward_selection(task: Task, one: AxisTask, quick: AxisTask, begin: Axis) 
         trials = [trial for trial in tried if trial is not None and _physical(axis_of(trial[0], trial[1].x))]
         if not trials:
             return shape, x
-        larger, found = min(trials, key=lambda trial: trial[1].rms)
-        point = refine(replace(one, shape=larger), found.x, SEARCHED)
-        if point.rms > (1.0 - FELT) * error or not _physical(axis_of(larger, point.x)):
+        best = min(trials, key=lambda trial: trial[1].rms)
+        asked = [trial for trial in trials if asks and trial[0].creep_modes > shape.creep_modes]
+        for (larger, found), most_rms in ((best, (1.0 - FELT) * error), *((t, math.inf) for t in asked)):
+            point = refine(replace(one, shape=larger), found.x, SEARCHED)
+            if point.rms <= most_rms and _physical(axis_of(larger, point.x)):
+                shape, x, error = larger, point.x, point.rms
+                break
+        else:
             return shape, x
-        shape, x, error = larger, point.x, point.rms
 
 
 def _with_both(one: AxisTask, shape: AxisShape, x: Array) -> tuple[AxisShape, Point] | None:

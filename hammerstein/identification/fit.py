@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from hammerstein.blocks.voltages import Voltages
@@ -135,13 +135,19 @@ class Fit(Pictured):
             "fit": {kind: asdict(score) for kind, score in self.fit.items()},
             "validation": {kind: asdict(score) for kind, score in self.validation.items()},
             "starts": [asdict(start) for start in self.starts],
-            "axes": [asdict(axis) | {"axis": axis.axis.model_dump(mode="json")} for axis in self.axes],
+            "axes": [_plain(axis) for axis in self.axes],
             "trials": [
                 {"name": t.name, "parameters": t.parameters, "percent": finite(t.percent), "kept": t.kept}
                 for t in self.trials
             ],
             "error_curve": [asdict(point) for point in self.error_curve],
         }
+
+
+def _plain(axis: AxisFit) -> dict[str, Any]:
+    found = asdict(replace(axis, unsure=None)) | {"axis": axis.axis.model_dump(mode="json")}
+    del found["unsure"]  # only words are made of it
+    return found
 
 
 def finite(value: float) -> float | None:

@@ -33,6 +33,7 @@ from hammerstein.identification.task import Built, Found, Task
 from hammerstein.identification.together import fitted_together
 from hammerstein.identification.verdict import drive_hz, invertibility_of
 from hammerstein.records.record import Record
+from hammerstein.records.turning_points import turning_points
 
 Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
 
@@ -41,6 +42,8 @@ MOST_TURNS = 4
 """Most times that block and axes are fitted in turn; each must lower the error by half a percent."""
 DELAY_TURN = 1
 """Turn in which the delay is found: behind a block that was found in front of axes."""
+SWING, SWINGS = 0.05, 2
+"""Smallest swing that counts, in parts of the whole, and how many short and long ones are looked at."""
 BEGINNING = 20_000
 """Samples of all records together that tell how they began."""
 
@@ -139,7 +142,24 @@ def _free_delay(task: Task) -> bool:
 def several_rates(records: Sequence[Record]) -> bool:
     """Whether records are driven so fast and so slowly that they tell a lag from hysteresis."""
     rates = [drive_hz(record) for record in records]
-    return max(rates) > TWO_RATES * min(rates)
+    within = (_fast_and_slow(u) for record in records for u in record.u_v if np.ptp(u) > 0.0)
+    return max(rates) > TWO_RATES * min(rates) or any(within)
+
+
+def _fast_and_slow(u: Array) -> bool:
+    """Whether one voltage has swings that are both shorter and faster than others of it.
+
+    At one speed a lag looks like a play, at one frequency like hysteresis.
+    """
+    points = turning_points(u, SWING * float(np.ptp(u)))
+    samples, volts = np.diff(points)[1:-1], np.abs(np.diff(u[points]))[1:-1]  # the ends are parts of swings
+    if len(samples) < 2 * SWINGS:
+        return False
+    order = np.argsort(samples, kind="stable")
+    short, long = order[:SWINGS], order[-SWINGS:]
+    times = samples[long].mean() / samples[short].mean()
+    speeds = (volts / samples)[short].mean() / (volts / samples)[long].mean()
+    return bool(min(times, speeds) > TWO_RATES)
 
 
 def trials_of(task: Task, tried: Sequence[Whole], held: Sequence[Record]) -> list[Trial]:

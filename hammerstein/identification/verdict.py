@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -211,7 +211,21 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str
                     f"creep of {name} over {mode.time_constant_s:.3g} s: {mode.gain:.2g} +- {error:.2g}; "
                     "record for several times as long"
                 )
+        found += _unsure_creep(name, fit)
     return found
+
+
+def _unsure_creep(name: str, fit: AxisFit) -> Iterator[str]:
+    """Slow modes that were left out although they lower the error."""
+    larger = fit.unsure
+    if larger is None or not larger.axis.creep or larger.rms_um > (1.0 - IMPROVED) * fit.rms_um:
+        return
+    mode, error = larger.axis.creep[-1], larger.creep_gain_errors[-1]
+    yield (
+        f"creep of {name}: a slow mode over {mode.time_constant_s:.3g} s would leave {larger.rms_um:.3g} um "
+        f"in place of {fit.rms_um:.3g} um, but its size is not told ({mode.gain:.2g} +- {error:.2g}); record "
+        f"a step that is held for minutes, or keep it with --creep-modes {len(larger.axis.creep)}"
+    )
 
 
 def _how_much_better(fit: AxisFit) -> str:

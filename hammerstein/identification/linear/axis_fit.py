@@ -42,6 +42,7 @@ class AxisFit:
     static_rms_um : the same without dynamics [um]
     lag_error_percent : standard error of the time constant, in percent of it; None without a lag
     excited : whether the resonance shows in the records: the model has more power near it than it leaves
+    unsure : the same with slow modes that were left out, as the records do not tell their size
     """
 
     axis: Axis
@@ -52,6 +53,7 @@ class AxisFit:
     static_rms_um: float
     lag_error_percent: float | None = None
     excited: bool = True
+    unsure: AxisFit | None = None
 
 
 def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
