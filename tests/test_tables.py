@@ -50,6 +50,27 @@ def test_a_path_in_another_unit_gives_the_same_voltages(tmp_path, names, per_um)
     assert np.allclose(found, wanted, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("name", "per_s"), [("time_s", 1.0), ("t [ms]", 1e3), ("Time (us)", 1e6), ("t", 1.0), ("Zeit", 1.0)]
+)
+def test_time_is_read_in_its_unit(tmp_path, name, per_s):
+    seconds = np.array([0.0, 1e-3, 2.5e-3])
+    place = tmp_path / "path.csv"
+    pd.DataFrame({"x": [1.0, 2.0, 3.0], name: per_s * seconds}).to_csv(place, index=False)
+    times, values, names = read_signal(place)
+    assert times == pytest.approx(seconds)
+    assert values.tolist() == [[1.0, 2.0, 3.0]]
+    assert names == ["x"]
+
+
+@pytest.mark.parametrize("names", [("x", "y"), ("t", "time [s]", "x")])
+def test_a_table_without_one_column_of_time_is_refused(tmp_path, names):
+    place = tmp_path / "path.csv"
+    pd.DataFrame(np.eye(3)[:, : len(names)], columns=list(names)).to_csv(place, index=False)
+    with pytest.raises(InputError, match="needs a header with a column time_s"):
+        read_signal(place)
+
+
 @pytest.mark.parametrize("names", [("y", "x"), ("y_um", "x_um"), ("reference_y_um", "reference_x_um")])
 def test_columns_go_to_the_axes_that_they_are_named_after(tmp_path, names):
     x, y = path_um()

@@ -23,9 +23,10 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.records.array_files import SUFFIXES, array_columns, refuse_large, whole_array
 from hammerstein.records.checks import gap_mistakes, where
 from hammerstein.records.text_files import find_layout, read_text
+from hammerstein.signals.tables import OF_TIME
 from hammerstein.signals.units import Kind, Unit, unit_in, without_unit
 
-TIME_NAMES = ("time", "t", "zeit", "x-axis")
+TIME_NAMES = (*OF_TIME, "x-axis")
 """Names of a time column, without their unit and in any case."""
 ARRAY_TIME_NAMES = ("time", "t", "Time", "time_s", "t_s")
 

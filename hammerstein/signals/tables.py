@@ -21,12 +21,14 @@ from hammerstein.signals.units import BASE, Kind, Unit, axis_name, unit_in
 if TYPE_CHECKING:
     import pandas as pd
 
+OF_TIME = ("time", "t", "zeit")
+"""Names of a column of time, without its unit."""
 SHOWN = 80
 """Characters of a line that a message shows."""
 
 
 def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
-    """Read a CSV file with a column ``time_s`` and one column an axis.
+    """Read a CSV file with a column of time, such as ``time_s`` or ``t [ms]``, and one column an axis.
 
     Returns times (row,) [s], values (axis, row) in V and um by the units in the names of their columns, and
     these names. InputError names the row and column that are wrong.
@@ -35,12 +37,13 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
 
     text = read_limited(path, what="CSV file")
     frame = _table(text, path)
-    if "time_s" not in frame.columns or frame.shape[1] < 2:
-        named = ",".join(map(str, frame.columns))
+    names = [str(name) for name in frame.columns]
+    time = _time_in(names)
+    if time is None or len(names) < 2:
         raise InputError(
             str(path),
-            "needs a header with a column time_s and one column for each axis, separated by commas; "
-            f"its first line is {named[:SHOWN]!r}",
+            "needs a header with a column time_s (or t [ms], say) and one column for each axis, separated "
+            f"by commas; its first line is {','.join(names)[:SHOWN]!r}",
         )
     lines = enumerate(text.splitlines(), start=1)
     rows = [number for number, line in lines if line.strip() and not line.lstrip().startswith("#")][1:]
@@ -51,16 +54,27 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
         value = frame.iloc[row, column]
         what = "is no number" if str(value) == "nan" else f"{value!s} is not a finite number within 1e9"
         raise InputError(str(path), f"row {rows[row]}, column {frame.columns[column]}: {what}")
-    times = frame["time_s"].to_numpy(dtype=float)
+    times = _factor(time) * frame[time].to_numpy(dtype=float)
     if len(times) < 2:
         raise InputError(str(path), "has a single row; a signal needs at least two")
     late = np.nonzero(np.diff(times) <= 0)[0]
     if len(late):
-        raise InputError(str(path), f"row {rows[int(late[0]) + 1]}: time_s does not increase")
-    axes = frame.drop(columns="time_s")
-    names = [str(name) for name in axes.columns]
+        raise InputError(str(path), f"row {rows[int(late[0]) + 1]}: {time} does not increase")
+    names.remove(time)
     factors = [unit.factor if (unit := _unit(name)) else 1.0 for name in names]
-    return times, np.array(factors)[:, None] * axes.to_numpy(dtype=float).T, names
+    return times, np.array(factors)[:, None] * frame[names].to_numpy(dtype=float).T, names
+
+
+def _time_in(names: Sequence[str]) -> str | None:
+    """Column of time, if there is one."""
+    found = ["time_s"] if "time_s" in names else [name for name in names if _plain(name) in OF_TIME]
+    return found[0] if len(found) == 1 else None
+
+
+def _factor(time: str) -> float:
+    """Factor to seconds; a column of time without a unit is in seconds."""
+    unit = unit_in(time)
+    return unit.factor if unit is not None and unit.kind == "time" else 1.0
 
 
 def chosen(path: str | Path, names: Sequence[str], axes: Sequence[str], kind: Kind, word: str) -> list[int]:
