@@ -99,3 +99,15 @@ def test_a_spike_beside_such_a_resonance_is_one():
     u, y = ringing()
     y[0, [12_345, 40_001]] += 60.0
     assert np.flatnonzero(without_outliers(u, y).lost_y[0]).tolist() == [12_345, 40_001]
+
+
+@pytest.mark.parametrize("width", [30, 60])
+def test_a_smooth_excursion_far_away_is_one(width):
+    """A filter behind the fault has rounded it; it does not swing back."""
+    y = 5.0 * U
+    y[0, 1200 : 1200 + width] += 300.0 * np.hanning(width)
+    found = without_outliers(U, y)
+    lost = np.flatnonzero(found.lost_y[0])
+    assert lost.min() > 1200
+    assert lost.max() < 1200 + width
+    assert np.abs(found.y - 5.0 * U).max() < 120.0

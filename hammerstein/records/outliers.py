@@ -193,7 +193,7 @@ def _suspects(x: Array) -> Flags:
     size = np.abs(steps)
     far = (x > high + FAR * span) | (x < low - FAR * span) if span > 0.0 else suspects
     for start, stop in runs(far):
-        if _stand_out(size, np.array([start - 1, stop])).any():
+        if _stand_out(size, np.array([start - 1, stop])).any() or not _swings_back(x, start, stop):
             suspects[start : stop + 1] = True
     usual = np.quantile(size, 1.0 - 2.0 * USUAL)
     jumps = np.flatnonzero(size > max(JUMP * usual, SMALLEST * span))
@@ -217,6 +217,14 @@ def _stand_out(size: Array, places: Indices) -> Flags:
     large = np.zeros(len(places), dtype=bool)
     large[there] = size[places[there]] > JUMP * np.nanmedian(around, axis=1)
     return large
+
+
+def _swings_back(x: Array, start: int, stop: int) -> bool:
+    """Whether an excursion has one to the other side beside it, half as far or farther, as ringing has."""
+    reach = 4 * (stop - start + 1) + NEAR
+    around = x[max(start - reach, 0) : stop + 1 + reach]
+    off = around - np.median(around)
+    return bool(min(off.max(), -off.min()) >= 0.5 * np.abs(off).max())
 
 
 def _placeholder(x: Array) -> Flags:
