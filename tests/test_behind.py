@@ -21,9 +21,12 @@ from hammerstein.hysteresis import (
     RateDependent,
     RatePlays,
 )
+from hammerstein.identification.behind import _sure
 from hammerstein.identification.identify import identify
 from hammerstein.identification.kinds import several_rates
-from hammerstein.identification.linear.axis_fit import AxisFit
+from hammerstein.identification.known_sensor import KnownSensor
+from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
+from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.rate_dependent import fit_rate_dependent
@@ -280,3 +283,17 @@ def test_creep_that_is_left_out_although_it_explains_much_is_told():
     assert text.endswith("--creep-modes 1")
     hardly = replace(fit, unsure=replace(larger, rms_um=0.068))
     assert not any("creep" in text for text in axis_statements(["x"], [hardly]))
+
+
+def test_a_resonance_that_is_left_out_says_nothing_of_creep():
+    """The slow mode that is kept beside it was told once as left out."""
+    slow = CreepMode(gain=0.05, time_constant_s=0.15)
+    t = T * np.arange(10_000)
+    u = 8.0 * np.sin(2.0 * np.pi * 10.0 * t)[None]
+    y = discretise(AxesDynamics(axes=(Axis(creep=(slow,)),)), T).respond(static_um("asymmetric", u))[0]
+    record = Record(u, y + 0.005 * np.random.default_rng(1).standard_normal(y.shape), T)
+    task = AxisTask((record,), (Start("rest"),), (R,), 0, AxisShape(creep_modes=1), 0.0, KnownSensor())
+    x = np.array([np.log(2.0 * np.pi * 3000.0), np.log(0.5), 0.05, np.log(0.15)])
+    fit = _sure(task, fit_axis(task, x), asked=False)
+    assert fit.axis.resonance_hz is None
+    assert fit.unsure is None

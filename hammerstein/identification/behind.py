@@ -160,7 +160,7 @@ def _sure(one: AxisTask, fit: AxisFit, asked: bool) -> AxisFit:
         fit = fit_axis(one, np.delete(x, [at, at + 1]))
     if fit.axis.resonance_hz is not None and not axis_identified(fit):
         shape, x = parameters_of(fit.axis)
-        fit = fit_axis(replace(one, shape=replace(shape, resonance=False)), x[2:])
+        return fit_axis(replace(one, shape=replace(shape, resonance=False)), x[2:])
     return fit if fit is whole or not _physical(whole.axis) else replace(fit, unsure=whole)
 
 

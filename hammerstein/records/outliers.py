@@ -192,8 +192,10 @@ def _suspects(x: Array) -> Flags:
     steps = np.diff(x)
     size = np.abs(steps)
     far = (x > high + FAR * span) | (x < low - FAR * span) if span > 0.0 else suspects
-    for start, stop in runs(far):
-        if _stand_out(size, np.array([start - 1, stop])).any() or not _swings_back(x, start, stop):
+    starts, stops = runs(far).T
+    sharp = _stand_out(size, starts - 1) | _stand_out(size, stops)  # the step into each, or out of it
+    for start, stop, is_sharp in zip(starts.tolist(), stops.tolist(), sharp, strict=True):
+        if is_sharp or not _swings_back(x, start, stop):
             suspects[start : stop + 1] = True
     usual = np.quantile(size, 1.0 - 2.0 * USUAL)
     jumps = np.flatnonzero(size > max(JUMP * usual, SMALLEST * span))
