@@ -32,9 +32,7 @@ RANGE_V, SAMPLE_TIME_S, SAMPLES = 10.0, 50e-6, 800
 
 def compile_when_needed(say: Callable[[str], None]) -> None:
     """Tell a person, before the first loop is compiled; each is compiled when it is needed."""
-    told_before_compiling(
-        lambda: say(f"compiling time loops that are needed for the first time, up to {TAKES}")
-    )
+    told_before_compiling(lambda: say(SAID))
 
 
 def compile_all(say: Callable[[str], None]) -> None:

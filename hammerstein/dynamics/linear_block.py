@@ -115,10 +115,7 @@ class LinearBlock(ByValue):
 
         The largest entry of |G(z) G(1)^-1 - 1| at z = exp(j 2 pi f T), of a block on a grid.
         """
-        turns = np.asarray(frequency_hz, dtype=np.float64) * self.sample_time_s
-        z = np.exp(2j * np.pi * np.concatenate([[0.0], turns]))
-        states = np.linalg.solve(z[:, None, None] * np.eye(len(self.A)) - self.A, self.B.astype(complex))
-        gain = self.C @ states + self.D
+        gain = self.response(np.concatenate([[0.0], np.atleast_1d(frequency_hz)]))
         return np.asarray(np.abs(gain[1:] @ np.linalg.inv(gain[0]) - np.eye(len(gain[0]))).max(axis=(1, 2)))
 
     def rest(self) -> Array:

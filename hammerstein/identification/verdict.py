@@ -218,7 +218,7 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str
 def _unsure_creep(name: str, fit: AxisFit) -> Iterator[str]:
     """Slow modes that were left out although they lower the error."""
     larger = fit.unsure
-    if larger is None or not larger.axis.creep or larger.rms_um > (1.0 - IMPROVED) * fit.rms_um:
+    if larger is None or larger.rms_um > (1.0 - IMPROVED) * fit.rms_um:
         return
     mode, error = larger.axis.creep[-1], larger.creep_gain_errors[-1]
     yield (
