@@ -198,3 +198,30 @@ def test_who_waits_for_a_signal_imports_nothing(monkeypatch):
         waits.join(10.0)
     assert left == ["told", leaving.INTERRUPTED]
     assert [name for thread, name in asked if thread == "waits"] == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="no other system enforces a limit on addresses")
+def test_a_limit_below_what_the_libraries_need_is_told_before_they_load(tmp_path):
+    """Under 500 MB OpenBLAS spins in its loader, deaf to SIGTERM."""
+    import resource
+
+    def limited():
+        resource.setrlimit(resource.RLIMIT_AS, (500_000_000, 500_000_000))
+
+    command = [
+        sys.executable,
+        "-X",
+        "importtime",
+        "-m",
+        "hammerstein",
+        "compensate",
+        "duo_bimorph",
+        "path.csv",
+    ]
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=tmp_path, preexec_fn=limited, timeout=60
+    )
+    assert done.returncode == 3
+    assert "memory is limited to 500 MB (ulimit -v)" in done.stderr
+    assert " numpy" not in done.stderr
+    assert "Traceback" not in done.stderr

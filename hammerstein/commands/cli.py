@@ -20,6 +20,7 @@ from hammerstein.commands import (
     terminal,
 )
 from hammerstein.commands.record_options import AsJson
+from hammerstein.commands.smallest_memory import refuse_small_limit
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.runtime.leaving import (
     INTERRUPTED,
@@ -92,6 +93,7 @@ def _before(
 ) -> None:
     """What stands before a command."""
     terminal.hush(quiet and context.invoked_subcommand not in PRINTED)
+    refuse_small_limit()
 
 
 def _register() -> None:
