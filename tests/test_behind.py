@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import theory
+from block_fits import fit_kind
 from record_cases import plain
 from stack_cases import CREEP, DAMPING, LAG_S, RATE_HZ, RESONANCE_HZ, record_um
 from test_measured import loops, micromanipulator, needs_dbo, needs_ja  # noqa: F401
@@ -29,7 +30,6 @@ from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.rate_dependent import fit_rate_dependent
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.verdict import axis_statements
 from hammerstein.records.record import Record
@@ -118,9 +118,10 @@ def test_growth_suits_the_weights_that_it_will_have():
     def left(growth=1.0, bandwidth=1.0, lag=1.0):
         plays = block.inputs[0]
         near = RatePlays(R, growth * plays.growth_s, bandwidth * plays.bandwidth_hz)
-        behind = AxesDynamics(axes=(Axis(lag_s=lag * axis.lag_s),))
+        behind = (Axis(lag_s=lag * axis.lag_s),)
         like = RateDependent((near,), block.weights_um_per_v)
-        return fit_rate_dependent(records, [R], through=[discretise(behind, T)] * 2, like=like).rms_um[0]
+        known = {"grids": [R], "axes": behind, "like": like, "refined": False}
+        return fit_kind("rate_dependent", records, **known).rms_um[0]
 
     least = left()
     for name in ("growth", "bandwidth", "lag"):

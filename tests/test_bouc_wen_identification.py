@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import theory
+from block_fits import fit_kind
 from typer.testing import CliRunner
 
 import hammerstein
@@ -17,7 +18,6 @@ from hammerstein.hysteresis import BoucWen
 from hammerstein.hysteresis.bouc_wen_kernels import FEW, LONGEST, lagging
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.bouc_wen import fit_bouc_wen
 from hammerstein.records.record import Record
 
 T = 50e-6
@@ -50,7 +50,7 @@ def numbers(block):
 
 
 def test_all_numbers_of_two_axes_are_found_again():
-    fit = fit_bouc_wen(records_of(2000))
+    fit = fit_kind("bouc_wen", records_of(2000))
     for ours, true, near in zip(
         numbers(fit.hysteresis), (D, A, BETA, GAMMA), (1e-3, 5e-3, 3e-3, 5e-3), strict=True
     ):
@@ -60,7 +60,7 @@ def test_all_numbers_of_two_axes_are_found_again():
 
 
 def test_noise_moves_the_slopes_by_what_their_standard_errors_say():
-    fit = fit_bouc_wen(records_of(2000, 0.04))
+    fit = fit_kind("bouc_wen", records_of(2000, 0.04))
     assert fit.rms_um == pytest.approx([0.04, 0.04], rel=0.03)
     d, a, *_ = numbers(fit.hysteresis)
     assert np.abs(d - D).max() < 0.05
@@ -76,7 +76,7 @@ def test_through_a_resonance_and_a_delay_the_same_numbers():
         Record(r.u_v, np.hstack([r.y_um[:, :1]] * 3 + [r.y_um[:, :-3]]), T)
         for r in records_of(2000, through=path)
     ]
-    fit = fit_bouc_wen(late, delay_samples=3, through=[path] * 3)
+    fit = fit_kind("bouc_wen", late, delay_samples=3, axes=axes.axes)
     np.testing.assert_allclose(numbers(fit.hysteresis)[1], A, atol=0.02)
 
 
@@ -87,14 +87,14 @@ def test_a_repeated_record_needs_no_rest():
     u = 10.0 * np.stack([cycle])
     y = theory.bouc_wen(u, [[14.0]], [[4.0]], [[0.25]], [[0.1]])[:, 800:]
     record = Record(u[:, 800:], y, T)
-    fit = fit_bouc_wen([record], starts=[Start("repeated")])
+    fit = fit_kind("bouc_wen", [record], starts=[Start("repeated")])
     assert fit.rms_um[0] < 5e-3
 
 
 def test_slopes_of_a_direct_pair_are_held_where_there_were_no_inverse():
     u = voltages(3000)[0][:1]
     y = theory.bouc_wen(u, [[5.0]], [[4.0]], [[0.25]], [[0.1]])  # falls right after a turn
-    free, bound = (fit_bouc_wen([Record(u, y, T)], invertible=which) for which in (False, True))
+    free, bound = (fit_kind("bouc_wen", [Record(u, y, T)], invertible=which) for which in (False, True))
     low, held = (min(fit.hysteresis.pairs[0][0].slopes_um_per_v) for fit in (free, bound))
     assert low < 0.0 < held
     assert bound.held == ((0, 0),)
@@ -105,7 +105,7 @@ def test_of_two_axes_the_slopes_of_one_are_held_and_the_other_is_as_it_was():
     steep = np.array([[9.0, -0.3], [0.2, 3.0]])
     d = np.array([[5.0, 0.6], [-0.5, 12.0]])
     records = [Record(u, theory.bouc_wen(u, d, steep, BETA, GAMMA), T) for u in voltages(1000)]
-    free, bound = (fit_bouc_wen(records, invertible=which) for which in (False, True))
+    free, bound = (fit_kind("bouc_wen", records, invertible=which) for which in (False, True))
     assert bound.held == ((0, 0),)
     low, held = (min(fit.hysteresis.pairs[0][0].slopes_um_per_v) for fit in (free, bound))
     assert low < 0.0 < held
@@ -115,7 +115,7 @@ def test_of_two_axes_the_slopes_of_one_are_held_and_the_other_is_as_it_was():
 def test_an_input_that_never_moves_is_refused():
     u = voltages(500)[0]
     with pytest.raises(IdentificationError, match="never moves"):
-        fit_bouc_wen([Record(u, u, T)])
+        fit_kind("bouc_wen", [Record(u, u, T)])
 
 
 def test_identify_finds_it_and_shows_plays_beside_it():
@@ -173,9 +173,9 @@ def test_a_scenario_identifies_it_through_drive_and_sensor(tmp_path):
 @pytest.mark.long
 def test_100_000_samples_of_two_axes_take_less_than_a_minute():
     records = records_of(33_334, 0.04)
-    fit_bouc_wen(records_of(500))  # compiled
+    fit_kind("bouc_wen", records_of(500))  # compiled
     begun = time.perf_counter()
-    fit_bouc_wen(records)
+    fit_kind("bouc_wen", records)
     assert time.perf_counter() - begun < 60.0
 
 

@@ -14,10 +14,10 @@ import theory
 
 import hammerstein
 from hammerstein.commands.cli import main
-from hammerstein.comparison.fitting import KINDS
 from hammerstein.comparison.inverting import SETTLING, best_other
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import IdentificationError
+from hammerstein.identification.choices import identifiable_kinds
 from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
@@ -49,7 +49,7 @@ def found() -> hammerstein.Comparison:
 
 def test_every_kind_has_its_place(found: hammerstein.Comparison) -> None:
     hysteresis = {entry.hysteresis for entry in found.entries} | {one.hysteresis for one in found.failed}
-    assert hysteresis == {"none", *KINDS}
+    assert hysteresis == {"none", *identifiable_kinds()}
     assert [entry.parameters for entry in found.entries] == sorted(e.parameters for e in found.entries)
     assert found["linear gain"].parameters == 1
     assert found["prandtl_ishlinskii"].parameters == 2 * len(R)

@@ -7,15 +7,22 @@ import control
 import numpy as np
 import pytest
 from pydantic import Field
+from typer.testing import CliRunner
 
 import hammerstein
 from hammerstein import plugins
 from hammerstein.blocks import Law, Memory
 from hammerstein.blocks.driving import DriveRange
+from hammerstein.commands.cli import app
+from hammerstein.comparison.compare import compare
 from hammerstein.compensators import COMPENSATORS
 from hammerstein.compensators.drive_file import Terms, compensate
 from hammerstein.hysteresis import HYSTERESIS, slopes_of
+from hammerstein.hysteresis.identifiable import Identifiable, Limits
 from hammerstein.hysteresis.kind import SWEEP_SAMPLES
+from hammerstein.identification.identify import identify
+from hammerstein.identification.settings import Settings
+from hammerstein.records.record import Record
 from hammerstein.reporting.html.run_page import run_page
 from hammerstein.reporting.page import render
 from hammerstein.scenario.assessment import ASSESSMENTS, Assessment, Judgement
@@ -224,13 +231,14 @@ class Lag(Memory):
 
 
 @dataclass(frozen=True, eq=False)
-class Follower(hammerstein.Hysteresis):
+class Follower(hammerstein.Hysteresis, Identifiable):
     """Follows each voltage with a gain, and lags behind it by a share of the last step: a kind with memory.
 
-    With a lag of zero it is linear, so that theory knows all that follows.
+    With a lag of zero it is linear, so that theory knows all that follows. Its lag is a free number.
     """
 
     kind = "follower"
+    n_beside_weights = 1
     gains: tuple[float, ...]
     lag: float
     weight_covariance = None
@@ -241,6 +249,18 @@ class Follower(hammerstein.Hysteresis):
         lambda self: tuple(tuple(int(o == k) for k in range(self.n_inputs)) for o in range(self.n_outputs))
     )
     weights = property(lambda self: tuple(np.array([g]) for g in self.gains))
+
+    free = property(lambda self: np.array([self.lag]))
+
+    @classmethod
+    def first_guesses(cls, driven):
+        return [cls((1.0,) * driven.outputs, 0.1)]
+
+    def at(self, free):
+        return replace(self, lag=float(free[0]))
+
+    def limits(self, driven):
+        return Limits(np.array([0.0]), np.array([0.9]))
 
     def describe(self):
         return f"follows {self.n_inputs} inputs"
@@ -264,6 +284,7 @@ class FollowerFile(hammerstein.HysteresisFile):
     """Its form in a model file."""
 
     kind: Literal["follower"] = "follower"
+    describes: ClassVar = Follower
     gains: tuple[float, ...]
     lag: float = Field(default=0.0, ge=0.0, lt=1.0)
 
@@ -290,6 +311,39 @@ def test_a_hysteresis_of_another_package_is_saved_and_loaded(follower):
     assert again.hysteresis.gains == (5.0, 4.0)
     other = replace(model, hysteresis=Follower((5.0, 4.0), 0.5))
     assert other.digest() != model.digest()
+
+
+def followed_records(tmp_path):
+    """Records of the follower, one input at a time, as arrays and in files."""
+    u = 5.0 * np.sin(np.arange(600) / 15.0) * np.linspace(1.0, 0.4, 600)
+    found = []
+    for k in range(2):
+        both = np.zeros((2, 600))
+        both[k] = u
+        y = Follower((5.0, 4.0), 0.25)._respond(both, Lag(np.zeros(2)))[0]
+        noisy = y + 0.01 * np.random.default_rng(k).standard_normal(y.shape)
+        found.append(Record(both, noisy, 1e-3, ("u_x", "u_y"), ("x", "y"), f"{k}.csv"))
+        rows = "\n".join(",".join(f"{v:.9g}" for v in row) for row in np.vstack([both, noisy]).T)
+        (tmp_path / f"{k}.csv").write_text(f"u_x,u_y,x,y\n{rows}\n")
+    return found
+
+
+def test_a_kind_of_another_package_is_identified_by_its_name(follower, tmp_path, monkeypatch):
+    """In Python, on the command line, and beside the others in a comparison."""
+    records = followed_records(tmp_path)
+    kept = {"dynamics": "none", "delay_samples": 0, "error_curve": False, "operators": 4}
+    model, fit = identify(records, Settings(hysteresis="follower", **kept))
+    assert model.hysteresis.lag == pytest.approx(0.25, abs=0.005)
+    np.testing.assert_allclose(model.hysteresis.gains, (5.0, 4.0), rtol=1e-3)
+    assert fit.fit["static_hysteresis"].rms_um == pytest.approx((0.01, 0.01), rel=0.1)
+    monkeypatch.chdir(tmp_path)
+    words = ["identify", "0.csv", "1.csv", "--rate", "1000", "--inputs", "u_x,u_y", "--outputs", "x,y"]
+    words += ["--hysteresis", "follower", "--dynamics", "none", "--delay-samples", "0", "--no-figures"]
+    done = CliRunner().invoke(app, [*words, "--out", "m.json"])
+    assert done.exit_code in (0, 4), done.output  # flagged or not, it is no internal error
+    assert hammerstein.HammersteinModel.load("m.json").hysteresis.lag == pytest.approx(0.25, abs=0.005)
+    found = compare(records, Settings(**kept))
+    assert found["follower"].judged.mean_percent < 0.2
 
 
 def test_what_any_hysteresis_has_is_worked_out_where_a_kind_does_not_say(follower):

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import theory
+from block_fits import fit_kind
 from likeness import assert_alike
 
 from hammerstein.compensators.exact.inverse import ExactInverse
@@ -13,7 +14,6 @@ from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import RateDependent, RatePlays
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.rate_dependent import fit_rate_dependent
 from hammerstein.identification.static.regressors import Start
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
@@ -44,7 +44,7 @@ def records_of(block, u, noise_um=0.0, seed=1):
 def test_growth_bandwidth_and_weights_are_found_again():
     w = np.array([4.0, 0.5, 0.7, 0.9])
     block = RateDependent((RatePlays(R, [0.0, 3e-4, 3e-4, 3e-4], 400.0),), ((w,),)).on_grid(T)
-    fit = fit_rate_dependent(records_of(block, sines((10.0, 60.0, 200.0), (1, 2, 4))), [R])
+    fit = fit_kind("rate_dependent", records_of(block, sines((10.0, 60.0, 200.0), (1, 2, 4))), grids=[R])
     [plays] = fit.hysteresis.inputs
     assert plays.growth_s[-1] == pytest.approx(3e-4, rel=1e-3)
     assert plays.bandwidth_hz == pytest.approx(400.0, rel=1e-3)
@@ -59,15 +59,15 @@ def test_a_record_that_begins_after_a_turn_needs_no_rest():
     after = 2.0 + 0.8 * sines((20.0, 200.0), (2, 4))
     y = block.respond([np.append(before, after)])[0][:, len(before) :]
     record = Record([after], y, T)
-    fit = fit_rate_dependent([record], [R], starts=[Start("turned", 0, ((0.0, 9.0),))])
+    fit = fit_kind("rate_dependent", [record], grids=[R], starts=[Start("turned", 0, ((0.0, 9.0),))])
     assert fit.rms_um[0] < 0.01
-    assert fit_rate_dependent([record], [R]).rms_um[0] > 10.0 * fit.rms_um[0]
+    assert fit_kind("rate_dependent", [record], grids=[R]).rms_um[0] > 10.0 * fit.rms_um[0]
 
 
 def test_one_rate_cannot_tell_growth():
     block = RateDependent((RatePlays(R, [0.0, 3e-4, 3e-4, 3e-4], 400.0),), ((np.ones(4),),)).on_grid(T)
     with pytest.raises(IdentificationError, match="driven at one rate"):
-        fit_rate_dependent(records_of(block, sines((50.0,), (6,))), [R])
+        fit_kind("rate_dependent", records_of(block, sines((50.0,), (6,))), grids=[R])
 
 
 @cache

@@ -8,16 +8,15 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import get_args
 
 import numpy as np
 
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.errors import HammersteinError
-from hammerstein.identification.choices import HysteresisKind
+from hammerstein.identification.choices import PLAYS, identifiable_kinds
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.identify import identify
-from hammerstein.identification.kinds import several_rates
+from hammerstein.identification.rates import several_rates
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
@@ -29,8 +28,6 @@ from hammerstein.runtime.workers import Processes
 Progress = Callable[[str, int, int], None]
 """Told what is being done, how many identifications are done, and of how many."""
 
-PLAYS: HysteresisKind = "prandtl_ishlinskii"
-KINDS: tuple[HysteresisKind, ...] = get_args(HysteresisKind)
 WARM_SAMPLES = 400
 LINEAR = "none"
 WITH_DYNAMICS = " with dynamics"
@@ -81,7 +78,7 @@ class _Asked:
     """One identification: what its model is called, its kind of hysteresis, the settings beside that."""
 
     name: str
-    hysteresis: HysteresisKind
+    hysteresis: str
     settings: Settings
 
 
@@ -116,7 +113,7 @@ def fit_all(
     ------
     HammersteinError : of the identification with plays, where no kind can be fitted
     """
-    others = [kind for kind in KINDS if kind != PLAYS]
+    others = [kind for kind in identifiable_kinds() if kind != PLAYS]
     static = replace(settings, dynamics="none", order=None, creep_modes=0)
     first = [_Asked(PLAYS, PLAYS, settings), *(_Asked(kind, kind, static) for kind in others)]
     total = len(first) + len(others) * (settings.dynamics != "none")
@@ -208,7 +205,7 @@ def _identified(records: tuple[Record, ...], validation: tuple[Record, ...], ask
 
 
 @cache
-def _use_once(kind: HysteresisKind) -> None:
+def _use_once(kind: str) -> None:
     """Load and compile what a kind needs, which is no part of the time that its identification takes."""
     turn = np.linspace(0.0, 6.0, WARM_SAMPLES) ** 2
     u = np.sin(turn) * np.linspace(1.0, 0.6, WARM_SAMPLES)

@@ -16,11 +16,15 @@ from hammerstein.blocks import Memory
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.bank import PlayState
 from hammerstein.hysteresis.covariance import refuse_other_sizes
+from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
 from hammerstein.hysteresis.pair import Pair, WeightCovariance, played, weighted_mistakes
 from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, PartFile, covariances
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hammerstein.quantities import Offset, Weight, WeightError
+
+FIRST_ZONES = 3
+"""Dead-zones of an input that a fit begins with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +131,7 @@ class AsymmetricState(Memory):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Asymmetric(Hysteresis[AsymmetricState]):
+class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
     """Plays and one-sided dead-zones side by side, of m inputs and p outputs.
 
         v_l = sum over inputs j of ( sum_i w_lji play(u_j; r_lji) + sum_q v_ljq D_q(play(u_j; r_j)) )
@@ -292,6 +296,33 @@ class Asymmetric(Hysteresis[AsymmetricState]):
         plays = PrandtlIshlinskii(tuple(tuple(row) for row in rows))
         return Asymmetric(plays, tuple(tuple(row) for row in zones), self.working_point_v)
 
+    @classmethod
+    def first_guesses(cls, driven: Driven) -> list[Asymmetric]:
+        """Plays with a smallest threshold of 0, and few dead-zones in the range; see ``Identifiable``."""
+        shares = np.arange(1, FIRST_ZONES + 1) / (FIRST_ZONES + 1)
+        ends = zip(driven.low_v, driven.high_v, strict=True)
+        points = [low + (high - low) * shares if high > low else np.empty(0) for low, high in ends]
+        grids = [np.append(0.0, r[r > 0.0]) for r in driven.thresholds_v]
+        plays = PrandtlIshlinskii(((*(Pair(r, np.ones(len(r))) for r in grids),),) * driven.outputs)
+        zones = ((*(DeadZones(q, np.zeros(len(q))) for q in points),),) * driven.outputs
+        return [cls(plays, zones, driven.working_point_v)]
+
+    def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds:
+        """S_j >= t and D_m >= c - t for some t >= c: then every slope S_j + D_m is c or more."""
+        n = len(self.plays.pairs[output][input_].thresholds_v)
+        counts = self.operators[output]
+        size, first = sum(counts), sum(counts[:input_])
+        basis, side, bound = np.eye(size, size + 1), np.zeros(size + 1), np.zeros(size + 1)
+        for part, way in ((slice(first, first + n), 1.0), (slice(first + n, first + counts[input_]), -1.0)):
+            width = part.stop - part.start
+            basis[part, part] -= np.eye(width, k=-1)  # weights are differences of slopes
+            if width:
+                basis[part.start, size] = way
+            side[part] = np.sign(least)
+            bound[part] = 0.0 if way > 0.0 else least
+        side[size], bound[size] = np.sign(least), least
+        return Bounds(basis, side, bound)
+
     def file(self) -> AsymmetricFile:
         """Give its form in a model file; the working point stands there once, with the voltages."""
         parts = {"pairs": self.plays.pairs, "dead_zones": self.zones}
@@ -314,6 +345,7 @@ class AsymmetricFile(HysteresisFile):
     """Plays and one-sided dead-zones side by side: both of every pair (output, input)."""
 
     kind: Literal["asymmetric"] = "asymmetric"
+    describes: ClassVar = Asymmetric
     pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
     dead_zones: Annotated[tuple[tuple[DeadZonesFile, ...], ...], Field(min_length=1)]
     weight_covariance: tuple[CovarianceFile, ...] | None = None

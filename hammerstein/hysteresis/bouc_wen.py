@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,12 +15,18 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, frozen
 from hammerstein.blocks import Memory
-from hammerstein.errors import InputError, Mistake
+from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.covariance import refuse_other_sizes
+from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import WeightCovariance
 from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, covariances
 from hammerstein.quantities import PerVolt, Weight
+
+FIRST_RATES, FIRST_SHARES = (0.5, 2.0, 8.0), (0.35, 1.0, 2.5)
+"""Rate beta + gamma to begin a fit with, in parts of one over half the swing, and the share of beta in it."""
+RATES, SHARES = (1e-2, 1e3), (1e-3, 1e3)
+"""Least and largest of both: beyond, the loop is a line, or it bends within a thousandth of the swing."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +123,7 @@ class BoucWenState(Memory):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BoucWen(Hysteresis[BoucWenState]):
+class BoucWen(Hysteresis[BoucWenState], Identifiable):
     """Bouc-Wen hysteresis of m inputs and p outputs, superposed, exponent 1.
 
         v_l = sum over inputs k of  d_lk u_k - a_lk z_lk
@@ -263,6 +270,75 @@ class BoucWen(Hysteresis[BoucWenState]):
         ]
         return BoucWen(tuple(map(tuple, rows)))
 
+    @classmethod
+    def first_guesses(cls, driven: Driven) -> list[BoucWen]:
+        """Blocks whose pairs all bend alike in parts of the swing; see ``Identifiable``."""
+        if not driven.half_swing_v.all():
+            name = driven.inputs[int(np.argmin(driven.half_swing_v))]
+            raise IdentificationError(f"input {name} never moves: no record tells what it does")
+        found = []
+        for rate, share in itertools.product(FIRST_RATES, FIRST_SHARES):
+            load = rate / driven.half_swing_v
+            row = tuple(BoucWenPair(1.0, 1.0, share * c, (1.0 - share) * c) for c in load.tolist())
+            found.append(cls((row,) * driven.outputs))
+        return found
+
+    @property
+    def free(self) -> Array:
+        """Logarithms of beta + gamma [1/V] and of the share of beta in it, pair after pair."""
+        pairs = [(pair.load_per_v, pair.beta_per_v) for row in self.pairs for pair in row]
+        return np.array([x for load, beta in pairs for x in (math.log(load), math.log(beta / load))])
+
+    def at(self, free: Array) -> BoucWen:
+        """Give the same d and a with other beta and gamma."""
+        numbers = iter(np.exp(free.reshape(-1, 2)).tolist())
+
+        def bent(pair: BoucWenPair) -> BoucWenPair:
+            load, share = next(numbers)
+            return replace(pair, beta_per_v=share * load, gamma_per_v=(1.0 - share) * load)
+
+        return BoucWen(tuple(tuple(bent(pair) for pair in row) for row in self.pairs))
+
+    def limits(self, driven: Driven) -> Limits:
+        """What the swing can show of the bends."""
+        each = np.log([[RATES[0], SHARES[0]], [RATES[1], SHARES[1]]])
+        scale = np.stack([np.log(driven.half_swing_v), np.zeros(self.n_inputs)], axis=1).ravel()
+        lower, upper = (np.tile(end, self.n_inputs) - scale for end in each)
+        return Limits(np.tile(lower, self.n_outputs), np.tile(upper, self.n_outputs))
+
+    def columns(self, u_v: Array, before_v: Array, output: int, passes: int = 1) -> tuple[Array, Array]:
+        """Voltage and -z of each input; see ``Identifiable``."""
+        from hammerstein.hysteresis.bouc_wen_kernels import lagging
+
+        values, held = np.empty((2 * self.n_inputs, u_v.shape[1])), np.empty(2 * self.n_inputs)
+        for k, pair in enumerate(self.pairs[output]):
+            rates, u, turns = (pair.load_per_v, pair.unload_per_v), u_v[k], before_v[k].copy()
+            z, last = np.empty(u.shape), float(turns[-1])
+            end = lagging(turns, *rates, 0.0, turns[0], np.empty(turns.shape))
+            held[2 * k : 2 * k + 2] = last, -end
+            for _ in range(passes):
+                end, last = lagging(np.ascontiguousarray(u), *rates, end, last, z), float(u[-1])
+            values[2 * k], values[2 * k + 1] = u, -z
+        return values, held
+
+    def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds:
+        """Both ends of the slopes of the pair stay beyond the least one."""
+        size, own = 2 * self.n_inputs, slice(2 * input_, 2 * input_ + 2)
+        pair = self.pairs[output][input_]
+        steepest = max(1.0, 2.0 * pair.beta_per_v / pair.load_per_v)
+        basis, side, bound = np.eye(size), np.zeros(size), np.zeros(size)
+        basis[own, own] = [[1.0, 0.0], [1.0 / steepest, -1.0 / steepest]]  # of d and d - steepest a
+        side[own], bound[own] = np.sign(least), least
+        return Bounds(basis, side, bound)
+
+    def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
+        """Give beta and gamma of every pair."""
+        return [
+            f"from {name} to {output}: beta {pair.beta_per_v:.3g}, gamma {pair.gamma_per_v:.3g} 1/V"
+            for output, row in zip(outputs, self.pairs, strict=True)
+            for name, pair in zip(inputs, row, strict=True)
+        ]
+
     def file(self) -> BoucWenFile:
         """Give its form in a model file."""
         return BoucWenFile.model_validate(self)
@@ -285,6 +361,7 @@ class BoucWenFile(HysteresisFile):
     """The Bouc-Wen model: four numbers of every pair (output, input)."""
 
     kind: Literal["bouc_wen"] = "bouc_wen"
+    describes: ClassVar = BoucWen
     pairs: Annotated[tuple[tuple[BoucWenPairFile, ...], ...], Field(min_length=1)]
     weight_covariance: tuple[CovarianceFile, ...] | None = None
 

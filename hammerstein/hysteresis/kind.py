@@ -217,9 +217,9 @@ class Hysteresis(ByValue, ABC, Generic[S]):
         return tuple(np.linalg.norm(known.factor_um_per_v, axis=1) for known in self.weight_covariance)
 
     @property
+    @abstractmethod
     def n_beside_weights(self) -> int:
         """How many free numbers it has beside its weights: thresholds, breakpoints, growth."""
-        return 0
 
     @property
     def n_shared_errors(self) -> int:
@@ -281,6 +281,9 @@ class HysteresisFile(Strict, ABC):
     """One kind of hysteresis in a model file, chosen by its ``kind``; also made of the hysteresis itself."""
 
     model_config = ConfigDict(from_attributes=True)
+
+    describes: ClassVar[type[Hysteresis[Any]] | None] = None
+    """The class that it is the file of; needed where that is ``Identifiable``."""
 
     if TYPE_CHECKING:  # a field of every kind
         kind: str

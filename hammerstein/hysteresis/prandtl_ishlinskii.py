@@ -15,16 +15,21 @@ from hammerstein.arrays import Array, frozen
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.covariance import ThresholdCovariance, refuse_other_sizes
+from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, Normals, refuse_not_finite
-from hammerstein.hysteresis.pair import Pair, WeightCovariance, played
+from hammerstein.hysteresis.pair import Pair, WeightCovariance, play, played
 from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, ThresholdCovarianceFile, covariances
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
 
 
+LEAST_ENGAGED = 1e-3
+"""Part of the half swing that a threshold must leave, so that its play moves."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class PrandtlIshlinskii(Hysteresis[PlayState]):
+class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
     """Rate-independent hysteresis of m inputs and p outputs: every output responds to every input.
 
         v_l[k] = sum over inputs j and operators i of  w_lji  play(u_j; r_lji)[k]      (paper, eq. 4)
@@ -204,6 +209,54 @@ class PrandtlIshlinskii(Hysteresis[PlayState]):
         """Weights of each output, pair after pair in the order of the inputs [um/V]."""
         return tuple(np.concatenate([pair.weights_um_per_v for pair in row]) for row in self.pairs)
 
+    @classmethod
+    def first_guesses(cls, driven: Driven) -> list[PrandtlIshlinskii]:
+        """Plays with the thresholds that suit the records; see ``Identifiable``."""
+        row = tuple(Pair(r, np.ones(len(r))) for r in driven.thresholds_v)
+        return [cls((row,) * driven.outputs)]
+
+    @property
+    def free(self) -> Array:
+        """Thresholds of each input that the outputs share [V]."""
+        return np.concatenate([self.bank.r[k, :n] for k, n in enumerate(self.bank.n)])
+
+    def at(self, free: Array) -> PrandtlIshlinskii:
+        """Give the same weights with other thresholds, which all outputs share."""
+        ends = np.cumsum(self.bank.n)[:-1]
+        grids = [np.sort(part) for part in np.split(free, ends)]
+        rows = (
+            tuple(Pair(r, pair.weights_um_per_v) for r, pair in zip(grids, row, strict=True))
+            for row in self.pairs
+        )
+        return PrandtlIshlinskii(tuple(rows))
+
+    def limits(self, driven: Driven) -> Limits:
+        """From 0 to what the swing engages."""
+        tops = np.repeat((1.0 - LEAST_ENGAGED) * driven.half_swing_v, self.bank.n)
+        return Limits(np.zeros(len(tops)), tops)
+
+    def columns(self, u_v: Array, before_v: Array, output: int, passes: int = 1) -> tuple[Array, Array]:
+        """Outputs of the plays; see ``Identifiable``."""
+        values, held = [], []
+        for pair, u, path in zip(self.pairs[output], u_v, before_v, strict=True):
+            stood = last = played(path, pair.thresholds_v)
+            outputs = np.empty((len(stood), len(u)))
+            for _ in range(passes):
+                outputs = play(u, pair.thresholds_v, last)
+                last = outputs[:, -1]
+            values.append(outputs)
+            held.append(stood)
+        return np.vstack(values), np.concatenate(held)
+
+    def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds:
+        """Every slope, a partial sum of the weights, stays beyond the least one."""
+        counts = self.operators[output]
+        own = slice(sum(counts[:input_]), sum(counts[: input_ + 1]))
+        basis, side, bound = np.eye(sum(counts)), np.zeros(sum(counts)), np.zeros(sum(counts))
+        basis[own, own] -= np.eye(counts[input_], k=-1)
+        side[own], bound[own] = np.sign(least), least
+        return Bounds(basis, side, bound)
+
     def with_weights(self, weights: Sequence[ArrayLike]) -> PrandtlIshlinskii:
         """Give the same thresholds with other weights."""
         rows = []
@@ -286,6 +339,7 @@ class PrandtlIshlinskiiFile(HysteresisFile):
     """Classical Prandtl-Ishlinskii hysteresis: pairs (output, input), and what is known of their errors."""
 
     kind: Literal["prandtl_ishlinskii"] = "prandtl_ishlinskii"
+    describes: ClassVar = PrandtlIshlinskii
     pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
     weight_covariance: tuple[CovarianceFile, ...] | None = None
     threshold_covariance: ThresholdCovarianceFile | None = None

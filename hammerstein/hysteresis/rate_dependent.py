@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,11 +15,19 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, ByValue, Indices, freeze_fields, frozen
 from hammerstein.blocks import Memory
-from hammerstein.errors import InputError, Mistake
+from hammerstein.errors import IdentificationError, InputError, Mistake
+from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import WeightCovariance, played
 from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, covariances
 from hammerstein.quantities import Bandwidth, Delay, Threshold, Weight
+
+FIRST_SHARES = (0.01, 0.03, 0.1, 0.25)
+"""Growth to begin a fit with: parts of half the swing by which a threshold grows at the fastest rate."""
+FIRST_BANDWIDTHS = (0.5, 2.0, 8.0)
+"""Bandwidth to begin with, in parts of the fastest rate of the records."""
+LEAST_GAIN, STABLE, MOST_GAIN = 1e-6, 0.95, 100.0
+"""Loop gain of the inverse on a fine grid: what is no growth at all, what leaves it stable, and any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +94,7 @@ class RateBank:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RateDependent(Hysteresis[RateState]):
+class RateDependent(Hysteresis[RateState], Identifiable):
     """Hysteresis of m inputs and p outputs that widens with the rate of its voltages.
 
         v_l[k] = sum over inputs j and operators i of  w_lji p_ji[k]
@@ -124,6 +133,7 @@ class RateDependent(Hysteresis[RateState]):
     weight_covariance: tuple[WeightCovariance, ...] | None = None
 
     kind: ClassVar[str] = "rate_dependent"
+    passes_for_delay: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "inputs", tuple(self.inputs))
@@ -262,9 +272,86 @@ class RateDependent(Hysteresis[RateState]):
         rows = tuple(tuple(np.split(np.asarray(own, dtype=np.float64), ends)) for own in weights)
         return replace(self, weights_um_per_v=rows, weight_covariance=None)
 
+    @classmethod
+    def first_guesses(cls, driven: Driven) -> list[RateDependent]:
+        """Blocks with one growth for all plays but play(0); see ``Identifiable``."""
+        for name, several in zip(driven.inputs, driven.several_rates, strict=True):
+            if not several:
+                raise IdentificationError(
+                    f"input {name} is driven at one rate, which cannot tell how its thresholds grow; add one "
+                    "that is at least half as fast again, or use hysteresis prandtl_ishlinskii"
+                )
+        found = []
+        grids = [np.append(0.0, r[r > 0.0]) for r in driven.thresholds_v]
+        weights = ((tuple(np.ones(len(r)) for r in grids)),) * driven.outputs
+        for share, part in itertools.product(FIRST_SHARES, FIRST_BANDWIDTHS):
+            hz = part * float(driven.fastest_rad_per_s.max()) / (2.0 * math.pi)
+            growth = [share / max(float(rate), 1e-12) for rate in driven.fastest_rad_per_s]
+            plays = (_grown_alike(r, b, hz) for r, b in zip(grids, growth, strict=True))
+            found.append(cls(tuple(plays), weights))
+        return found
+
+    @property
+    def free(self) -> Array:
+        """Logarithms of 2 pi f b of each input, the loop gain of the inverse on a fine grid, and of f."""
+        hz = self.inputs[0].bandwidth_hz
+        growth = [max(float(plays.growth_s[-1]), 1e-300) for plays in self.inputs]
+        return np.array([*(math.log(2.0 * math.pi * hz * b) for b in growth), math.log(hz)])
+
+    def at(self, free: Array) -> RateDependent:
+        """Give the same plays with other growth, alike for all but play(0), and another bandwidth."""
+        *gains, hz = np.exp(free).tolist()
+        each = zip(self.inputs, gains, strict=True)
+        plays = tuple(_grown_alike(own.thresholds_v, g / (2.0 * math.pi * hz), hz) for own, g in each)
+        return replace(self, inputs=plays, weight_covariance=None)
+
+    def limits(self, driven: Driven) -> Limits:
+        """A bandwidth between one over the record and half its rate, an inverse that does not ring up."""
+        most = STABLE if driven.invertible else MOST_GAIN
+        ends = ((LEAST_GAIN, 1.0 / driven.duration_s), (most, 0.5 / driven.sample_time_s))
+        lower, upper = (np.log([*((gain,) * self.n_inputs), hz]) for gain, hz in ends)
+        return Limits(lower, upper)
+
+    def columns(self, u_v: Array, before_v: Array, output: int, passes: int = 1) -> tuple[Array, Array]:
+        """Outputs of the plays; see ``Identifiable``."""
+        from hammerstein.hysteresis.rate_dependent_kernels import play_outputs
+
+        stood, values = self.after(before_v), []
+        for k, plays in enumerate(self.inputs):
+            n = len(plays.thresholds_v)
+            own = (plays.thresholds_v[None].copy(), plays.growth_s[None].copy(), self.bank.lam[[k]])
+            memory = (stood.plays_v[[k], :n].copy(), stood.last_v[[k]].copy(), np.zeros(1))
+            outputs, u = np.empty((n, u_v.shape[1])), np.ascontiguousarray(u_v[[k]])
+            for _ in range(passes):
+                play_outputs(u, self.grid_s, self.poles[[k]], *own, *memory, outputs)
+            values.append(outputs)
+        held = [stood.plays_v[k, : len(plays.thresholds_v)] for k, plays in enumerate(self.inputs)]
+        return np.vstack(values), np.concatenate(held)
+
+    def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds:
+        """Weights keep the sign of the gain, and play(0) a share: then all that can move together has one."""
+        sizes = [len(plays.thresholds_v) for plays in self.inputs]
+        first = sum(sizes[:input_])
+        side, bound = np.zeros(sum(sizes)), np.zeros(sum(sizes))
+        side[first : first + sizes[input_]], bound[first] = np.sign(least), least
+        return Bounds(np.eye(len(side)), side, bound)
+
+    def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
+        """Give the growth of every input."""
+        return [
+            f"thresholds of {name} grow by {float(plays.growth_s[-1]):.3g} V for each V/s, seen through "
+            f"{plays.bandwidth_hz:.3g} Hz"
+            for name, plays in zip(inputs, self.inputs, strict=True)
+        ]
+
     def file(self) -> RateDependentFile:
         """Give its form in a model file; the sample time is that of who uses it."""
         return RateDependentFile.model_validate(self)
+
+
+def _grown_alike(thresholds_v: Array, growth_s: float, bandwidth_hz: float) -> RatePlays:
+    """Plays with one growth for all but play(0)."""
+    return RatePlays(thresholds_v, np.where(thresholds_v > 0.0, growth_s, 0.0), bandwidth_hz)
 
 
 class RatePlaysFile(PartFile):
@@ -284,6 +371,7 @@ class RateDependentFile(HysteresisFile):
     """Plays whose thresholds grow with the rate: those of each input, and their weights for each output."""
 
     kind: Literal["rate_dependent"] = "rate_dependent"
+    describes: ClassVar = RateDependent
     inputs: Annotated[tuple[RatePlaysFile, ...], Field(min_length=1)]
     weights_um_per_v: Annotated[tuple[tuple[tuple[Weight, ...], ...], ...], Field(min_length=1)]
     weight_covariance: tuple[CovarianceFile, ...] | None = None

@@ -35,11 +35,10 @@ from hammerstein.identification.linear.axis_task import (
     duration_s,
     parameters_of,
 )
-from hammerstein.identification.score import begun, path_before
-from hammerstein.identification.static.regressors import Regressors, Start
+from hammerstein.identification.score import columns_of
+from hammerstein.identification.static.regressors import Regressors
 from hammerstein.identification.task import Task
 from hammerstein.identification.verdict import axis_identified, creep_identified
-from hammerstein.records.record import Record
 
 MOST_CREEP = 3
 """Slow modes of an axis that ``auto`` may come to."""
@@ -173,7 +172,7 @@ def _axis_tasks(task: Task, hysteresis: Hysteresis[Any], o: int, numbers: Sequen
     """What stays fixed while the axis of output o is fitted: with all columns, or so many combinations."""
     every = thinning(task.records)
     each = zip(task.records, task.starts, strict=True)
-    raw = [_columns(hysteresis, record, start, o) for record, start in each]
+    raw = [columns_of(hysteresis, record, start, o) for record, start in each]
     told = _told(raw, every)
     sensor = task.settings.sensor
 
@@ -184,20 +183,6 @@ def _axis_tasks(task: Task, hysteresis: Hysteresis[Any], o: int, numbers: Sequen
         return AxisTask(task.records, task.starts, (), o, shape, delay, sensor, every, kept)
 
     return [with_columns(number) for number in numbers]
-
-
-def _columns(hysteresis: Hysteresis[Any], record: Record, start: Start, o: int) -> Regressors:
-    """Response of output o to each of its weights alone, over a record, and before it."""
-    here = hysteresis.counted_from(record.rest_v).on_grid(record.sample_time_s)
-    sizes, values, held = [len(w) for w in here.weights], [], []
-    for unit in np.eye(sizes[o]):
-        one = here.with_weights([unit if k == o else np.zeros(n) for k, n in enumerate(sizes)])
-        memory = begun(one, record, start)
-        before, _ = one.respond(path_before(record, start)[:, -1:], memory)
-        v, after = one.respond(record.u_v, memory)
-        values.append(one.respond(record.u_v, after)[0][o] if start.kind == "repeated" else v[o])
-        held.append(before[o, 0])
-    return Regressors(np.array(values), np.array(held))
 
 
 def _told(columns: Sequence[Regressors], every: int) -> Array:

@@ -4,9 +4,33 @@ from __future__ import annotations
 
 from typing import Literal
 
+from hammerstein.hysteresis import HYSTERESIS
+from hammerstein.hysteresis.identifiable import Identifiable
+from hammerstein.plugins import load_plugins
+
 Partition = Literal["auto", "time", "voltage", "fitted"]
 Solver = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
 DynamicsKind = Literal["auto", "none", "lag", "second_order", "state_space"]
-HysteresisKind = Literal["prandtl_ishlinskii", "asymmetric", "rate_dependent", "bouc_wen"]
 StartMode = Literal["auto", "rest", "repeated"]
 MOST_DEAD_ZONES = 50
+PLAYS = "prandtl_ishlinskii"
+"""Kind that is fitted where no other one is asked for."""
+
+
+def identifiable_kinds() -> dict[str, type[Identifiable]]:
+    """Kinds of hysteresis that can be identified, by their name: those of plug-ins, too."""
+    load_plugins()
+    described = {name: file.describes for name, file in HYSTERESIS.kinds.items()}
+    return {
+        name: block
+        for name, block in described.items()
+        if block is not None and issubclass(block, Identifiable)
+    }
+
+
+def known_kind(name: str) -> str:
+    """Give the name of a kind of hysteresis back; ValueError, for pydantic, where it cannot be identified."""
+    known = identifiable_kinds()
+    if name not in known:
+        raise ValueError(f"{name!r} is not known; choose one of {', '.join(known)}")
+    return name

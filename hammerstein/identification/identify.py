@@ -14,6 +14,7 @@ from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.account import Errors, account, model_of
 from hammerstein.identification.axes_candidates import build_axes
 from hammerstein.identification.choice import Trial, chosen, crossed_squares, judged_squares, parameters_of
+from hammerstein.identification.choices import PLAYS, identifiable_kinds
 from hammerstein.identification.excitation import refuse_noise, refuse_one_way, responses
 from hammerstein.identification.first_look import first_task, settle_s_of, start_mode
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
@@ -105,9 +106,9 @@ def identify(
     (array([3., 1., 1.]), True)
     """
     asked = settings or Settings()
-    plain = asked.hysteresis == "prandtl_ishlinskii"
+    plain = asked.hysteresis == PLAYS
     settings = asked if plain else asked.without_auto()
-    if settings.hysteresis == "rate_dependent" and settings.delay_samples is None:
+    if identifiable_kinds()[settings.hysteresis].passes_for_delay and settings.delay_samples is None:
         settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
     tell = progress or (lambda _: None)
     ready = from_last_rest(records, settings.sensor)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -11,29 +11,33 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics
-from hammerstein.hysteresis import BoucWen, Hysteresis, RateDependent
+from hammerstein.hysteresis import Hysteresis
+from hammerstein.hysteresis.identifiable import Driven
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.behind import Behind, search_behind, sure_behind
 from hammerstein.identification.choice import Trial, chosen, judged_squares, parameters_of
-from hammerstein.identification.choices import HysteresisKind
+from hammerstein.identification.choices import identifiable_kinds
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_search import WORSE_DELAYS
-from hammerstein.identification.linear.axis_task import parameters_of as axis_parameters
+from hammerstein.identification.linear.axis_task import duration_s, parameters_of as axis_parameters
 from hammerstein.identification.linear.delay import MOST_DELAY
+from hammerstein.identification.projection import fit_block
+from hammerstein.identification.rates import fastest_rad_per_s, rates_of_input, several_rates
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.static.asymmetric import fit_asymmetric
 from hammerstein.identification.static.asymmetric_choice import AsymmetricChoice, chosen_asymmetric
-from hammerstein.identification.static.bouc_wen import fit_bouc_wen
 from hammerstein.identification.static.history import FEWEST, each_alone, judged_starts, unexplained
-from hammerstein.identification.static.rate_dependent import TWO_RATES, fit_rate_dependent
 from hammerstein.identification.static.regressors import Start
-from hammerstein.identification.static.static_block import SquaresSolver, Thresholds, half_swing
+from hammerstein.identification.static.static_block import (
+    SlopeColumns,
+    SquaresSolver,
+    Thresholds,
+    half_swing,
+)
 from hammerstein.identification.static_candidates import begun_static
 from hammerstein.identification.task import Built, Found, Task
-from hammerstein.identification.together import fitted_together
-from hammerstein.identification.verdict import drive_hz, invertibility_of
+from hammerstein.identification.verdict import invertibility_of
 from hammerstein.records.record import Record
-from hammerstein.records.turning_points import turning_points
 
 Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
 
@@ -42,8 +46,6 @@ MOST_TURNS = 4
 """Most times that block and axes are fitted in turn; each must lower the error by half a percent."""
 DELAY_TURN = 1
 """Turn in which the delay is found: behind a block that was found in front of axes."""
-SWING, SWINGS = 0.05, 2
-"""Smallest swing that counts, in parts of the whole, and how many short and long ones are looked at."""
 BEGINNING = 20_000
 """Samples of all records together that tell how they began."""
 
@@ -136,30 +138,8 @@ def _late(task: Task, thresholds_v: Thresholds, free: bool) -> list[Whole]:
 def _free_delay(task: Task) -> bool:
     """Whether the delay is to be found: thresholds that grow with the rate look like one."""
     one_time = len({record.sample_time_s for record in task.records}) == 1
-    return task.settings.delay_samples is None and one_time and task.settings.hysteresis != "rate_dependent"
-
-
-def several_rates(records: Sequence[Record]) -> bool:
-    """Whether records are driven so fast and so slowly that they tell a lag from hysteresis."""
-    rates = [drive_hz(record) for record in records]
-    within = (_fast_and_slow(u) for record in records for u in record.u_v if np.ptp(u) > 0.0)
-    return max(rates) > TWO_RATES * min(rates) or any(within)
-
-
-def _fast_and_slow(u: Array) -> bool:
-    """Whether one voltage has swings that are both shorter and faster than others of it.
-
-    At one speed a lag looks like a play, at one frequency like hysteresis.
-    """
-    points = turning_points(u, SWING * float(np.ptp(u)))
-    samples, volts = np.diff(points)[1:-1], np.abs(np.diff(u[points]))[1:-1]  # the ends are parts of swings
-    if len(samples) < 2 * SWINGS:
-        return False
-    order = np.argsort(samples, kind="stable")
-    short, long = order[:SWINGS], order[-SWINGS:]
-    times = samples[long].mean() / samples[short].mean()
-    speeds = (volts / samples)[short].mean() / (volts / samples)[long].mean()
-    return bool(min(times, speeds) > TWO_RATES)
+    kind = identifiable_kinds()[task.settings.hysteresis]
+    return task.settings.delay_samples is None and one_time and not kind.passes_for_delay
 
 
 def trials_of(task: Task, tried: Sequence[Whole], held: Sequence[Record]) -> list[Trial]:
@@ -233,31 +213,25 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whol
     for turn in range(MOST_TURNS):
         late = free and turn == DELAY_TURN
         found = search_behind(task, whole.block.hysteresis, found, late)
-        whole, found = _in_front(task, thresholds_v, whole.block, found, anew=True)
+        whole = _before(task, thresholds_v, found, _again(whole.block))
+        found = whole.behind
         starts = _starts_behind(task, thresholds_v, whole)
         moved = starts != task.starts
         if moved:
             task = replace(task, starts=starts)
-            whole, found = _in_front(task, thresholds_v, whole.block, found, anew=False)
+            whole = _before(task, thresholds_v, found, whole.block)
+            found = whole.behind
         error = score(whole.candidate, task.records, task.starts).mean_percent
         if error > (1.0 - WORTHWHILE) * least and not moved:
             break
         least = error
-    return _before(task, thresholds_v, sure_behind(task, whole.block.hysteresis, found), whole.block)
+    sure = sure_behind(task, whole.block.hysteresis, found)
+    return _before(task, thresholds_v, sure, replace(whole.block, rough=True))._replace(behind=sure)
 
 
-def _in_front(
-    task: Task, thresholds_v: Thresholds, block: Replacement, found: Behind, *, anew: bool
-) -> tuple[Whole, Behind]:
-    """Block in front of the axes found, and the axes again where both were fitted together.
-
-    ``anew`` chooses the columns again; otherwise they stay those of ``block``.
-    """
-    if not isinstance(block.hysteresis, RateDependent) or found.is_static:
-        return _before(task, thresholds_v, found, None if anew else block), found
-    task.progress("fitting the block together with what stands behind it")
-    hysteresis, found = fitted_together(task, block.hysteresis, found)
-    return _before(task, thresholds_v, found, Replacement(hysteresis)), found
+def _again(block: Replacement) -> Replacement | None:
+    """Where the search for the block goes on; nowhere for one whose columns are chosen anew."""
+    return None if block.choice is not None else block
 
 
 def _starts_behind(task: Task, thresholds_v: Thresholds, whole: Whole) -> tuple[Start, ...]:
@@ -284,8 +258,12 @@ def _starts_behind(task: Task, thresholds_v: Thresholds, whole: Whole) -> tuple[
 def _before(task: Task, thresholds_v: Thresholds, found: Behind, like: Replacement | None = None) -> Whole:
     """Block before the axes found, with the columns of another one if it is given."""
     late = replace(task, delay_samples=found.delay_samples)
-    dynamics = StaticDynamics(n_outputs=task.outputs) if found.is_static else found.dynamics
-    block = REPLACEMENTS[task.settings.hysteresis](late, thresholds_v, dynamics, like)
+    static = StaticDynamics(n_outputs=task.outputs)
+    if task.settings.hysteresis == "asymmetric":
+        block = _asymmetric(late, thresholds_v, static if found.is_static else found.dynamics, like)
+    else:
+        block, found = _of_kind(late, thresholds_v, found, like)
+    dynamics = static if found.is_static else found.dynamics
     return Whole(late.candidate(block.hysteresis, dynamics), found, block, task.starts)
 
 
@@ -315,50 +293,48 @@ def _asymmetric(
     return Replacement(fit.hysteresis, (told, *_bounded(task, fit.held)), choice)
 
 
-def _rate_dependent(
-    task: Task, thresholds_v: Thresholds, dynamics: Linear, like: Replacement | None
-) -> Replacement:
-    """Plays whose thresholds grow with the rate; the outputs share those of an input."""
-    grids = [np.unique(np.concatenate([[0.0], *(row[k][1:] for row in thresholds_v)]))
-             for k in range(len(thresholds_v[0]))]  # fmt: skip
-    fit = fit_rate_dependent(
-        task.records,
-        grids,
-        invertible=task.settings.solver == "invertible",
-        starts=task.starts,
-        delay_samples=task.whole_delay,
-        through=task.paths(dynamics),
-        like=like.hysteresis if like and isinstance(like.hysteresis, RateDependent) else None,
-    )
-    told = [
-        f"thresholds of {name} grow by {float(plays.growth_s[-1]):.3g} V for each V/s, seen through "
-        f"{plays.bandwidth_hz:.3g} Hz"
-        for name, plays in zip(task.records[0].inputs, fit.hysteresis.inputs, strict=True)
-    ]
-    late = f"a delay of {task.delay_samples:g} samples was taken as known: it looks like growing thresholds"
-    return Replacement(fit.hysteresis, (*told, late))
+def _of_kind(
+    task: Task, thresholds_v: Thresholds, found: Behind, like: Replacement | None
+) -> tuple[Replacement, Behind]:
+    """A block of any kind by the one fit: behind it the axes are fitted along with its free numbers.
 
-
-def _bouc_wen(
-    task: Task, thresholds_v: Thresholds, dynamics: Linear, like: Replacement | None
-) -> Replacement:
-    """The Bouc-Wen model, which has no thresholds."""
-    fit = fit_bouc_wen(
-        task.records,
-        invertible=task.settings.solver == "invertible",
-        starts=task.starts,
-        delay_samples=task.whole_delay,
-        through=task.paths(dynamics),
-        like=like.hysteresis if like and isinstance(like.hysteresis, BoucWen) else None,
-        rough=like is not None and like.rough,
-    )
+    ``like`` is where the search begins; where that is rough, only the weights are found again.
+    """
+    driven = driven_of(task, thresholds_v)
+    kind = identifiable_kinds()[task.settings.hysteresis]
+    known = like.hysteresis if like is not None and isinstance(like.hysteresis, kind) else None
+    begins = kind.first_guesses(driven) if known is None else [known]
+    fit = fit_block(task, begins, driven, found, refined=like is None or not like.rough)
     record = task.records[0]
-    notes = [
-        f"from {name} to {output}: beta {pair.beta_per_v:.3g}, gamma {pair.gamma_per_v:.3g} 1/V"
-        for output, row in zip(record.outputs, fit.hysteresis.pairs, strict=True)
-        for name, pair in zip(record.inputs, row, strict=True)
-    ]
-    return Replacement(fit.hysteresis, (*notes, *_bounded(task, fit.held)))
+    notes = [*fit.block.statements(record.inputs, record.outputs), *_bounded(task, fit.held)]
+    if kind.passes_for_delay:
+        late = f"a delay of {task.delay_samples:g} samples was taken as known"
+        notes.append(f"{late}: it looks like what this kind does")
+    if fit.at_limit:
+        notes.append(
+            f"{len(fit.at_limit)} numbers of the block end at a limit: the records do not determine them"
+        )
+    return Replacement(fit.hysteresis, tuple(notes)), fit.behind
+
+
+def driven_of(task: Task, thresholds_v: Thresholds) -> Driven:
+    """How the records drive the inputs, and thresholds for each of them."""
+    records = task.records
+    low: Array = np.array([r.u_v.min(axis=1) + r.rest_v for r in records]).min(axis=0)
+    high: Array = np.array([r.u_v.max(axis=1) + r.rest_v for r in records]).max(axis=0)
+    return Driven(
+        low_v=low,
+        high_v=high,
+        working_point_v=records[0].rest_v,
+        outputs=task.outputs,
+        inputs=records[0].inputs,
+        thresholds_v=SlopeColumns.of(thresholds_v).grids,
+        sample_time_s=min(record.sample_time_s for record in records),
+        duration_s=duration_s(records),
+        fastest_rad_per_s=fastest_rad_per_s(records),
+        several_rates=rates_of_input(records),
+        invertible=task.settings.solver == "invertible",
+    )
 
 
 def _bounded(task: Task, held: Sequence[tuple[int, int]]) -> list[str]:
@@ -367,12 +343,3 @@ def _bounded(task: Task, held: Sequence[tuple[int, int]]) -> list[str]:
         f"slopes from {record.inputs[k]} to {record.outputs[o]} held at a bound, or there were no inverse"
         for o, k in held
     ]
-
-
-REPLACEMENTS: Mapping[
-    HysteresisKind, Callable[[Task, Thresholds, Linear, Replacement | None], Replacement]
-] = {
-    "asymmetric": _asymmetric,
-    "rate_dependent": _rate_dependent,
-    "bouc_wen": _bouc_wen,
-}

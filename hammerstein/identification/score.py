@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import Dynamics
 from hammerstein.hysteresis import Hysteresis
+from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.identification.known_sensor import KnownSensor
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import Regressors, Start
 from hammerstein.records.record import Record
 
 _path = lru_cache(maxsize=16)(KnownSensor.path)
@@ -55,6 +56,13 @@ def begun(hysteresis: Hysteresis[Any], record: Record, start: Start) -> Any:
     if start.kind in ("rest", "repeated"):
         return hysteresis.rest()
     return hysteresis.after(path_before(record, start))
+
+
+def columns_of(block: Hysteresis[Any] | Identifiable, record: Record, start: Start, o: int) -> Regressors:
+    """Response of output o to each of its weights alone, over a record, and before it."""
+    here = cast("Hysteresis[Any]", block).counted_from(record.rest_v).on_grid(record.sample_time_s)
+    passes = 2 if start.kind == "repeated" else 1
+    return Regressors(*cast(Identifiable, here).columns(record.u_v, path_before(record, start), o, passes))
 
 
 def path_before(record: Record, start: Start) -> Array:

@@ -13,11 +13,12 @@ from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake
 from hammerstein.identification.choices import (
     MOST_DEAD_ZONES,
+    PLAYS,
     DynamicsKind,
-    HysteresisKind,
     Partition,
     Solver,
     StartMode,
+    identifiable_kinds,
 )
 from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.operators import input_grids
@@ -32,7 +33,6 @@ CHOICES = {
     "solver": get_args(Solver),
     "dynamics": get_args(DynamicsKind),
     "start": get_args(StartMode),
-    "hysteresis": get_args(HysteresisKind),
 }
 
 
@@ -62,7 +62,8 @@ class Settings:
         the model, whose own delay is what the readings come late more
     start : what went before each record: ``rest``, ``repeated`` (the like of it), or ``auto``: found out
     hysteresis : kind of the static block: ``prandtl_ishlinskii``, or ``asymmetric`` with one-sided dead-zones
-        beside the plays, ``rate_dependent`` with thresholds that grow with the rate, or ``bouc_wen``
+        beside the plays, ``rate_dependent`` with thresholds that grow with the rate, ``bouc_wen``, or any
+        registered kind that is ``Identifiable``
     dead_zones : of each input of an asymmetric block; None: as many as the records call for
     error_curve : whether the held-out error is found for many numbers of operators
     """
@@ -79,7 +80,7 @@ class Settings:
     sensor_bandwidth_hz: float | None = None
     sensor_delay_s: float = 0.0
     start: StartMode = "auto"
-    hysteresis: HysteresisKind = "prandtl_ishlinskii"
+    hysteresis: str = PLAYS
     dead_zones: int | None = None
     error_curve: bool = True
 
@@ -100,7 +101,7 @@ class Settings:
     def _unknown_choices(self) -> list[Mistake]:
         return [
             Mistake(name, f"{getattr(self, name)!r} is not known; choose one of {', '.join(known)}")
-            for name, known in CHOICES.items()
+            for name, known in {**CHOICES, "hysteresis": tuple(identifiable_kinds())}.items()
             if getattr(self, name) not in known
         ]
 

@@ -17,6 +17,7 @@ from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.choice import FELT, NO_BETTER
 from hammerstein.identification.fit import KIND_NAMES, Kind
 from hammerstein.identification.linear.axis_fit import AxisFit
+from hammerstein.identification.rates import drive_hz
 from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import StaticFit
@@ -264,20 +265,6 @@ def creep_identified(fit: AxisFit, records: Sequence[Record]) -> bool:
         shortest <= mode.time_constant_s <= longest and abs(mode.gain) >= SURE_CREEP * error
         for mode, error in zip(fit.axis.creep, fit.creep_gain_errors, strict=True)
     )
-
-
-def drive_hz(record: Record) -> float:
-    """Mean frequency of what a record is driven with, weighted with its power [Hz].
-
-    Examples
-    --------
-    >>> u = np.sin(2.0 * np.pi * 5.0 * np.arange(1000) / 1000.0)
-    >>> round(drive_hz(Record([u], [u], 1e-3)), 3)
-    5.0
-    """
-    spectrum = np.abs(np.fft.rfft(record.u_v - record.u_v.mean(axis=1, keepdims=True), axis=1)) ** 2
-    frequency_hz = np.fft.rfftfreq(record.samples, record.sample_time_s)
-    return float((spectrum @ frequency_hz).sum() / spectrum.sum())
 
 
 def bound_notes(

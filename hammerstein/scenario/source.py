@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from hammerstein.hysteresis.kind import refuse_unbuilt
-from hammerstein.identification.choices import MOST_DEAD_ZONES, DynamicsKind, HysteresisKind, Partition
+from hammerstein.identification.choices import MOST_DEAD_ZONES, DynamicsKind, Partition, known_kind
 from hammerstein.quantities import (
     Cycles,
     FileName,
@@ -79,7 +79,7 @@ class JointFitSpec(Strict):
     sample_time_s: SampleTime | None = Field(
         default=None, description="sample time of this experiment, where it is not that of the run"
     )
-    hysteresis: HysteresisKind | None = Field(
+    hysteresis: Annotated[str, AfterValidator(known_kind)] | None = Field(
         default=None,
         description="kind of the static block: asymmetric adds dead-zones, rate_dependent lets thresholds "
         "grow with the rate, bouc_wen has none; plays if not given",

@@ -18,8 +18,9 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from hammerstein.comparison.compare import compare
-from hammerstein.comparison.fitting import KINDS, LINEAR, WITH_DYNAMICS
+from hammerstein.comparison.fitting import LINEAR, WITH_DYNAMICS
 from hammerstein.comparison.result import Comparison
+from hammerstein.identification.choices import identifiable_kinds
 from hammerstein.identification.fit import Fit
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
@@ -197,7 +198,7 @@ def compared(name: str, found: Comparison) -> str:
     """Line of one record; a kind that cannot have the linear block asked for is marked."""
     errors = []
     alone = {one.hysteresis for one in found.failed if one.name.endswith(WITH_DYNAMICS)}
-    for kind in (LINEAR, *KINDS):
+    for kind in (LINEAR, *identifiable_kinds()):
         own = [entry.judged.mean_percent for entry in found.entries if entry.hysteresis == kind]
         errors.append(f"{min(own):.3f}{' alone' * (kind in alone)}" if own else "")
     return row(name, "held back" if found.held else "fitted", found.recommended, *errors)
@@ -227,7 +228,7 @@ def main(folder: Path, pages: Sequence[str]) -> None:
         ]
         (HERE / "README.md").write_text(NOTES + "\n".join(lines) + "\n", encoding="utf-8")
     if "comparisons" in pages:
-        names = ("linear", *KINDS)
+        names = ("linear", *identifiable_kinds())
         head = COMPARED.format(kinds=" | ".join(names), dashes=" | ".join(["---:"] * len(names)))
         lines = list(comparisons(folder))
         page = HERE / "compared" / "README.md"

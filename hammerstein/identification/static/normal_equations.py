@@ -7,7 +7,7 @@ neighbouring plays have a condition number near 20 where the plays themselves ha
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.optimize import nnls
 
 from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
+from hammerstein.hysteresis.identifiable import Bounds as Bounds
 
 DEPENDENT = 1e-10
 """Eigenvalue of the scaled Gram matrix, relative to the largest, under which columns depend on each other."""
@@ -139,6 +140,7 @@ class Solution:
     at_bound : (unknown,) whether the unknown stands on its bound
     dependent : (column,) whether the column takes part in a combination that the data leave open; such
         combinations are set to zero
+    ways : (column, free unknown) directions in which the estimates are free; empty for a problem of many
     """
 
     coefficients: Array
@@ -146,23 +148,13 @@ class Solution:
     residual_rms: float
     at_bound: NDArray[np.bool_]
     dependent: NDArray[np.bool_]
+    ways: Array = field(default_factory=lambda: np.empty((0, 0)))
 
     def of_output(self, own: slice, residual_rms: float) -> Solution:
         """What a problem of several outputs says of one of them."""
         return Solution(
             self.coefficients[own], self.spread[own], residual_rms, self.at_bound[own], self.dependent[own]
         )
-
-
-class Bounds(NamedTuple):
-    """One-sided bounds of the unknowns x that make up the coefficients c = basis x.
-
-    ``side`` is 1 where x stays above ``bound``, -1 where it stays below, 0 where it is free.
-    """
-
-    basis: Array
-    side: Array
-    bound: Array
 
 
 class _Scaled(NamedTuple):
@@ -241,6 +233,7 @@ def solve(
         residual_rms=float(np.sqrt(rest / max(freedom, 1))),
         at_bound=~free,
         dependent=np.any(np.abs(scaled.lost) > OPEN, axis=1),
+        ways=np.eye(len(gram)) if bounds is None else bounds.basis[:, free],
     )
 
 

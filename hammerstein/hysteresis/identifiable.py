@@ -1,0 +1,160 @@
+"""What identification asks of a kind of hysteresis: columns for its weights, other numbers in a box.
+
+A kind that can be identified derives from ``Identifiable`` beside ``Hysteresis``. The one fit of the package
+then finds it: the weights by bounded least squares, the other numbers and the linear dynamics behind it by
+variable projection (Golub and Pereyra, Inverse Problems 19 (2003) R1).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+
+from hammerstein.arrays import Array
+
+if TYPE_CHECKING:
+    from hammerstein.hysteresis.kind import Hysteresis
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """How records drive the inputs: what a kind needs to know to begin with, and for its limits.
+
+    Parameters
+    ----------
+    low_v, high_v : (m,) lowest and highest voltage of each input, as sent [V]
+    working_point_v : (m,) voltage from which the first record counts [V]
+    outputs : number p of outputs
+    inputs : names of the inputs
+    thresholds_v : (m,) thresholds of each input that suit plays [V], sorted
+    sample_time_s : of the records, the shortest [s]
+    duration_s : of the longest record [s]
+    fastest_rad_per_s : (m,) largest rms rate of a part of a record over the half swing of the input [rad/s]
+    several_rates : (m,) whether an input is driven so fast and so slowly that a rate can be told from a loop
+    invertible : whether the model shall have an inverse
+    """
+
+    low_v: Array
+    high_v: Array
+    working_point_v: Array
+    outputs: int
+    inputs: tuple[str, ...]
+    thresholds_v: tuple[Array, ...]
+    sample_time_s: float
+    duration_s: float
+    fastest_rad_per_s: Array
+    several_rates: tuple[bool, ...]
+    invertible: bool = True
+
+    @property
+    def half_swing_v(self) -> Array:
+        """Half of the range of each input (m,) [V]."""
+        return 0.5 * (self.high_v - self.low_v)
+
+
+class Limits(NamedTuple):
+    """Smallest and largest value of each free number that records can determine."""
+
+    lower: Array
+    upper: Array
+
+
+class Bounds(NamedTuple):
+    """One-sided bounds of the unknowns x that make up the coefficients c = basis x.
+
+    ``side`` is 1 where x stays above ``bound``, -1 where it stays below, 0 where it is free.
+    """
+
+    basis: Array
+    side: Array
+    bound: Array
+
+
+class Identifiable(ABC):
+    """The ability of a kind to be identified from records.
+
+    The numbers that are not weights are ``free``: they should be scaled so that 1 is a large change, such as
+    logarithms. A kind without any is identified by one linear least squares. Weights are those of
+    ``Hysteresis.weights``, in the same order.
+    """
+
+    passes_for_delay: ClassVar[bool] = False
+    """Whether what the kind does looks like a delay, so that none is searched for it."""
+
+    @classmethod
+    @abstractmethod
+    def first_guesses(cls, driven: Driven) -> Sequence[Self]:
+        """Blocks to begin with, of any weights; each is refined, and the best is kept.
+
+        Raises IdentificationError where the records cannot determine this kind.
+        """
+
+    @property
+    def free(self) -> Array:
+        """Numbers beside the weights (number,) that are fitted."""
+        return np.empty(0)
+
+    def at(self, free: Array) -> Self:
+        """Give the block with other free numbers (number,)."""
+        return self
+
+    def limits(self, driven: Driven) -> Limits:
+        """Give the box of the free numbers; one that ends at a bound is reported as not determined."""
+        return Limits(np.empty(0), np.empty(0))
+
+    def columns(self, u_v: Array, before_v: Array, output: int, passes: int = 1) -> tuple[Array, Array]:
+        """Response of one output to each of its weights alone.
+
+        Parameters
+        ----------
+        u_v : (input, sample) voltages, counted from the working point [V]
+        before_v : (input, turn) voltages that went before, the last of them held [V]
+        output : its number, from 0
+        passes : how often the voltages are gone through; only the last pass counts
+
+        Returns
+        -------
+        values : (weight, sample) [V for plays]
+        held : (weight,) where they stood before the first sample
+        """
+        block: Hysteresis[Any] = self  # type: ignore[assignment]  # the ability of a hysteresis
+        sizes, values, held = [len(w) for w in block.weights], [], []
+        for unit in np.eye(sizes[output]):
+            one = block.with_weights([unit if o == output else np.zeros(n) for o, n in enumerate(sizes)])
+            memory = one.after(before_v)
+            stood, _ = one.respond(before_v[:, -1:], memory)
+            for _ in range(passes):
+                v, memory = one.respond(u_v, memory)
+            values.append(v[output])
+            held.append(stood[output, 0])
+        return np.array(values), np.array(held)
+
+    def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds | None:
+        """Bounds of the weights of one output so that it follows one input with an inverse.
+
+        The slope of the pair must stay beyond ``least`` [um/V], on the side of its sign. None: not bounded.
+        """
+        return None
+
+    def grown(self, driven: Driven) -> Sequence[Self]:
+        """Blocks with more numbers, tried after this one; none where it is as large as it gets."""
+        return ()
+
+    def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
+        """Sentences about the numbers that were found, for the report."""
+        return []
+
+
+def mean_slopes(block: Hysteresis[Any], driven: Driven) -> Array:
+    """Mean slope (output, input) of the loops over the whole range [um/V]."""
+    low, high = driven.low_v - driven.working_point_v, driven.high_v - driven.working_point_v
+    slopes = np.zeros((block.n_outputs, block.n_inputs))
+    for k in np.flatnonzero(high > low):
+        path = np.zeros((block.n_inputs, 4))
+        path[k] = [0.0, high[k], low[k], high[k]]
+        slopes[:, k] = (block.standing(path)[0] - block.standing(path[:, :-1])[0]) / (high[k] - low[k])
+    return slopes

@@ -1,0 +1,312 @@
+"""A block of any kind, the axes behind it and its weights fitted at once: variable projection in a box.
+
+Each output is linear in its weights w once the free numbers t of the block and x of its axis are fixed,
+
+    y = offset + G(x) C(t) w,
+
+with the columns C of the kind. At every place the weights are eliminated, within the bounds that an inverse
+needs, and the problem linearised about it gives the next step of t and x (Golub and Pereyra, Inverse
+Problems 19 (2003) R1; Marquardt 1963). Fitted in turn, thresholds that grow with the rate and a low-pass
+would each take what belongs to the other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import islice
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from hammerstein.arrays import Array
+from hammerstein.dynamics import Axis
+from hammerstein.errors import IdentificationError
+from hammerstein.hysteresis import Hysteresis, WeightCovariance
+from hammerstein.hysteresis.covariance import triangle
+from hammerstein.hysteresis.identifiable import Driven, Identifiable, mean_slopes
+from hammerstein.identification.behind import Behind
+from hammerstein.identification.linear.axis_search import thinning
+from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, parameters_of
+from hammerstein.identification.score import columns_of
+from hammerstein.identification.static.damped_search import Damping, damped_change, steps
+from hammerstein.identification.static.history import shortened
+from hammerstein.identification.static.normal_equations import Moments, Solution, coefficients, solve
+from hammerstein.identification.static.regressors import Filter, Regressors, SideBySide
+from hammerstein.identification.static.static_block import LEAST_SLOPE, direct_pairs
+from hammerstein.identification.task import Task
+
+SEARCH_SAMPLES = 20_000
+"""Samples of all records together with which the first guesses are tried."""
+SEARCHED = 4
+"""First guesses that are refined; the best of them is refined with all samples."""
+MOST_STEPS, DAMPING = 30, Damping(most=1e6)
+ROUGHLY, ENOUGH = 1e-3, 1e-6
+"""Gain of a step, in parts of the error, under which a search has arrived: of a first guess, of the best."""
+NOWHERE = 1e-6
+"""Change of every number under which a step goes nowhere."""
+ROUNDING = 1e-9
+"""Rms error, in parts of the readings, below which nothing but rounding is left."""
+STEP = 1e-3
+"""Change of a free number for its derivative: plays bend where they engage, so that it is not too small."""
+AT_LIMIT = 1e-6
+"""Distance from its limit under which a free number stands at it."""
+
+
+class BlockFit(NamedTuple):
+    """A block with what stands behind it.
+
+    rms_um : (output,) what is left [um]; held : pairs (output, input) of which a slope stands at a bound
+    at_limit : numbers of the free numbers that end at a limit: the records do not determine them
+    """
+
+    hysteresis: Hysteresis[Any]
+    behind: Behind
+    rms_um: Array
+    held: tuple[tuple[int, int], ...]
+    at_limit: tuple[int, ...] = ()
+
+    @property
+    def block(self) -> Identifiable:
+        """The same as what can be identified."""
+        return cast(Identifiable, self.hysteresis)
+
+
+def fit_block(
+    task: Task, begins: Sequence[Identifiable], driven: Driven, found: Behind, *, refined: bool = True
+) -> BlockFit:
+    """Free numbers of a block, its axes and its weights at the least that they leave together.
+
+    Parameters
+    ----------
+    task : records, starts, settings
+    begins : blocks to begin with; of several, those that leave the least of a part of the records go on
+    driven : how the records drive the inputs
+    found : the axes to begin with, and the delay
+    refined : whether the numbers are searched; otherwise only the weights are found
+    """
+    late = replace(task, delay_samples=found.delay_samples)
+    if len(begins) > 1:
+        few, starts = shortened(task.records, task.starts, SEARCH_SAMPLES)
+        quick = replace(late, records=few, starts=starts)
+        tries = [_Search(quick, block, driven, found) for block in begins]
+        places = [one.begun() for one in tries]
+        order = np.argsort([place.cost for place in places], kind="stable")[:SEARCHED]
+        near = [tries[i].arrived(places[i], ROUGHLY) for i in order]
+        best = min(near, key=lambda place: place.cost)
+        if not math.isfinite(best.cost):
+            raise IdentificationError("no block of this kind can be found that follows the records")
+        begins, found = [best.block], Behind(_axes_of(best, found), found.delay_samples)
+    if refined:
+        thinned = _Search(late, begins[0], driven, found, thinning(task.records) if found.axes else 1)
+        here = thinned.arrived(thinned.begun(), ENOUGH)
+        begins, found = [here.block], Behind(_axes_of(here, found), found.delay_samples)
+    search = _Search(late, begins[0], driven, found)
+    return search.result(search.begun())
+
+
+def _axes_of(place: _Place, found: Behind) -> tuple[Axis, ...]:
+    """Axes of a place, none where there are none."""
+    each = zip(found.axes, place.x, strict=False)
+    return tuple(axis_of(parameters_of(axis)[0], x) for axis, x in each)
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """The block and the parameters of all axes, what is left there, and the problem linearised about them."""
+
+    block: Identifiable
+    x: tuple[Array, ...]
+    solutions: tuple[Solution, ...]
+    cost: float
+    curvature: Array
+    pull: Array
+
+    @property
+    def numbers(self) -> Array:
+        """All free numbers, those of the block first."""
+        return np.concatenate([self.block.free, *self.x])
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What stays fixed while block and axes are fitted."""
+
+    task: Task
+    first: Identifiable
+    driven: Driven
+    found: Behind
+    every: int = 1
+
+    @cached_property
+    def shapes(self) -> tuple[AxisShape, ...]:
+        """Shape of each axis; nothing where there is none."""
+        if not self.found.axes:
+            return (AxisShape(False),) * self.task.outputs
+        return tuple(parameters_of(axis)[0] for axis in self.found.axes)
+
+    @cached_property
+    def limits(self) -> tuple[Array, Array]:
+        """Smallest and largest value of every number."""
+        own = self.first.limits(self.driven)
+        axes = [self._axis_task(o, ()).limits for o in range(self.task.outputs)]
+        lower = np.concatenate([own.lower, *(low for low, _ in axes)])
+        upper = np.concatenate([own.upper, *(high for _, high in axes)])
+        return lower, upper
+
+    def begun(self) -> _Place:
+        """The place to begin with."""
+        axes = self.found.axes or (Axis(),) * self.task.outputs
+        numbers = np.concatenate([self.first.free, *(parameters_of(axis)[1] for axis in axes)])
+        return self.place(np.clip(numbers, *self.limits), None)
+
+    def arrived(self, here: _Place, enough: float) -> _Place:
+        """The place where damped steps end."""
+        if not here.numbers.size:
+            return here
+        for tried in islice(steps(here, self.step, lambda place: place.cost, DAMPING), MOST_STEPS):
+            moved = np.abs(tried.there.numbers - tried.before.numbers).max()
+            here = tried.best
+            if moved < NOWHERE or 0.0 < tried.before.cost - tried.there.cost < enough:
+                break
+        return here
+
+    def step(self, here: _Place, damping: float) -> _Place:
+        """Where a damped step leads to; a number at its limit that is pulled outwards stays there."""
+        lower, upper = self.limits
+        numbers = here.numbers
+        stuck = ((numbers <= lower) & (here.pull < 0.0)) | ((numbers >= upper) & (here.pull > 0.0))
+        free = np.flatnonzero(~stuck)
+        moved = numbers.copy()
+        if free.size:
+            moved[free] += damped_change(here.curvature[np.ix_(free, free)], here.pull[free], damping)
+        return self.place(np.clip(moved, lower, upper), here.solutions)
+
+    def place(self, numbers: Array, near: Sequence[Solution] | None) -> _Place:
+        """What is left with given numbers, and the problem linearised about them.
+
+        near : weights near the best ones, with which the outputs are derived by the numbers
+        """
+        s = len(self.first.free)
+        ends = np.cumsum([s, *(shape.parameters for shape in self.shapes)])
+        theta, *x = np.split(numbers, ends[:-1])
+        block = self.first.at(theta)
+        tasks = [self._axis_task(o, self._columns(block, o)) for o in range(self.task.outputs)]
+        if near is None:
+            near = self.solved(block, [_moments(*both) for both in zip(tasks, x, strict=True)])
+        moments = []
+        for o, (one, own) in enumerate(zip(tasks, x, strict=True)):
+            bends = self._bends(theta, one.kept, near[o].coefficients, o)
+            more = tuple(map(_beside, one.kept, bends)) if s else one.kept
+            moments.append(_derived(replace(one, kept=more), own, near[o].coefficients))
+        counts = [one.columns for one in tasks]
+        firsts = [_first(moment, n) for moment, n in zip(moments, counts, strict=True)]
+        solutions = self.solved(block, firsts)
+        size = len(numbers)
+        curvature, pull, cost = np.zeros((size, size)), np.zeros(size), 0.0
+        for o, (solution, moment) in enumerate(zip(solutions, moments, strict=True)):
+            rms = max(solution.residual_rms, ROUNDING * math.sqrt(moment.power[0] / moment.freedom))
+            curved, pulled = _linearised(moment, solution.coefficients, solution.ways)
+            at = np.r_[0:s, ends[o] : ends[o + 1]]
+            curvature[np.ix_(at, at)] += curved / rms**2
+            pull[at] += pulled / rms**2
+            cost += math.log(max(rms, np.finfo(float).tiny))
+        return _Place(block, tuple(x), tuple(solutions), cost, curvature, pull)
+
+    def solved(self, block: Identifiable, moments: Sequence[Moments]) -> list[Solution]:
+        """Weights of each output, those of direct pairs within the bounds that an inverse needs."""
+        found = [solve(m.gram, m.cross[:, 0], float(m.power[0]), m.freedom) for m in moments]
+        if not self.driven.invertible:
+            return found
+        hysteresis = cast("Hysteresis[Any]", block)
+        gains = mean_slopes(hysteresis.with_weights([s.coefficients for s in found]), self.driven)
+        for o, k in direct_pairs(gains):
+            bounds = block.weight_bounds(o, k, LEAST_SLOPE * float(gains[o, k]), self.driven)
+            if bounds is not None:
+                m = moments[o]
+                found[o] = solve(m.gram, m.cross[:, 0], float(m.power[0]), m.freedom, bounds=bounds)
+        return found
+
+    def result(self, here: _Place) -> BlockFit:
+        """The block with its weights and their covariance, and the axes."""
+        known = tuple(WeightCovariance(triangle(s.spread), int(s.at_bound.sum())) for s in here.solutions)
+        hysteresis = cast("Hysteresis[Any]", here.block).with_weights(
+            [s.coefficients for s in here.solutions]
+        )
+        if "weight_covariance" in getattr(hysteresis, "__dataclass_fields__", ()):
+            hysteresis = replace(cast(Any, hysteresis), weight_covariance=known)
+        lower, upper = self.limits
+        numbers, s = here.numbers, len(here.block.free)
+        stands = (numbers <= lower + AT_LIMIT) | (numbers >= upper - AT_LIMIT)
+        gains = mean_slopes(hysteresis, self.driven)
+        held = [pair for pair in direct_pairs(gains) if here.solutions[pair[0]].at_bound.any()]
+        return BlockFit(
+            hysteresis,
+            Behind(_axes_of(here, self.found), self.found.delay_samples),
+            np.array([s.residual_rms for s in here.solutions]),
+            tuple(held),
+            tuple(np.flatnonzero(stands[:s]).tolist()),
+        )
+
+    def _axis_task(self, o: int, kept: tuple[Regressors, ...]) -> AxisTask:
+        task = self.task
+        shape, delay, sensor = self.shapes[o], task.delay_samples, task.settings.sensor
+        return AxisTask(task.records, task.starts, (), o, shape, delay, sensor, self.every, kept)
+
+    def _columns(self, block: Identifiable, o: int) -> tuple[Regressors, ...]:
+        """Columns of one output over each record, and before it."""
+        return tuple(
+            columns_of(block, record, start, o)
+            for record, start in zip(self.task.records, self.task.starts, strict=True)
+        )
+
+    def _bends(
+        self, theta: Array, here: Sequence[Regressors], weights: Array, o: int
+    ) -> list[list[Regressors]]:
+        """Derivatives (record) (number) of an output by the numbers of the block."""
+        found: list[list[Regressors]] = [[] for _ in here]
+        for change in STEP * np.eye(len(theta)):
+            ahead = self._columns(self.first.at(theta + change), o)
+            for i, (there, now) in enumerate(zip(ahead, here, strict=True)):
+                values, held = weights @ (there.values - now.values), weights @ (there.held - now.held)
+                found[i].append(Regressors(values[None] / STEP, np.array([held]) / STEP))
+        return found
+
+
+def _beside(kept: Regressors, bends: Sequence[Regressors]) -> Regressors:
+    """Columns, and derivatives behind them."""
+    each = [kept, *bends]
+    return Regressors(np.vstack([one.values for one in each]), np.concatenate([one.held for one in each]))
+
+
+def _moments(one: AxisTask, x: Array) -> Moments:
+    """Moments of the columns behind the axis."""
+    return one.moments(lambda time: [SideBySide(one.path(x, time), one.columns)], one.columns)
+
+
+def _first(moments: Moments, n: int) -> Moments:
+    """Moments of the first n columns alone."""
+    means = moments.means[:, [*range(n), -1]]
+    return Moments(moments.gram[:n, :n], moments.cross[:n], moments.power, moments.samples, means)
+
+
+def _derived(one: AxisTask, x: Array, weights: Array) -> Moments:
+    """Moments of the columns behind the axis, then of the derivatives of the output by its parameters."""
+    whole = one.columns
+    padded = np.append(weights, np.zeros(whole - len(weights)))
+
+    def filters(time: float) -> list[Filter]:
+        more = [one.derivatives(x, padded, time)] if len(x) else []
+        return [SideBySide(one.path(x, time), whole), *more]
+
+    return one.moments(filters, whole + len(x))
+
+
+def _linearised(moments: Moments, weights: Array, ways: Array) -> tuple[Array, Array]:
+    """Normal equations of a change of block and axis, the free directions of the weights eliminated."""
+    n = len(weights)
+    gram, mixed, cross = moments.gram[:n, :n], moments.gram[:n, n:], moments.cross[:, 0]
+    drag = ways @ coefficients(ways.T @ gram @ ways, ways.T @ mixed)
+    return moments.gram[n:, n:] - mixed.T @ drag, cross[n:] - mixed.T @ weights

@@ -1,0 +1,77 @@
+"""Rates at which records drive their inputs: a single one does not tell lag from hysteresis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hammerstein.arrays import Array
+from hammerstein.records.driven import driven_inputs
+from hammerstein.records.record import Record
+from hammerstein.records.turning_points import turning_points
+
+TWO_RATES = 1.5
+"""Ratio of the fastest to the slowest from which rates are two."""
+SWING, SWINGS = 0.05, 2
+"""Smallest swing that counts, in parts of the whole, and how many short and long ones are looked at."""
+PARTS = 8
+"""Parts of a record of which the fastest rate is taken."""
+
+
+def several_rates(records: Sequence[Record]) -> bool:
+    """Whether records are driven so fast and so slowly that they tell a lag from hysteresis."""
+    return any(rates_of_input(records))
+
+
+def rates_of_input(records: Sequence[Record]) -> tuple[bool, ...]:
+    """Whether each input is driven at several rates: in different records, or within one."""
+    found = []
+    for k in range(len(records[0].u_v)):
+        own = [record for record in records if k in driven_inputs(record)]
+        rates = [drive_hz(record, k) for record in own]
+        between = bool(rates) and max(rates) > TWO_RATES * min(rates)
+        found.append(between or any(_fast_and_slow(record.u_v[k]) for record in own))
+    return tuple(found)
+
+
+def drive_hz(record: Record, input_: int | None = None) -> float:
+    """Mean frequency of what a record is driven with, weighted with its power [Hz]; of all inputs, or of one.
+
+    Examples
+    --------
+    >>> u = np.sin(2.0 * np.pi * 5.0 * np.arange(1000) / 1000.0)
+    >>> round(drive_hz(Record([u], [u], 1e-3)), 3)
+    5.0
+    """
+    u = record.u_v if input_ is None else record.u_v[[input_]]
+    spectrum = np.abs(np.fft.rfft(u - u.mean(axis=1, keepdims=True), axis=1)) ** 2
+    frequency_hz = np.fft.rfftfreq(record.samples, record.sample_time_s)
+    return float((spectrum @ frequency_hz).sum() / spectrum.sum())
+
+
+def _fast_and_slow(u: Array) -> bool:
+    """Whether one voltage has swings that are both shorter and faster than others of it.
+
+    At one speed a lag looks like a play, at one frequency like hysteresis.
+    """
+    points = turning_points(u, SWING * float(np.ptp(u)))
+    samples, volts = np.diff(points)[1:-1], np.abs(np.diff(u[points]))[1:-1]  # the ends are parts of swings
+    if len(samples) < 2 * SWINGS:
+        return False
+    order = np.argsort(samples, kind="stable")
+    short, long = order[:SWINGS], order[-SWINGS:]
+    times = samples[long].mean() / samples[short].mean()
+    speeds = (volts / samples)[short].mean() / (volts / samples)[long].mean()
+    return bool(min(times, speeds) > TWO_RATES)
+
+
+def fastest_rad_per_s(records: Sequence[Record]) -> Array:
+    """Largest rms rate of a part of a record over half the swing of each input (input,) [rad/s]."""
+    fastest = np.zeros(len(records[0].u_v))
+    half = 0.5 * np.max([np.ptp(record.u_v, axis=1) for record in records], axis=0)
+    for record in records:
+        rate = np.diff(record.u_v, axis=1) / record.sample_time_s
+        parts = [np.sqrt(np.mean(part**2, axis=1)) for part in np.array_split(rate, PARTS, axis=1)]
+        fastest = np.maximum(fastest, np.max(parts, axis=0) / np.where(half > 0.0, half, np.inf))
+    return fastest
