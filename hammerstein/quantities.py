@@ -166,3 +166,25 @@ def of_equal_rows(matrix: Any) -> Any:
 FileName = Annotated[str, Field(max_length=4000), AfterValidator(_without_control_characters)]
 Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_without_control_characters)]
 Plain = Annotated[JsonValue, AfterValidator(_finite_throughout)]
+
+
+def size(number: float) -> str:
+    """Bytes in words.
+
+    >>> size(2.4e9), size(3e13)
+    ('2.4 GB', '30,000 GB')
+    """
+    return f"{number / 1e9:,.3g} GB" if number < 1e12 else f"{number / 1e9:,.0f} GB"
+
+
+def duration(seconds: float) -> str:
+    """Time in words.
+
+    >>> duration(900.0), duration(9000.0), duration(1e6)
+    ('15 minutes', '2.5 hours', '12 days')
+    """
+    for unit, length in (("days", 86400.0), ("hours", 3600.0)):
+        if seconds >= 2.0 * length:
+            number = seconds / length
+            return f"{number:.2g} {unit}" if number < 99 else f"{number:,.0f} {unit}"
+    return f"{seconds / 60.0:.0f} minutes" if seconds >= 90.0 else f"{seconds:.2g} seconds"

@@ -1,8 +1,10 @@
 """What is too large is refused before it starts, with the largest part and what makes it smaller."""
 
+import numpy as np
 import pytest
 
 from hammerstein.commands import cli, watch
+from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.plan import Part, Plan, jobs_that_fit, longest_first, plan_of, slowness, together
 from hammerstein.experiment.run import run, simulate
@@ -230,3 +232,46 @@ def test_a_law_around_a_block_that_knows_the_rate_is_announced_as_what_it_costs(
         return sum(part.seconds for part in plan_of(scenario).parts)
 
     assert seconds("rate_dependent_stack") > times * seconds("duo_bimorph")
+
+
+@pytest.mark.parametrize("options", [(), ("--cycle",), ("--table", "csv")])
+def test_a_path_of_two_rows_and_many_hours_is_refused_before_its_grid_is_made(
+    tmp_path, monkeypatch, capsys, options
+):
+    """Rows 0 and 5000 s are 1e8 samples of 50 us: they took all memory, without a word."""
+    (tmp_path / "path.csv").write_text("time_s,x,y\n0,0,0\n5000,1,1\n")
+    monkeypatch.setattr("hammerstein.compensators.path_file.free_bytes", lambda: 4e9)
+    monkeypatch.setattr("hammerstein.compensators.path_file.np.arange", None)  # nothing begins
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["compensate", "duo_bimorph", str(tmp_path / "path.csv"), *options])
+    assert caught.value.code == 3
+    said = capsys.readouterr().err
+    for words in ("100,000,001 samples of 5e-05 s need about", "4 GB are free", "t [ms]"):
+        assert words in said
+
+
+def test_a_long_path_says_its_cost_before_the_work(tmp_path, monkeypatch, capsys):
+    (tmp_path / "path.csv").write_text("time_s,x,y\n0,0,0\n20,1,1\n")
+    monkeypatch.setattr("hammerstein.compensators.drive_file.compensation_of", None)  # nothing begins
+    with pytest.raises(SystemExit):
+        cli.main(["compensate", "duo_bimorph", str(tmp_path / "path.csv")])
+    assert "400,001 samples of 5e-05 s: about 0.18 GB of memory and 6 seconds" in capsys.readouterr().err
+
+
+def test_what_is_played_is_refused_by_its_size_too(tmp_path, monkeypatch, capsys):
+    (tmp_path / "drive.csv").write_text("time_s,x,y\n" + "".join(f"{k / 1000},0,0\n" for k in range(2000)))
+    monkeypatch.setattr("hammerstein.compensators.path_file.free_bytes", lambda: 1e5)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["play", "duo_bimorph", "drive.csv"])
+    assert caught.value.code == 3
+    assert "2,000 samples of 0.001 s need about" in capsys.readouterr().err
+
+
+def test_a_text_of_many_blocks_is_the_text_of_one(monkeypatch):
+    time_s, rows = np.arange(25) / 7.0, np.arange(50.0).reshape(2, 25) / 3.0
+    groups, told = [("drive", "v", ("x", "y"), rows)], []
+    whole = drive_csv(time_s, groups, ["To be sent."])
+    monkeypatch.setattr("hammerstein.compensators.drive_csv.ROWS_AT_ONCE", 10)
+    assert drive_csv(time_s, groups, ["To be sent."], told.append) == whole
+    assert told == [f"writing {n} of 25 rows" for n in (10, 20, 25)]

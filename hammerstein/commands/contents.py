@@ -133,7 +133,8 @@ def _read(form: type[T], found: Any, path: Path) -> T:
 
 
 def _scenario(path: Path) -> Iterator[tuple[str, str]]:
-    from hammerstein.experiment.plan import duration, plan_of, size
+    from hammerstein.experiment.plan import plan_of
+    from hammerstein.quantities import duration, size
     from hammerstein.scenario import load_scenario
 
     scenario = load_scenario(path)

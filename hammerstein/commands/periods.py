@@ -12,6 +12,7 @@ from hammerstein.commands.terminal import tell, tell_json, tell_statements
 if TYPE_CHECKING:
     from hammerstein.compensators.cycle import Cycle
     from hammerstein.compensators.drive_file import Terms
+    from hammerstein.compensators.path_file import Onlooker
     from hammerstein.files import Content
 
 
@@ -74,6 +75,7 @@ class Period(NamedTuple):
     out: Path
     table: TableRequest
     as_json: bool
+    onlooker: Onlooker
 
 
 def write_cycle(asked: Period) -> None:
@@ -81,7 +83,7 @@ def write_cycle(asked: Period) -> None:
     from hammerstein.compensators.cycle import cycle_of
     from hammerstein.files import write_atomic
 
-    found = cycle_of(asked.model, asked.path, asked.law, asked.options, asked.terms)
+    found = cycle_of(asked.model, asked.path, asked.law, asked.options, asked.terms, asked.onlooker)
     said, errors, text = asked.table.form(found)
     write_atomic(asked.out, text)
     _tell(asked, {"rms_um": errors}, said, "one period")
@@ -98,7 +100,14 @@ def write_lesson(asked: Period, trial: tuple[Path, Path], unsure: str) -> None:
     if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):
         raise InputError("--unsure", f"{unsure!r} are not two relative deviations, such as 0.05,0.01")
     found, taught = learn_from_files(
-        asked.model, asked.path, asked.law, asked.options, trial, Unsure(*deviations), asked.terms
+        asked.model,
+        asked.path,
+        asked.law,
+        asked.options,
+        trial,
+        Unsure(*deviations),
+        asked.terms,
+        asked.onlooker,
     )
     about, errors, text = asked.table.form(found)
     write_atomic(asked.out, text)

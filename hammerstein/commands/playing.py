@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.compensators.drive_csv import drive_csv
+from hammerstein.compensators.drive_csv import Tell, drive_csv
+from hammerstein.compensators.path_file import PLAYED_COST, UNWATCHED, Onlooker, PathWork
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.files import Content
 from hammerstein.model import HammersteinModel
@@ -34,7 +35,7 @@ class Played:
     response: Response
     with_sensor: bool
 
-    def to_csv(self) -> str:
+    def to_csv(self, tell: Tell | None = None) -> str:
         """Text of the file: time, voltages, positions and, with a sensor, readings."""
         groups = [
             ("played", "v", self.model.inputs, self.response.drive_v),
@@ -43,7 +44,7 @@ class Played:
         if self.with_sensor:
             groups.append(("reading", "um", self.model.outputs, self.response.reading_um))
         said = f"What model {self.source} does with these voltages, from rest at its working point."
-        return drive_csv(self.time_s, groups, [said])
+        return drive_csv(self.time_s, groups, [said], tell)
 
     def summary(self) -> dict[str, Any]:
         """Lowest and highest voltage and position, as plain JSON."""
@@ -55,7 +56,9 @@ class Played:
         }
 
 
-def played(model_path: str, drive_path: Path, with_sensor: bool = False) -> Played:
+def played(
+    model_path: str, drive_path: Path, with_sensor: bool = False, onlooker: Onlooker = UNWATCHED
+) -> Played:
     """Play the voltages of a file on a model that rests at its working point.
 
     Parameters
@@ -64,10 +67,12 @@ def played(model_path: str, drive_path: Path, with_sensor: bool = False) -> Play
     drive_path : CSV file: ``time_s`` and one column an input, absolute [V]; of a file that ``compensate``
         has written, the columns of the drive
     with_sensor : whether converter and sensor of the model stand before and behind it
+    onlooker : told the cost before the work
 
     Raises
     ------
-    InputError : a file is wrong; SimulationError : the model leaves every bound
+    InputError : a file is wrong
+    SimulationError : the model leaves every bound, or the samples do not fit the memory
     """
     model = HammersteinModel.load(model_path)
     time_s, values, names = read_signal(drive_path)
@@ -80,6 +85,10 @@ def played(model_path: str, drive_path: Path, with_sensor: bool = False) -> Play
             f"its times are not evenly spaced: row {int(np.argmax(uneven)) + 2} comes after "
             f"{np.diff(time_s)[np.argmax(uneven)]:.6g} s, the others after {sample_time_s:.6g} s",
         )
+    work = PathWork(len(time_s), sample_time_s, PLAYED_COST)
+    work.refuse_too_large(drive_path)
+    onlooker.begin(work)
+    onlooker.tell("playing")
     instruments = model.instruments if with_sensor else None
     try:
         response = model.simulate(u, sample_time_s, instruments=instruments)

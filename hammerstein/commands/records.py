@@ -215,6 +215,7 @@ def compensate(
     as_json: AsJson = False,
 ) -> None:
     """Turn a reference into the voltages to send, with the predicted response."""
+    from hammerstein.commands.path_watch import watched
     from hammerstein.commands.periods import Period, TableRequest, write_cycle, write_lesson
     from hammerstein.commands.tables import compensation_table
     from hammerstein.commands.warm_up import compile_when_needed
@@ -230,16 +231,16 @@ def compensate(
     refuse_output(out, [Path(model), reference, *(learn or ())], wanted.content())
     compile_when_needed(complain)
     terms = Terms(sent.ends, sent.begins, sent.conditioned, clip, beyond_records, sent.accept_flagged)
-    with told_by_options("compensate"):
-        period = Period(model, reference, law, options, terms, out, wanted, as_json)
+    with told_by_options("compensate"), watched() as onlooker:
+        period = Period(model, reference, law, options, terms, out, wanted, as_json, onlooker)
         if learn is not None:
             write_lesson(period, learn, unsure or "0.05,0.01")
             return
         if cycle or table is not None:
             write_cycle(period)
             return
-        found = compensated(model, reference, law, options, terms)
-    write_atomic(out, found.to_csv())
+        found = compensated(model, reference, law, options, terms, onlooker)
+        write_atomic(out, found.to_csv(onlooker.tell))
     if as_json:
         tell_json({"drive": str(out), **found.summary()})
         return

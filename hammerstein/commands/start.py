@@ -112,6 +112,7 @@ def play(
     as_json: AsJson = False,
 ) -> None:
     """Play voltages on a model and write what comes out: the counterpart of compensate."""
+    from hammerstein.commands.path_watch import watched
     from hammerstein.commands.playing import PLAYED, played
     from hammerstein.commands.refusals import refuse_output
     from hammerstein.commands.tables import played_table
@@ -120,8 +121,9 @@ def play(
 
     refuse_output(out, [Path(model), drive], PLAYED)
     compile_when_needed(complain)
-    found = played(model, drive, sensor)
-    write_atomic(out, found.to_csv())
+    with watched() as onlooker:
+        found = played(model, drive, sensor, onlooker)
+        write_atomic(out, found.to_csv(onlooker.tell))
     if as_json:
         tell_json({"played": str(out), **found.summary()})
         return

@@ -99,8 +99,8 @@ def _scenario_of(path: Path) -> Scenario:
 
 def _announced(scenario: Scenario, path: Path, jobs: int) -> tuple[str, float]:
     """How many runs there are and how long they take, in words and in seconds."""
-    from hammerstein.experiment.plan import duration, size
     from hammerstein.experiment.study import plan_of_study
+    from hammerstein.quantities import duration, size
 
     (part,) = plan_of_study(scenario, str(path)).parts
     seconds = part.seconds / jobs

@@ -64,7 +64,7 @@ def result_table(reports: Iterable[Report]) -> Table:
 
 def plan_table(plans: Mapping[str, Plan], jobs: int) -> Table:
     """One line for each part of each scenario: what it is, memory, time; at the end all of them."""
-    from hammerstein.experiment.plan import duration, size
+    from hammerstein.quantities import duration, size
 
     table = _table("What would be run, nothing of it found among kept results", PLANNED)
     for name, plan in plans.items():

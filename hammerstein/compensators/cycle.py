@@ -16,12 +16,12 @@ from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.drive_file import (
     Terms,
     allowed_range,
-    read_path,
     refuse_beyond,
     refuse_flagged,
     sensorless_law,
     verdict_statements,
 )
+from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, read_path
 from hammerstein.dynamics import LinearBlock, discretise
 from hammerstein.errors import SimulationError
 from hammerstein.metrics import rms
@@ -128,19 +128,32 @@ class Design:
         return Cycle(model, limits, time_s, self.reference_um, sent, position, closure, self.source, words)
 
 
-def design_of(model_path: str, path: Path, law: str, options: Mapping[str, Any], terms: Terms) -> Design:
+def design_of(
+    model_path: str,
+    path: Path,
+    law: str,
+    options: Mapping[str, Any],
+    terms: Terms,
+    onlooker: Onlooker = UNWATCHED,
+) -> Design:
     """Design a law for a file that holds one period of a path; what is wrong is raised as by ``cycle_of``."""
     model, source = HammersteinModel.load(model_path), PurePath(model_path).name
     refuse_flagged(model, source, terms)
     limits = allowed_range(model, terms)
     time_s = model.instruments.drive.sample_time_s
-    _, reference, _ = read_path(path, model, time_s)
+    _, reference, _ = read_path(path, model, time_s, cost=CYCLE_COST, onlooker=onlooker)
+    onlooker.tell("designing the period")
     built = sensorless_law(law, options, model, limits, time_s)
     return Design(model, limits, built, reference, source, str(path))
 
 
 def cycle_of(
-    model_path: str, path: Path, law: str, options: Mapping[str, Any], terms: Terms | None = None
+    model_path: str,
+    path: Path,
+    law: str,
+    options: Mapping[str, Any],
+    terms: Terms | None = None,
+    onlooker: Onlooker = UNWATCHED,
 ) -> Cycle:
     """One settled period of voltages for a file that holds one period of a path.
 
@@ -149,11 +162,12 @@ def cycle_of(
     Raises
     ------
     InputError : a file or an option is wrong
-    SimulationError : the law cannot work, the periods do not become alike, or the path is out of reach
+    SimulationError : the law cannot work, the periods do not become alike, or the path is out of reach or
+        does not fit the memory
     IdentificationError : the model's own fit report flagged it
     """
     terms = terms or Terms()
-    design = design_of(model_path, path, law, options, terms)
+    design = design_of(model_path, path, law, options, terms, onlooker)
     return design.cycle(centred(design.law, design.model, design.reference_um), terms)
 
 

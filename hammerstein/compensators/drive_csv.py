@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
+from collections.abc import Callable, Sequence
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import column
 from hammerstein.errors import InputError
 from hammerstein.escaping import clean
 
+Tell = Callable[[str], None]
+ROWS_AT_ONCE = 100_000
+
 
 def drive_csv(
     time_s: Array,
     groups: Sequence[tuple[str, str, Sequence[str], Array]],
     statements: Sequence[str],
+    tell: Tell | None = None,
 ) -> str:
     """Text of a CSV file whose first lines, each with ``#`` before it, say what must hold when it is sent.
 
@@ -24,6 +26,7 @@ def drive_csv(
     time_s : (sample,) times [s]
     groups : word, unit, names and rows (name, sample) of every group of columns
     statements : what stands above the columns
+    tell : told how many rows are written
 
     Raises
     ------
@@ -46,6 +49,11 @@ def drive_csv(
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError("drive file", f"two columns would be called {twice[0]}; rename the model's axes")
-    table = pd.DataFrame(np.vstack([time_s, *(rows for *_, rows in groups)]).T, columns=names)
-    above = "".join(f"# {clean(' '.join(text.split()))}\n" for text in statements)
-    return above + str(table.to_csv(index=False, lineterminator="\n"))
+    columns = [time_s, *(row for *_, rows in groups for row in rows)]
+    text = ["".join(f"# {clean(' '.join(words.split()))}\n" for words in statements)]
+    for first in range(0, max(len(time_s), 1), ROWS_AT_ONCE):
+        part = dict(zip(names, (column[first : first + ROWS_AT_ONCE] for column in columns), strict=True))
+        text.append(pd.DataFrame(part).to_csv(index=False, header=first == 0, lineterminator="\n"))
+        if tell is not None:
+            tell(f"writing {min(first + ROWS_AT_ONCE, len(time_s)):,} of {len(time_s):,} rows")
+    return "".join(text)

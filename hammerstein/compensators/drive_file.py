@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
@@ -16,12 +15,12 @@ from hammerstein.arrays import Array
 from hammerstein.blocks import Law, checked_reference
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators import COMPENSATORS, Compensator, HammersteinInverse
-from hammerstein.compensators.drive_csv import drive_csv
+from hammerstein.compensators.drive_csv import Tell, drive_csv
+from hammerstein.compensators.path_file import UNWATCHED, Onlooker, read_path
 from hammerstein.compensators.reach import Reach, Shortfall, reach, require_reach, shortfall
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, SimulationError
 from hammerstein.files import Content
 from hammerstein.model import HammersteinModel
-from hammerstein.signals.tables import chosen, read_signal
 from hammerstein.validation import mistakes_of
 
 CONTENT = Content("drive file", sign="time_s,drive_")
@@ -135,15 +134,18 @@ class Compensation:
             return f"{text}at rest, as the records began."
         return f"{text}at rest at {rest} before, then straight to there."
 
-    def to_csv(self) -> str:
-        """Text of the drive file: time, voltages to send, reference, predicted position."""
+    def to_csv(self, tell: Tell | None = None) -> str:
+        """Text of the drive file: time, voltages to send, reference, predicted position.
+
+        tell : told how many rows are written
+        """
         inputs, outputs = self.model.inputs, self.model.outputs
         groups = (
             ("drive", "v", inputs, self.drive_v),
             ("reference", "um", outputs, self.reference_um),
             ("predicted", "um", outputs, self.shortfall.predicted_um),
         )
-        return drive_csv(self.time_s, groups, [HEADING, *self.statements()])
+        return drive_csv(self.time_s, groups, [HEADING, *self.statements()], tell)
 
 
 def verdict_statements(model: HammersteinModel) -> list[str]:
@@ -183,6 +185,7 @@ def compensate(
     law: str,
     options: Mapping[str, Any],
     terms: Terms | None = None,
+    onlooker: Onlooker = UNWATCHED,
 ) -> Compensation:
     """Voltages for a reference file (``time_s`` and one column an axis, in um).
 
@@ -194,16 +197,19 @@ def compensate(
     reference_path : CSV file
     law, options : a law and its options, by their names in a scenario
     terms : range, start, and what is accepted
+    onlooker : told the cost of the path before the work
 
     Raises
     ------
     InputError : a file or an option is wrong
-    SimulationError : the law cannot work, the path is out of reach, or the drive leaves the records
+    SimulationError : the law cannot work, the path is out of reach or does not fit the memory, or the drive
+        leaves the records
     IdentificationError : the model's own fit report flagged it
     """
     model, source = HammersteinModel.load(model_path), PurePath(model_path).name
     sample_time_s = model.instruments.drive.sample_time_s
-    time_s, reference, resampled = read_path(reference_path, model, sample_time_s)
+    time_s, reference, resampled = read_path(reference_path, model, sample_time_s, onlooker=onlooker)
+    onlooker.tell("designing the drive")
     try:
         found = compensation_of(model, reference, law, options, terms, source)
     except SimulationError as error:
@@ -363,26 +369,6 @@ def _slower(
         f"With --filter-hz {best[0]:g} it is within reach: what is faster is then left out, up to "
         f"{best[1]:.3g} um of it. "
     )
-
-
-def read_path(
-    path: Path, model: HammersteinModel, sample_time_s: float, word: str = "reference"
-) -> tuple[Array, Array, bool]:
-    """Times (sample,), positions (output, sample) on the drive's grid, and whether they were resampled.
-
-    word : what a column of a file of ours holds, ``reference`` or ``reading``
-
-    Raises InputError for a file that is no such path.
-    """
-    times, values, names = read_signal(path)
-    values = values[chosen(path, names, model.outputs, "displacement", word)]
-    samples = math.floor((times[-1] - times[0]) / sample_time_s + 1e-6) + 1
-    grid = times[0] + np.arange(samples) * sample_time_s
-    same = samples == len(times) and bool(np.abs(times - grid).max() < 1e-3 * sample_time_s)
-    if samples < 2:
-        raise InputError(str(path), f"is shorter than two samples of {sample_time_s:g} s")
-    reference = values if same else np.stack([np.interp(grid, times, row) for row in values])
-    return grid, np.ascontiguousarray(reference), not same
 
 
 def sensorless_law(

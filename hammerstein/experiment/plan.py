@@ -24,6 +24,7 @@ from hammerstein.experiment.sensitivity import evaluations, varying
 from hammerstein.experiment.set_up import Window, driven_axes, loaded, plant_of, scenario_axes
 from hammerstein.hysteresis import PrandtlIshlinskii, RateDependent
 from hammerstein.model.simulation import Plant
+from hammerstein.quantities import duration, size
 from hammerstein.runtime.memory import COPIES, free_bytes, run_bytes
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec, ModelSource
@@ -319,25 +320,3 @@ def _kind(source: ModelSource) -> str:
     if source.identification is None:
         return loaded(str(source.model)).hysteresis.kind
     return getattr(source.identification, "hysteresis", None) or PrandtlIshlinskii.kind
-
-
-def size(number: float) -> str:
-    """Bytes in words.
-
-    >>> size(2.4e9), size(3e13)
-    ('2.4 GB', '30,000 GB')
-    """
-    return f"{number / 1e9:,.3g} GB" if number < 1e12 else f"{number / 1e9:,.0f} GB"
-
-
-def duration(seconds: float) -> str:
-    """Time in words.
-
-    >>> duration(900.0), duration(9000.0), duration(1e6)
-    ('15 minutes', '2.5 hours', '12 days')
-    """
-    for unit, length in (("days", 86400.0), ("hours", 3600.0)):
-        if seconds >= 2.0 * length:
-            number = seconds / length
-            return f"{number:.2g} {unit}" if number < 99 else f"{number:,.0f} {unit}"
-    return f"{seconds / 60.0:.0f} minutes" if seconds >= 90.0 else f"{seconds:.2g} seconds"

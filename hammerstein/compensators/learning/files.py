@@ -11,9 +11,10 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import column
 from hammerstein.compensators.cycle import Cycle, design_of
-from hammerstein.compensators.drive_file import Terms, read_path
+from hammerstein.compensators.drive_file import Terms
 from hammerstein.compensators.learning.lesson import MEASURED, Lesson, lesson
 from hammerstein.compensators.learning.unsure import Unsure
+from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, read_path
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
 from hammerstein.signals.tables import read_signal
@@ -27,6 +28,7 @@ def learn_from_files(
     trial: tuple[Path, Path],
     unsure: Unsure,
     terms: Terms,
+    onlooker: Onlooker = UNWATCHED,
 ) -> tuple[Cycle, Lesson]:
     """Next period of voltages, and what the trial taught.
 
@@ -36,13 +38,14 @@ def learn_from_files(
     trial : the drive file that was played, and what the sensor read: ``time_s`` and one column an output in
         um, whole settled periods, zero where the actuator stood before
     unsure : how sure the model is
+    onlooker : told the cost of the path before the work
 
     Raises InputError for files that do not belong together, and what ``cycle_of`` does.
     """
-    design = design_of(model_path, path, law, options, terms)
+    design = design_of(model_path, path, law, options, terms, onlooker)
     samples, time_s = design.reference_um.shape[1], design.model.instruments.drive.sample_time_s
     drive = _drive_of(trial[0], design.model, samples)
-    _, measured, resampled = read_path(trial[1], design.model, time_s, "reading")
+    _, measured, resampled = read_path(trial[1], design.model, time_s, "reading", CYCLE_COST)
     if resampled:
         raise InputError(str(trial[1]), f"is not sampled every {time_s:g} s, as the drive is; record it so")
     bandwidth = design.model.instruments.sensor.bandwidth_hz
