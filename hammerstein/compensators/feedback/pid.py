@@ -16,8 +16,9 @@ from hammerstein.blocks import Controller, Law, Memory, checked_reference
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.instruments import standard_noise
 from hammerstein.compensators.base import COMPENSATORS, Compensator
-from hammerstein.compensators.feedback.tuning import POINTS, Gains, tuned
-from hammerstein.dynamics import StaticDynamics, discretise
+from hammerstein.compensators.feedback.loop import Loop
+from hammerstein.compensators.feedback.tuning import Gains, tuned
+from hammerstein.dynamics import LinearBlock, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PrandtlIshlinskii, slopes_of
 from hammerstein.model import HammersteinModel
@@ -265,25 +266,22 @@ def _computed(
             "the model has no dynamics, so no gain can be computed from it that is known to be stable; "
             'identify the dynamics too (method = "hammerstein"), or give the gains',
         )
-    block = discretise(model.dynamics, sample_time_s, sensor_bandwidth_hz)
-    p = model.hysteresis.n_outputs
-    highest = 0.5 / sample_time_s
-    frequency = np.geomspace(1e-5 * highest, highest, POINTS)[:-1]
-    reading = block.response(frequency)[:, p:, :]
-    delayed = reading * np.exp(-2j * np.pi * frequency * sample_time_s)[:, None, None]
-    loops = [np.diagonal(delayed @ slopes, axis1=1, axis2=2) for slopes in _extreme_slopes(model)]
-    return tuned(np.array(loops), frequency, sample_time_s, derivative)
+    block, p = discretise(model.dynamics, sample_time_s, sensor_bandwidth_hz), model.hysteresis.n_outputs
+    reading = LinearBlock(block.A, block.B, block.C[p:], block.D[p:], sample_time_s)
+    return tuned(Loop(reading, np.array(_extreme_slopes(model))), derivative)
 
 
 def _extreme_slopes(model: HammersteinModel) -> list[Array]:
-    """Decoupled slope matrices J G^+ (p, p) of the least and the greatest slope of each input."""
+    """Decoupled slope matrices J G^+ (p, p), each input at its least and greatest slope of each output."""
     hysteresis = model.hysteresis
     inverse = np.linalg.pinv(hysteresis.gain(model.amplitude_v))
+    scale = np.linalg.pinv(inverse)
     ends = []
     for k in range(hysteresis.n_inputs):
         columns = slopes_of(hysteresis, k, model.amplitude_v)
-        size = columns @ np.linalg.pinv(inverse[[k]])[:, 0] if len(columns) else np.zeros(1)
-        ends.append([columns[int(np.argmin(size))], columns[int(np.argmax(size))]] if len(columns) else [])
+        size = columns * np.sign(scale[:, k])
+        extreme = np.concatenate([size.argmin(axis=0), size.argmax(axis=0)]) if len(columns) else []
+        ends.append([columns[i] for i in np.unique(extreme).astype(int)])
     return [np.stack(choice, axis=1) @ inverse for choice in itertools.product(*ends)]
 
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hammerstein.arrays import Array, Complex
+from hammerstein.compensators.feedback.loop import Loop
 from hammerstein.errors import SimulationError
 
 LARGEST_SENSITIVITY = 1.6
-LOWEST_GAIN_PER_S, GAINS_A_DECADE = 1e-1, 20
-POINTS = 1500
 SHARES = (0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0)
+MOST_TRIES = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,12 +24,18 @@ class Gains:
 
     proportional, integral_per_s, derivative_s : (p,)
     crossover_hz : (p,) frequency where the loop gain falls to 1, if it was computed
+    sensitivity : largest singular value of the sensitivity at any frequency, if it was computed
     """
 
     proportional: Array
     integral_per_s: Array
     derivative_s: Array
     crossover_hz: Array | None = None
+    sensitivity: float | None = None
+
+    def scaled(self, factor: float) -> Gains:
+        """Give all gains times a factor; what was computed for the old ones is dropped."""
+        return Gains(factor * self.proportional, factor * self.integral_per_s, factor * self.derivative_s)
 
     def statement(self) -> str:
         """Say what the gains are."""
@@ -41,72 +47,66 @@ class Gains:
             if self.crossover_hz is not None:
                 text += f", loop gain 1 at {self.crossover_hz[o]:.3g} Hz"
             axes.append(text)
-        return "Feedback gains: " + "; ".join(axes) + "."
+        peak = f"; sensitivity at most {self.sensitivity:.3g}" if self.sensitivity is not None else ""
+        return "Feedback gains: " + "; ".join(axes) + f"{peak}."
 
 
-def tuned(response: Complex, frequency_hz: Array, sample_time_s: float, derivative: bool = False) -> Gains:
+def tuned(loop: Loop, derivative: bool = False) -> Gains:
     """Gains with the largest integral gain that keeps the sensitivity below 1.6 at every frequency.
 
     The controller of each output is searched over the ratios of its proportional and derivative to its
-    integral gain; for each ratio the integral gain is raised from almost zero until
-    ``|1 / (1 + L)|`` first passes 1.6 somewhere for some of the slopes. As the loop is stable at the lowest
-    gain and -1 is never met on the way, it is stable at all gains passed. A lightly damped resonance is what
-    limits it: without derivative, about ``2 zeta w_n`` over a margin.
+    integral gain; for each ratio the integral gain is raised until ``|1 / (1 + L)|`` first reaches 1.6 at
+    some frequency for some slope. The loop of all outputs is then examined as it runs: the poles of the
+    closed loop must lie inside the unit circle and the largest singular value of its sensitivity must stay
+    below 1.6, for the extreme slopes of the hysteresis; where coupling spoils that, all gains are lowered. A
+    lightly damped resonance is what limits them: without derivative, about ``2 zeta w_n`` over a margin.
 
     Parameters
     ----------
-    response : (slope, frequency, p) from correction to reading of each output: slopes of the hysteresis over
-        its gain, linear block, sensor, delay of the loop
-    frequency_hz : (frequency,) up to half the sample rate, dense enough for the resonances
-    sample_time_s : time between samples [s]
+    loop : the actuator as the controller sees it
     derivative : search the derivative gain too (PID), else it is zero (PI)
 
     Raises
     ------
-    SimulationError : not even the lowest gain keeps the sensitivity
+    SimulationError : no gain keeps the loop stable with that sensitivity
 
     Source: Astrom, Panagopoulos and Hagglund, Automatica 34 (1998) 585-601; the limit 2 zeta w_n: Fleming,
     Aphale and Moheimani, IEEE Transactions on Nanotechnology 9 (2010) 438-448.
     """
-    z: Complex = np.exp(-2j * np.pi * frequency_hz * sample_time_s)
-    integral, change = sample_time_s / (1.0 - z), (1.0 - z) / sample_time_s
-    outputs = range(response.shape[2])
-    found = [_one(response[:, :, o], frequency_hz, integral, change, derivative) for o in outputs]
-    proportional, per_s, derivative_s, crossover = np.array(found).T
-    return Gains(proportional, per_s, derivative_s, crossover)
+    outputs = range(loop.n_outputs)
+    gains = Gains(*np.array([_one(loop, o, derivative) for o in outputs]).T)
+    for _ in range(MOST_TRIES):
+        sensitivity = loop.sensitivity(gains)
+        if sensitivity <= LARGEST_SENSITIVITY and gains.integral_per_s.all():
+            crossover = np.array([loop.crossover_hz(o, gains) for o in outputs])
+            return replace(gains, crossover_hz=crossover, sensitivity=sensitivity)
+        gains = gains.scaled(max(0.7, min(0.98, LARGEST_SENSITIVITY / sensitivity)))
+    raise SimulationError(
+        "No feedback gain makes the loop stable with a sensitivity below "
+        f"{LARGEST_SENSITIVITY}: {loop.obstacle()} Give the gains yourself."
+    )
 
 
-def _one(
-    response: Complex, frequency_hz: Array, integral: Complex, change: Complex, derivative: bool
-) -> tuple[float, float, float, float]:
-    """Proportional, integral and derivative gain of one output, and its crossover."""
-    gains = LOWEST_GAIN_PER_S * 10.0 ** (np.arange(6 * GAINS_A_DECADE) / GAINS_A_DECADE)
-    peak = frequency_hz[int(np.argmax(np.abs(response).max(axis=0)[1:])) + 1]
-    unit = 1.0 / (2.0 * np.pi * peak)
-    best, chosen, shape = 0.0, (0.0, 0.0), integral
+def _one(loop: Loop, o: int, derivative: bool) -> tuple[float, float, float]:
+    """Proportional, integral and derivative gain of one output with the others open."""
+    response = loop.alone(o)
+    unit = 1.0 / (2.0 * np.pi * loop.peak_hz(o))
+    best, ratios = 0.0, (0.0, 0.0)
     for share, second in itertools.product(SHARES, SHARES if derivative else (0.0,)):
-        ratios = (share * unit, second * unit * unit)
-        controller = integral + ratios[0] + ratios[1] * change
-        gain = _largest_gain(response * controller, gains)
+        shape = 1.0 / loop.change + share * unit + second * unit * unit * loop.change
+        gain = _largest_gain(response * shape)
         if gain > best:
-            best, chosen, shape = gain, ratios, controller
-    if best == 0.0:
-        raise SimulationError(
-            "No feedback gain keeps a safe distance from instability: the loop gain of the model is wrong in "
-            "sign or its dynamics are not those of an actuator. Give the gains yourself."
-        )
-    above = np.flatnonzero(np.abs(response * shape).max(axis=0) * best >= 1.0)
-    crossover = float(frequency_hz[above[-1]]) if len(above) else 0.0
-    return best * chosen[0], best, best * chosen[1], crossover
+            best, ratios = gain, (share * unit, second * unit * unit)
+    return best * ratios[0], best, best * ratios[1]
 
 
-def _largest_gain(loop: Complex, gains: Array) -> float:
-    """Last of the rising gains before the sensitivity of a loop (slope, frequency) first passes its bound."""
-    flat = loop.reshape(1, -1)
-    for block in np.array_split(gains, len(gains) // GAINS_A_DECADE):
-        closest = np.abs(1.0 + block[:, None] * flat).min(axis=1)
-        bad = np.flatnonzero(closest < 1.0 / LARGEST_SENSITIVITY)
-        if len(bad):
-            index = int(np.searchsorted(gains, block[bad[0]])) - 1
-            return float(gains[index]) if index >= 0 else 0.0
-    return float(gains[-1])
+def _largest_gain(loop: Complex) -> float:
+    """First gain k from zero on at which ``|1 + k L| = 1 / 1.6`` for any entry of a loop; 0 where none is.
+
+    That is the smaller root of ``|L|^2 k^2 + 2 Re(L) k + 1 - 1 / 1.6^2 = 0``. Gains below it pass -1 nowhere.
+    """
+    real, square = loop.real, np.abs(loop) ** 2
+    within = real**2 - square * (1.0 - LARGEST_SENSITIVITY**-2)
+    met = (real < 0.0) & (within >= 0.0)
+    roots = (1.0 - LARGEST_SENSITIVITY**-2) / (-real[met] + np.sqrt(within[met]))
+    return float(roots.min(initial=np.inf)) if met.any() else 0.0

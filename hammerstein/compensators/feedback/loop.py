@@ -1,0 +1,172 @@
+"""The loop that a controller closes around an actuator: its response, its poles, its sensitivity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hammerstein.arrays import Array, ByValue, Complex
+from hammerstein.dynamics import LinearBlock
+
+if TYPE_CHECKING:
+    from hammerstein.compensators.feedback.tuning import Gains
+
+POINTS = 800
+NEAREST, NARROW = 0.05, 0.06  # about a resonance: the first distance in half widths, ln of the ratio of two
+SMALL = 0.3  # loop gain whose distance from -1 needs no closer look
+DEEPEST, ROUNDS, CLOSER = 9, 3, 21
+
+
+@dataclass(frozen=True, eq=False)
+class Loop(ByValue):
+    """What a controller of each output sees: from its correction to its reading.
+
+        reading = S(z) G(z) z^-1 J G_0^+ correction
+
+    The correction of a sample acts on the drive of the next one. J are slopes of the hysteresis, G_0 is
+    its gain.
+
+    Parameters
+    ----------
+    plant : sensor behind the linear block on the sample grid, (p, p)
+    slopes : (choice, p, p) extreme slopes J G_0^+ of the hysteresis over its gain
+    """
+
+    plant: LinearBlock
+    slopes: Array
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return self.plant.n_outputs
+
+    @property
+    def sample_time_s(self) -> float:
+        """Time between samples [s]."""
+        return self.plant.sample_time_s
+
+    @cached_property
+    def frequency_hz(self) -> Array:
+        """Frequencies up to half the sample rate, dense about every resonance of the plant."""
+        return self._grid(np.linalg.eigvals(self.plant.A))
+
+    def _grid(self, poles: Complex) -> Array:
+        """Frequencies of one ratio, and about each resonance closer together the closer they are to it.
+
+        poles : of the z plane; the half width of a resonance is -ln|z| / T
+        """
+        slow = np.abs(poles - 1.0)
+        slowest = min(slow[slow > 1e-12].min(initial=1.0), 1e-5 * np.pi)
+        angles = [np.geomspace(0.1 * slowest, np.pi, POINTS)]
+        for width, angle in zip(-np.log(np.maximum(np.abs(poles), 1e-3)), np.angle(poles), strict=True):
+            if not 0.0 < width < 0.5 * angle:
+                continue
+            beside = np.geomspace(NEAREST * width, np.pi, int(np.log(np.pi / (NEAREST * width)) / NARROW))
+            angles.append(np.concatenate([angle - beside, [angle], angle + beside]))
+        every = np.unique(np.concatenate(angles))
+        return np.asarray(every[(every > 0.0) & (every <= np.pi)] / (2.0 * np.pi * self.sample_time_s))
+
+    def _reading(self, frequency_hz: Array) -> Complex:
+        """Response (frequency, p, p) from what the hysteresis should give to the reading."""
+        if frequency_hz is self.frequency_hz:
+            return self._on_grid
+        return self._shift(frequency_hz)[:, None, None] * self.plant.response(frequency_hz)
+
+    @cached_property
+    def _on_grid(self) -> Complex:
+        return self._reading(self.frequency_hz.copy())
+
+    def _shift(self, frequency_hz: Array) -> Complex:
+        """Delay of one sample, 1 / z."""
+        return np.asarray(np.exp(-2j * np.pi * frequency_hz * self.sample_time_s))
+
+    def _controller(self, gains: Gains, frequency_hz: Array) -> Complex:
+        """Response (frequency, p) of the controllers."""
+        change = (1.0 - self._shift(frequency_hz))[:, None] / self.sample_time_s
+        return np.asarray(gains.proportional + gains.integral_per_s / change + gains.derivative_s * change)
+
+    @cached_property
+    def change(self) -> Complex:
+        """Response of a difference of two samples over T."""
+        return np.asarray((1.0 - self._shift(self.frequency_hz)) / self.sample_time_s)
+
+    def alone(self, o: int) -> Complex:
+        """Response (slope, frequency) of one output to its own correction, at its least and largest slope."""
+        own = self.slopes[:, o, o]
+        ends = self.slopes[[int(np.argmin(own)), int(np.argmax(own))], :, o]
+        return np.asarray(ends @ self._on_grid[:, o].T)
+
+    def peak_hz(self, o: int) -> float:
+        """Frequency where an output responds most to its own correction."""
+        return float(self.frequency_hz[int(np.argmax(np.abs(self.alone(o)).max(axis=0)))])
+
+    def crossover_hz(self, o: int, gains: Gains) -> float:
+        """Frequency where the gain of a loop falls to 1 for good; 0 where it never reaches it."""
+        controller = self._controller(gains, self.frequency_hz)[:, o]
+        above = np.flatnonzero(np.abs(self.alone(o) * controller).max(axis=0) >= 1.0)
+        return float(self.frequency_hz[above[-1]]) if len(above) else 0.0
+
+    def poles(self, gains: Gains, slope: Array) -> Complex:
+        """Poles of the closed loop for one slope matrix (p, p).
+
+        States are those of the plant, the correction of the last sample, the sum of the errors and the last
+        error.
+        """
+        a, b, c, d = self.plant.A, self.plant.B, self.plant.C, self.plant.D
+        n, p, step = len(a), self.n_outputs, self.sample_time_s
+        none, one = np.zeros((p, p)), np.eye(p)
+        error = np.hstack([-c, -d @ slope, none, none])
+        total = np.hstack([np.zeros((p, n)), none, one, none])
+        total = total + step * gains.integral_per_s[:, None] * error
+        change = (error - np.hstack([np.zeros((p, n)), none, none, one])) / step
+        correction = gains.proportional[:, None] * error + total + gains.derivative_s[:, None] * change
+        moved = np.hstack([a, b @ slope, np.zeros((n, 2 * p))])
+        return np.asarray(np.linalg.eigvals(np.vstack([moved, correction, total, error])))
+
+    def sensitivity(self, gains: Gains) -> float:
+        """Largest singular value of the sensitivity at any frequency and slope; inf if a loop is unstable."""
+        poles = [self.poles(gains, slope) for slope in self.slopes]
+        if any(np.abs(own).max() >= 1.0 for own in poles):
+            return np.inf
+        angles = np.abs(np.angle(np.concatenate(poles)))
+        own = angles[angles > 0.0] / (2.0 * np.pi * self.sample_time_s)
+        frequency = np.unique(np.concatenate([self.frequency_hz, own]))
+        least = self._distance(gains, frequency)
+        for _ in range(ROUNDS):
+            inner = least[1:-1]
+            low = 1 + np.flatnonzero((inner <= least[:-2]) & (inner <= least[2:]))
+            low = low[np.argsort(least[low])[:DEEPEST]]
+            between = [np.linspace(frequency[at - 1], frequency[at + 1], CLOSER) for at in low]
+            beside = np.unique(np.concatenate([frequency[:0], *between]))
+            frequency, order = np.unique(np.concatenate([frequency, beside]), return_index=True)
+            least = np.concatenate([least, self._distance(gains, beside)])[order]
+        return 1.0 / float(least.min())
+
+    def _distance(self, gains: Gains, frequency_hz: Array) -> Array:
+        """Least singular value of 1 + L over the slopes (frequency,): the distance of a lone loop from -1.
+
+        Where L is small this is bounded by 1 - |L| without the singular values.
+        """
+        plant, controller = self._reading(frequency_hz), self._controller(gains, frequency_hz)
+        bound = np.linalg.norm(plant, axis=(1, 2)) * np.abs(controller).max(axis=1)
+        bound = bound * np.linalg.norm(self.slopes, axis=(1, 2)).max()
+        least = np.maximum(1.0 - bound, 1.0 - SMALL)
+        near = bound > SMALL
+        plant, controller = plant[near], controller[near, None, :]
+        for slope in self.slopes:
+            returned = np.eye(self.n_outputs) + plant @ slope * controller
+            least[near] = np.minimum(least[near], np.linalg.svd(returned, compute_uv=False)[:, -1])
+        return np.asarray(least)
+
+    def obstacle(self) -> str:
+        """Say what may keep a controller from a stable loop."""
+        least = float(np.diagonal(self.slopes, axis1=1, axis2=2).min())
+        if least <= 0.0:
+            return (
+                f"the slope of the hysteresis falls to {least:.3g} of its gain; what is stable for one sign "
+                "is unstable for the other. Identify at a lower frequency, or with the dynamics."
+            )
+        return "the loop gain of the model is wrong in sign, or its dynamics are not those of an actuator."
