@@ -216,11 +216,12 @@ def test_dead_zones_follow_saturation_where_plays_are_flagged(name, number):
 
 @needs_dbo
 def test_the_delay_of_the_micromanipulator_is_chosen_from_its_records(micromanipulator):  # noqa: F811
+    """On the fitted record alone; chosen by the one held back itself, it left 0.65 % of that one."""
     (record,), (other,) = micromanipulator
     records, held = [record.part(400, record.samples)], [other.part(400, other.samples)]
     _, fit = identify(records, Settings(hysteresis="asymmetric"), validation=held)
     assert fit.fit["static_hysteresis"].nrmse_percent[0] <= 0.50
-    assert fit.validation["static_hysteresis"].nrmse_percent[0] <= 0.65
+    assert fit.validation["static_hysteresis"].nrmse_percent[0] <= 0.70
     assert fit.delay_samples in (2, 3)
     assert fit.invertible
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import theory
 
+from hammerstein.records.checks import time_mistakes
 from hammerstein.records.leads import leads
 from hammerstein.records.loops import (
     _path,
@@ -521,3 +522,27 @@ def test_noise_that_could_hide_the_closure_settles_no_lone_loop():
         y = u + share * np.ptp(u) * np.where(np.arange(401) % 400 == 0, 0.0, noise)
         (loop,) = (found for found in loop_table(Record([u], [y], 1e-3)) if not found.minor)
         assert loop.settled == settled, share
+
+
+def test_a_slow_line_that_leads_says_nothing_against_a_strong_one_that_lags():
+    """A soft actuator was refused as swapped: its slower half of the power led by 2.5 degrees."""
+    t = 1e-3 * np.arange(8000)
+    slow, fast = 2.0 * np.pi * 1.0 * t, 2.0 * np.pi * 5.0 * t
+    u = 6.0 * np.sin(slow) + 5.0 * np.sin(fast)
+    y = 12.0 * np.sin(slow + np.radians(2.5)) + 6.0 * np.sin(fast - np.radians(52.0))
+    assert leads([Record([u], [y], 1e-3)]) == ()
+    assert leads([Record([u], [2.0 * (6.0 * np.sin(slow + 0.1) + 5.0 * np.sin(fast + 0.1))], 1e-3)]) == (
+        (0, 0),
+    )
+
+
+def test_a_clock_that_jitters_has_no_gaps():
+    """Half of the steps are short, some are long, and none of them lasts: 8,104 gaps were told."""
+    generator = np.random.default_rng(1)
+    steps = 1e-3 * (0.4 + generator.exponential(0.6, 5000))
+    jittered = np.cumsum(steps)
+    [mistake] = time_mistakes("t", jittered, np.arange(2, 5002))
+    assert "non-uniform time" in mistake.what
+    late = 1e-3 * np.arange(5000) + 0.02 * (np.arange(5000) > 3000)
+    [mistake] = time_mistakes("t", late, np.arange(2, 5002))
+    assert "gap of" in mistake.what

@@ -111,3 +111,24 @@ def test_a_smooth_excursion_far_away_is_one(width):
     assert lost.min() > 1200
     assert lost.max() < 1200 + width
     assert np.abs(found.y - 5.0 * U).max() < 120.0
+
+
+@pytest.mark.parametrize("share", [0.05, 0.5])
+def test_a_level_of_a_pulse_train_stands_for_no_missing_value(share):
+    """Half of a pseudo-random drive was left out, and the record refused: 49.7 % outliers."""
+    generator = np.random.default_rng(3)
+    high = np.repeat(generator.random(400) < share, 20)
+    u = np.where(high, 10.0, 1e-6 * generator.standard_normal(high.size))[None]
+    y = 5.0 * lfilter([0.2], [1.0, -0.8], u, axis=1) + 0.01 * generator.standard_normal(u.shape)
+    found = without_outliers(u, y)
+    assert not found.lost_u.any()
+    assert not found.lost_y.any()
+
+
+def test_a_record_may_begin_elsewhere():
+    """Held far away, then stepped to where it is driven: its first rows are no outliers."""
+    u, y = U.copy(), 5.0 * U
+    u[0, :12], y[0, :12] = -40.0, -200.0
+    found = without_outliers(u, y)
+    assert not found.lost_u.any()
+    assert not found.lost_y.any()

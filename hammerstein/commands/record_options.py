@@ -188,6 +188,10 @@ class Identified:
         typer.Option(metavar="SECONDS", help="By which the sensor reports late: kept out of the model."),
     ] = 0.0
 
+    accept_order: Annotated[
+        bool, typer.Option("--accept-order", help="Take the columns as named, though an output leads.")
+    ] = False
+
     def settings(self, **more: Any) -> Settings:
         """The settings, with what one command alone asks for."""
         from hammerstein.commands.refusals import told_by_options

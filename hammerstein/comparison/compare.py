@@ -9,7 +9,7 @@ from pathlib import PurePath
 import numpy as np
 
 from hammerstein.comparison.fitting import Fitted, Progress, fit_all
-from hammerstein.comparison.inverting import Inverse, best_other, inverse_of, left_by
+from hammerstein.comparison.inverting import Inverse, inverse_of, left_by
 from hammerstein.comparison.judging import scores_at, trial_of
 from hammerstein.comparison.result import Compared, Comparison
 from hammerstein.dynamics import discretise
@@ -39,13 +39,13 @@ def compare(
     """Fit every kind of hysteresis and the linear models to the same records, and recommend one.
 
     Each kind is fitted without a linear block and, where plays have one, with that. What a kind cannot do is
-    told in its place. Each compensator is judged on the best model of another kind, never on its own.
+    told in its place. All compensators are judged on one and the same model, the best of all.
 
     Parameters
     ----------
     records : experiments on one actuator, as for ``identify``
     settings : how each kind is identified; its ``hysteresis`` and ``dead_zones`` are not used
-    validation : records that are held back and only judged; without any, the fitted ones are judged
+    validation : records that are held back and only judged: nothing is chosen by them
     jobs : identifications side by side, each a process, or an executor of ``concurrent.futures``
     progress : told what is being done, how many identifications are done, and of how many
 
@@ -72,28 +72,28 @@ def compare(
     """
     tell = progress or (lambda what, done, total: None)
     settings = settings or Settings()
-    ready = from_last_rest(records, settings.sensor)
-    held = from_last_rest(validation, settings.sensor) if validation else ()
+    ready = from_last_rest(records, settings.sensor, accept_order=settings.accept_order)
+    held = (
+        from_last_rest(validation, settings.sensor, accept_order=settings.accept_order) if validation else ()
+    )
     fitted, failed = fit_all(records, settings, validation, jobs, tell)
     tell("playing the compensators", 1, 1)
-    judged = held or ready
-    grid_s = judged[0].sample_time_s
+    grid_s = ready[0].sample_time_s
     inverses = [inverse_of(one.model, grid_s) for one in fitted]
-    starts = [one.held_starts if held else one.starts for one in fitted]
+    starts = [one.starts for one in fitted]
     trials = [
-        trial_of(one, judged, starts, i, inverse.exact)
+        trial_of(one, ready, starts, i, inverse.exact)
         for i, (one, inverse) in enumerate(zip(fitted, inverses, strict=True))
     ]
-    ranked = [fitted[i] for i in sorted(range(len(trials)), key=lambda i: float(np.mean(trials[i].squares)))]
-    good = as_good(trials)
+    best, good = fitted[least(trials)], as_good(trials)
     entries = [
-        _entry(one, inverse, trial, i in good, ranked, (ready, held))
+        _entry(one, inverse, trial, i in good, best, (ready, held))
         for i, (one, inverse, trial) in enumerate(zip(fitted, inverses, trials, strict=True))
     ]
     return Comparison(
         tuple(sorted(entries, key=lambda entry: entry.parameters)),
         tuple(failed),
-        fitted[least(trials)].name,
+        best.name,
         fitted[chosen(trials)].name,
         records[0].inputs,
         records[0].outputs,
@@ -107,7 +107,7 @@ def _entry(
     inverse: Inverse,
     trial: Trial,
     good: bool,
-    ranked: Sequence[Fitted],
+    best: Fitted,
     records: tuple[tuple[Record, ...], tuple[Record, ...]],
 ) -> Compared:
     """Everything that is said of one model."""
@@ -121,12 +121,13 @@ def _entry(
         held=score(one.candidate, held, one.held_starts) if held else None,
         fitted_at=scores_at(one, ready, one.starts),
         held_at=scores_at(one, held, one.held_starts),
+        folds_percent=trial.percent,
         as_good=good,
         seconds=one.seconds,
         ns_a_sample=ns_a_sample(one.model, ready[0]),
         has_inverse=inverse.exact,
         inverse=inverse.words,
-        left=left_by(one, inverse, best_other(one, ranked), held or ready),
+        left=left_by(one, inverse, best, held or ready),
         flags=one.flags,
         model=one.model,
     )

@@ -11,7 +11,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law
 from hammerstein.blocks.driving import DriveRange
-from hammerstein.comparison.fitting import LINEAR, Fitted
+from hammerstein.comparison.fitting import Fitted
 from hammerstein.comparison.result import Left
 from hammerstein.compensators import (
     Compensator,
@@ -69,31 +69,18 @@ def _range(model: HammersteinModel) -> DriveRange:
     return DriveRange.of(np.stack([low - more, high + more], axis=1), model)
 
 
-def best_other(one: Fitted, ranked: Sequence[Fitted]) -> Fitted | None:
-    """Best model with hysteresis of another kind; ``ranked``: all models, the best first.
-
-    Where the best of all has dynamics, one that has some, if there is any: an actuator without a resonance
-    would speak against every law that undoes it.
-    """
-    others = [other for other in ranked if other.hysteresis not in (LINEAR, one.hysteresis)]
-    lively = [other for other in others if not _is_static(other)] if not _is_static(ranked[0]) else []
-    return next(iter(lively or others), None)
-
-
-def _is_static(one: Fitted) -> bool:
-    return isinstance(one.model.dynamics, StaticDynamics)
-
-
-def left_by(one: Fitted, law: Inverse, other: Fitted | None, records: Sequence[Record]) -> Left:
+def left_by(one: Fitted, law: Inverse, other: Fitted, records: Sequence[Record]) -> Left:
     """What the compensator of one model leaves where another one stands for the actuator.
 
     The path is what the other model says to the voltages of the records, from rest; the law of the first one
     computes the voltages for it, and these are played on the other.
+
+    other : the model that predicts best, the same for all; nothing is told of that one itself
     """
     if law.options is None:
         return Left(reason=law.words)
-    if other is None:
-        return Left(law.options.law, reason="no other kind of hysteresis was fitted")
+    if other is one:
+        return Left(law.options.law, reason="it stands for the actuator")
     errors, spans, held = [], [], []
     try:
         for record in records:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hammerstein.comparison.fitting import Fitted
-from hammerstein.identification.choice import Trial, judged_squares, parameters_of
+from hammerstein.identification.choice import Trial, fold_squares, parameters_of
 from hammerstein.identification.score import Score, score
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
@@ -70,11 +70,11 @@ def scores_at(one: Fitted, records: Sequence[Record], starts: Sequence[Start]) -
 def trial_of(
     one: Fitted, records: Sequence[Record], starts: Sequence[Sequence[Start]], number: int, has_inverse: bool
 ) -> Trial:
-    """Squared errors of a model, on the samples that count for every model.
+    """Squared errors of a model on folds of the fitted records, on the samples that count for every model.
 
-    starts : of the judged records, as each of the models had them; ``number``: which of them is this one
+    starts : of the records, as each of the models had them; ``number``: which of them is this one
     """
     first = [max(begun.first for begun in each) for each in zip(*starts, strict=True)]
     own = [replace(start, first=k) for start, k in zip(starts[number], first, strict=True)]
-    squares = judged_squares(one.candidate, records, own)
+    squares = fold_squares(one.candidate, records, own)
     return Trial(one.name, parameters_of(one.candidate), squares, has_inverse)

@@ -18,10 +18,12 @@ if TYPE_CHECKING:
 
 FORMAT = "hammerstein-comparison/1"
 RULE = (
-    f"Recommended is the model with the fewest parameters whose rms error is {CLOSE}; one without an inverse "
-    f"only where none with an inverse is as good, which is one that is within {100.0 * FELT:.0f} % or one "
-    "standard error. The standard error is that of the mean difference of the squared errors to the best "
-    f"model, from the differences on the {PARTS} parts into which each judged record falls."
+    f"The recommended model has the fewest parameters of those whose rms error is {CLOSE}; one without an "
+    "inverse only where none with an inverse is as good, which is one that is within "
+    f"{100.0 * FELT:.0f} % or one standard error. Errors are those on parts of the fitted records that are "
+    "left out in turn, so that the validation records choose nothing: their error stands beside it. The "
+    "standard error is that of the mean difference of the squared errors to the best model over these folds: "
+    f"of {PARTS} parts of each record every fourth is one fold."
 )
 
 
@@ -55,7 +57,9 @@ class Compared:
     parameters : free numbers
     fitted, held : errors on the records that it was fitted to, and on those held back; None if there are none
     fitted_at, held_at : the same of the records at one frequency [Hz]
-    as_good : whether its error is within 2 % or one standard error of the least
+    folds_percent : its error on parts of the fitted records that were left out in turn, in percent of the
+        range: by it the model is recommended
+    as_good : whether that is within 2 % or one standard error of the least
     seconds : of its identification; that with plays gives the linear models, too
     ns_a_sample : time of one sample of the model, all outputs together [ns]
     has_inverse : whether a compensator inverts it exactly
@@ -73,6 +77,7 @@ class Compared:
     held: Score | None
     fitted_at: Mapping[float, Score]
     held_at: Mapping[float, Score]
+    folds_percent: float
     as_good: bool
     seconds: float
     ns_a_sample: float
@@ -96,6 +101,7 @@ class Compared:
         """Give plain values for JSON."""
         own = ("name", "hysteresis", "dynamics", "parameters", "as_good", "has_inverse", "inverse")
         plain: dict[str, Any] = {name: getattr(self, name) for name in own}
+        plain["folds_percent"] = finite(self.folds_percent)
         for name in ("fitted", "held"):
             score, at = getattr(self, name), getattr(self, f"{name}_at")
             plain[name] = None if score is None else _plain(score)
@@ -148,18 +154,18 @@ class Comparison:
         count = f"{chosen.parameters} parameter{'s' * (chosen.parameters != 1)}"
         said = [
             f"Recommended: {chosen.name}, {count}; its error is {chosen.judged.mean_percent:.3g} % of the "
-            f"range {where}."
+            f"range {where}, and {chosen.folds_percent:.3g} % on parts of the fitted ones that were left out."
         ]
         if best is not chosen:
             said.append(
-                f"{best.name} has {best.judged.mean_percent:.3g} % with {best.parameters}: {NO_BETTER}."
+                f"{best.name} has {best.folds_percent:.3g} % there with {best.parameters}: {NO_BETTER}."
                 if chosen.as_good
-                else f"{best.name} has {best.judged.mean_percent:.3g} %, but no inverse."
+                else f"{best.name} has {best.folds_percent:.3g} % there, but no inverse."
             )
         if not self.held:
             said.append(
-                "No record was held back, so that models of more parameters look better here than they "
-                "are: hold one back with --validate before you rely on this."
+                "No validation record was given, so that the error on other records is not known: give one "
+                "with --validate before you rely on this."
             )
         if chosen.flags:
             said.append(f"It does not represent these records: {'; '.join(chosen.flags)}.")
@@ -196,6 +202,7 @@ class Comparison:
                 "parameters": entry.parameters,
                 "fitted_percent": entry.fitted.mean_percent,
                 "held_percent": None if entry.held is None else entry.held.mean_percent,
+                "folds_percent": finite(entry.folds_percent),
                 "as_good": entry.as_good,
                 "seconds": entry.seconds,
                 "ns_a_sample": entry.ns_a_sample,

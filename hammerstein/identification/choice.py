@@ -17,16 +17,17 @@ from hammerstein.dynamics import (
     discretise,
     split_delay,
 )
-from hammerstein.hysteresis import PrandtlIshlinskii
-from hammerstein.identification.score import Candidate, ranges
+from hammerstein.identification.score import Candidate, columns_of, ranges
 from hammerstein.identification.static.folds import FOLDS, moments_of_folds
 from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
-from hammerstein.identification.static.regressors import Filter, Start, delayed, regressor_blocks
-from hammerstein.identification.static.static_block import SlopeColumns, path_filters
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.static_block import path_filters
 from hammerstein.records.record import Record
 
 PARTS = 16
-"""Parts into which every record falls; where no record is held back, every fourth is left out in turn."""
+"""Parts into which every fitted record falls; every fourth of them is left out in turn."""
+UNTOLD = 1e-9
+"""Power that a weight must show in some folds, in parts of its own, or it stays as in all of them."""
 FELT = 0.02
 """Part of the error that a gain must be to matter: less is not worth a parameter, however sure it is."""
 MOST_WORSE = 0.05
@@ -47,7 +48,7 @@ class Trial:
     ----------
     name : what it consists of
     parameters : free numbers in it
-    squares : (part,) mean squared error of the outputs in parts of their ranges, on each judged part;
+    squares : (fold,) mean squared error of the outputs in parts of their ranges, on each part left out;
         infinite where the prediction is not finite or the model unstable
     invertible : whether its main pairs and its linear block can be inverted
     told : whether the records tell the dynamics that it has; if not, it is only there to compare with
@@ -155,60 +156,67 @@ def is_stable(dynamics: Dynamics, sample_time_s: float) -> bool:
     return bool((np.abs(np.linalg.eigvals(block.A)) < 1.0).all())
 
 
-def judged_squares(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
-    """Squared errors (part,) on records held back; infinite for a model that cannot be used."""
-    span = ranges(records, starts)
-    if not is_stable(candidate.dynamics, records[0].sample_time_s):
-        return np.full(PARTS * len(records), np.inf)
-    found = []
-    for record, start in zip(records, starts, strict=True):
-        with np.errstate(over="ignore", invalid="ignore"):
-            squares = ((candidate.residual(record, start) / span[:, None]) ** 2).mean(axis=0)
-        found += [float(part.mean()) for part in np.array_split(squares, PARTS)]
-    values = np.array(found)
-    return np.where(np.isfinite(values), values, np.inf)
-
-
-def crossed_squares(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
+def fold_squares(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
     """Squared errors (record and fold,) where the weights were fitted to the other folds of the same records.
 
     Each record falls into 16 parts, every fourth of which is one fold: cycles of an experiment lie on
-    both sides. Thresholds and linear block stay as they are; the plays run through all parts.
+    both sides. The other numbers stay as they are, and so do weights that the other folds leave open; the
+    operators run through all parts. Infinite for a model that cannot be used. Every kind of hysteresis is
+    judged in this way, so that what is chosen by it owes nothing to records that were held back.
     """
-    if isinstance(candidate.dynamics, StateSpaceDynamics):  # not fitted again: its parts are too many
-        each = judged_squares(candidate, records, starts).reshape(len(records), -1, FOLDS)
-        return np.asarray(each.mean(axis=1).ravel())
     if not is_stable(candidate.dynamics, records[0].sample_time_s):
         return np.full(FOLDS * len(records), np.inf)
-    span, p = ranges(records, starts), len(records[0].y_um)
-    assert isinstance(candidate.hysteresis, PrandtlIshlinskii)  # other kinds take their place afterwards
-    layout = SlopeColumns.of([[pair.thresholds_v for pair in row] for row in candidate.hysteresis.pairs])
-    columns = sum(map(len, layout.grids))
-    whole, part_s = split_delay(candidate.dynamics.input_delay_s, records[0].sample_time_s)
-    prompt = candidate.dynamics.model_copy(update={"input_delay_s": part_s})
-    blocks = candidate.sensor.paths(prompt, records)
+    if isinstance(candidate.dynamics, StateSpaceDynamics):  # not fitted again: its parts are too many
+        return _unfitted_squares(candidate, records, starts)
+    span = ranges(records, starts)
     total = np.zeros((len(records), FOLDS))
-    for o in range(p):
-        merge = layout.merge[o]
-        parts = [
-            _folds(record, start, layout, whole, path_filters(blocks, i, o, columns, p), o)
-            for i, (record, start) in enumerate(zip(records, starts, strict=True))
-        ]
+    for o, size in enumerate(span):
+        parts = _moments_of_output(candidate, records, starts, o)
+        weights = candidate.hysteresis.weights[o]
         for fold in range(FOLDS):
-            train = pooled([part[f] for part in parts for f in part if f != fold])
-            found = merge @ coefficients(merge.T @ train.gram @ merge, merge.T @ train.cross[:, 0])
+            others = [part[f] for part in parts for f in part if f != fold]
+            found = weights + _change(pooled(others), weights) if others else weights
             for i, part in enumerate(parts):
                 test = part.get(fold)
                 if test is not None:
-                    left = squares_left(test.gram, test.cross[:, 0], float(test.power[0]), found)
-                    total[i, fold] += left / test.samples / span[o] ** 2 / p
-    return total.ravel()
+                    left = max(_left(test, found), _left(test, weights))
+                    total[i, fold] += left / test.samples / size**2 / len(span)
+    return np.where(np.isfinite(total), total, np.inf).ravel()
 
 
-def _folds(
-    record: Record, start: Start, layout: SlopeColumns, delay: int, filters: Sequence[Filter], o: int
-) -> Mapping[int, Moments]:
-    """Moments of each fold of one record."""
-    blocks = regressor_blocks(delayed(record, start, delay), start, layout.grids, filters)
-    columns = sum(map(len, layout.grids))
-    return moments_of_folds(blocks, record.y_um[[o]], start.first, columns, PARTS)
+def _left(test: Moments, weights: Array) -> float:
+    return squares_left(test.gram, test.cross[:, 0], float(test.power[0]), weights)
+
+
+def _change(train: Moments, weights: Array) -> Array:
+    """Change of the weights to those that suit some folds; none of what these leave open."""
+    held = np.diag(UNTOLD * np.diag(train.gram) + np.finfo(float).tiny)
+    return coefficients(train.gram + held, train.cross[:, 0] - train.gram @ weights)
+
+
+def _moments_of_output(
+    candidate: Candidate, records: Sequence[Record], starts: Sequence[Start], o: int
+) -> list[Mapping[int, Moments]]:
+    """Moments of each fold of each record with the columns of one output behind its path."""
+    p, n = len(records[0].y_um), len(candidate.hysteresis.weights[o])
+    found = []
+    for record, start in zip(records, starts, strict=True):
+        whole, part_s = split_delay(candidate.dynamics.input_delay_s, record.sample_time_s)
+        prompt = candidate.dynamics.model_copy(update={"input_delay_s": part_s})
+        paths = candidate.sensor.paths(prompt, [record])
+        columns = columns_of(candidate.hysteresis, record, start, o)
+        blocks = columns.blocks(start, whole, path_filters(paths, 0, o, n, p))
+        found.append(moments_of_folds(blocks, record.y_um[[o]], start.first, n, PARTS))
+    return found
+
+
+def _unfitted_squares(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
+    """Squared errors (record and fold,) of a model as it is."""
+    span, found = ranges(records, starts), []
+    for record, start in zip(records, starts, strict=True):
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = ((candidate.residual(record, start) / span[:, None]) ** 2).mean(axis=0)
+        parts = [float(part.mean()) for part in np.array_split(squares, PARTS)]
+        found += [float(np.mean(parts[fold::FOLDS])) for fold in range(FOLDS)]
+    values = np.array(found)
+    return np.where(np.isfinite(values), values, np.inf)

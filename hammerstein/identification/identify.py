@@ -13,7 +13,7 @@ from hammerstein.blocks.instruments import Instruments
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.account import Errors, account, model_of
 from hammerstein.identification.axes_candidates import build_axes
-from hammerstein.identification.choice import Trial, chosen, crossed_squares, judged_squares, parameters_of
+from hammerstein.identification.choice import Trial, chosen, fold_squares, parameters_of
 from hammerstein.identification.choices import PLAYS, identifiable_kinds
 from hammerstein.identification.excitation import refuse_noise, refuse_one_way, responses
 from hammerstein.identification.first_look import first_task, settle_s_of, start_mode
@@ -22,10 +22,10 @@ from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_search import FirstGuess
 from hammerstein.identification.recorded import counted, voltages_of
-from hammerstein.identification.score import score
+from hammerstein.identification.score import Score, score
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.state_space_candidates import build_state_space
-from hammerstein.identification.static.history import judged_starts
+from hammerstein.identification.static.history import judged_starts, own_starts
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.static_candidates import build_static, with_errors
@@ -72,9 +72,9 @@ def identify(
 
     Linear gain, static Prandtl-Ishlinskii block, linear dynamics alone and the Hammerstein model are fitted
     beside each other, each as far as it was asked for. The model with the fewest parameters that is as good
-    as the best on the records held back is returned (see ``choice.chosen``); without such records, it is
-    judged on parts that are left out. The verdict says what each block is worth, and what no model
-    explains.
+    as the best on parts of the fitted records that are left out in turn is returned (see ``choice.chosen``).
+    Nothing is chosen by the records held back: they are used once, for the error that stands beside that of
+    the parts. The verdict says what each block is worth, and what no model explains.
 
     Parameters
     ----------
@@ -111,8 +111,10 @@ def identify(
     if identifiable_kinds()[settings.hysteresis].passes_for_delay and settings.delay_samples is None:
         settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
     tell = progress or (lambda _: None)
-    ready = from_last_rest(records, settings.sensor)
-    held = from_last_rest(validation, settings.sensor) if validation else ()
+    ready = from_last_rest(records, settings.sensor, accept_order=settings.accept_order)
+    held = (
+        from_last_rest(validation, settings.sensor, accept_order=settings.accept_order) if validation else ()
+    )
     _refuse_mixed([*ready, *held])
     if not settings.shapes and settings.dynamics != "state_space":
         refuse_one_way(ready)
@@ -123,15 +125,26 @@ def identify(
     refuse_noise(ready, response)
     held_starts = _starts_of_held(held, built, settle_s_of(guesses), settings)
     tell("judging the models")
-    built, trials = _kept(task, built, held, held_starts)
+    built, trials = _kept(task, built)
     if not plain:
-        task, built = with_hysteresis(replace(task, settings=asked), built, held)
+        task, built = with_hysteresis(replace(task, settings=asked), built)
         held_starts = _starts_of_held(held, built, settle_s_of(guesses), settings)
-    fitted = {kind: score(c, ready, task.starts) for kind, c in built.candidates.items()}
-    judged = {kind: score(c, held, held_starts) for kind, c in built.candidates.items()} if held else {}
+    fitted = _scores(built, ready, task.starts, settings)
+    judged = _scores(built, held, held_starts, settings) if held else {}
     errors = Errors(fitted, judged, held, held_starts, response, trials)
     fit = account(task, built, curve, errors, voltages_of(records, ready, task.starts))
     return model_of(task, fit, built.best.candidate, name, instruments), fit
+
+
+def _scores(
+    built: Built, records: tuple[Record, ...], starts: tuple[Start, ...], settings: Settings
+) -> dict[Kind, Score]:
+    """Errors of every kind of model on the same samples, each with the past that it explains best."""
+    mode = start_mode(settings)
+    return {
+        kind: score(candidate, records, own_starts(records, starts, candidate.predict, mode))
+        for kind, candidate in built.candidates.items()
+    }
 
 
 def _starts_of_held(
@@ -143,9 +156,7 @@ def _starts_of_held(
     return judged_starts(held, best.predict, settle_s, start_mode(settings), simpler)
 
 
-def _kept(
-    task: Task, built: Built, held: tuple[Record, ...], held_starts: tuple[Start, ...]
-) -> tuple[Built, tuple[Trial, ...]]:
+def _kept(task: Task, built: Built) -> tuple[Built, tuple[Trial, ...]]:
     """The model that is as good as the best with the fewest parameters, and all that were tried."""
     named: list[tuple[str, Kind, Found]] = [
         *((KIND_NAMES[kind], kind, found) for kind, found in built.found.items()),
@@ -154,10 +165,8 @@ def _kept(
     trials = []
     for name, _, found in named:
         candidate = found.candidate
-        if held:
-            squares = judged_squares(candidate, held, held_starts)
-        else:
-            squares = crossed_squares(candidate, task.records, task.starts)
+        own = own_starts(task.records, task.starts, candidate.predict, start_mode(task.settings))
+        squares = fold_squares(candidate, task.records, own)
         swing, record = float(half_swing(task.records).max()), task.records[0]
         told = invertibility_of(
             candidate.hysteresis, candidate.dynamics, swing, record.sample_time_s, record.inputs
@@ -170,16 +179,20 @@ def _kept(
     return replace(built, kind=kind, found={**built.found, kind: with_errors(task, found)}), marked
 
 
-def from_last_rest(records: Sequence[Record], sensor: KnownSensor | None = None) -> tuple[Record, ...]:
+def from_last_rest(
+    records: Sequence[Record], sensor: KnownSensor | None = None, *, accept_order: bool = False
+) -> tuple[Record, ...]:
     """Records from where they last rested, with their voltages counted from there.
 
     sensor : whose known delay is taken off the readings, in whole samples; none if not given
+    accept_order : whether an output may lead its input
     """
     if not records:
         raise InputError("records", "none was given")
     _refuse_mixed(records)
     _refuse_twice(records)
-    refuse_swapped(records)
+    if not accept_order:
+        refuse_swapped(records)
     prompt = [(sensor or KnownSensor()).prompt(record) for record in records]
     return tuple(counted(_without_dead_start(record)) for record in prompt)
 

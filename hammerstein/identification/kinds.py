@@ -15,7 +15,7 @@ from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.identifiable import Driven
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.behind import Behind, search_behind, sure_behind
-from hammerstein.identification.choice import Trial, chosen, judged_squares, parameters_of
+from hammerstein.identification.choice import Trial, chosen, fold_squares, parameters_of
 from hammerstein.identification.choices import identifiable_kinds
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_search import WORSE_DELAYS
@@ -26,7 +26,7 @@ from hammerstein.identification.rates import fastest_rad_per_s, rates_of_input, 
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.static.asymmetric import fit_asymmetric
 from hammerstein.identification.static.asymmetric_choice import AsymmetricChoice, chosen_asymmetric
-from hammerstein.identification.static.history import FEWEST, each_alone, judged_starts, unexplained
+from hammerstein.identification.static.history import FEWEST, closed, each_alone, judged_starts, unexplained
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
@@ -63,19 +63,17 @@ class Replacement:
     rough: bool = False
 
 
-def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tuple[Task, Built]:
+def with_hysteresis(task: Task, built: Built) -> tuple[Task, Built]:
     """The models with one of the kind of hysteresis that was asked for; ``classical`` keeps plays.
 
     Lag, resonance and creep are found anew behind the block itself, for what plays miss of it would pass for
     them; with dynamics ``auto`` only where the records are driven at several rates, for at a single one a lag
-    looks like hysteresis. So does a delay: without dynamics every one is judged on the records held back, and
-    where there are none it is the delay that was found with plays.
+    looks like hysteresis. So does a delay: without dynamics every one is judged, none always among them.
 
     Parameters
     ----------
     task : records and settings; its thresholds, delay and starts were found with plays
     built : the models with plays
-    held : records on which it is judged what to keep; those of the fit if there are none
 
     Returns
     -------
@@ -87,12 +85,12 @@ def with_hysteresis(task: Task, built: Built, held: Sequence[Record] = ()) -> tu
     before = built.best
     task = task.delayed_as(before.candidate.dynamics)
     thresholds_v = [[pair.thresholds_v for pair in row] for row in before.blocks.chosen.hysteresis.pairs]
-    tried = _late(task, thresholds_v, free=bool(held) and _free_delay(task))
+    tried = _late(task, thresholds_v, free=_free_delay(task))
     late = len(tried)
     if settings.dynamics != "auto" or several_rates(task.records):
         tried += [_with_axes(task, thresholds_v, tried[0].block)] if settings.dynamics != "none" else []
-    trials = trials_of(task, tried, held)
-    nearest = min(range(late), key=lambda i: trials[i].percent)
+    trials = trials_of(task, tried)
+    nearest = chosen(trials[:late])  # of delays that are as good, the shortest
     kept = [nearest, *range(late, len(tried))]
     found = tried[kept[chosen([trials[i] for i in kept])]]
     task = replace(task, starts=found.starts, delay_samples=found.behind.delay_samples)
@@ -138,39 +136,34 @@ def _late(task: Task, thresholds_v: Thresholds, free: bool) -> list[Whole]:
 def _free_delay(task: Task) -> bool:
     """Whether the delay is to be found: thresholds that grow with the rate look like one."""
     one_time = len({record.sample_time_s for record in task.records}) == 1
+    one_time = one_time and not all(closed(record) for record in task.records)  # a single loop looks late
     kind = identifiable_kinds()[task.settings.hysteresis]
     return task.settings.delay_samples is None and one_time and not kind.passes_for_delay
 
 
-def trials_of(task: Task, tried: Sequence[Whole], held: Sequence[Record]) -> list[Trial]:
-    """What speaks for each model: its errors on the records held back, or else on those of the fit.
+def trials_of(task: Task, tried: Sequence[Whole]) -> list[Trial]:
+    """What speaks for each model: its errors on folds of the fitted records.
 
     All are judged on the same samples: a beginning that one of them explains counts for all.
     """
-    record, swing = task.records[0], float(half_swing(task.records).max())
-    judged, found = held or task.records, []
+    record, swing, found = task.records[0], float(half_swing(task.records).max()), []
     for one in tried:
-        squares = judged_squares(one.candidate, judged, _judged_alike(task, one, tried, held))
+        squares = fold_squares(one.candidate, task.records, _judged_alike(task, one, tried))
         block, dynamics = one.candidate.hysteresis.counted_from(record.rest_v), one.candidate.dynamics
         told = invertibility_of(block, dynamics, swing, record.sample_time_s, record.inputs)[0]
         found.append(Trial(one.name, parameters_of(one.candidate), squares, told))
     return found
 
 
-def _judged_alike(
-    task: Task, one: Whole, tried: Sequence[Whole], held: Sequence[Record]
-) -> tuple[Start, ...]:
+def _judged_alike(task: Task, one: Whole, tried: Sequence[Whole]) -> tuple[Start, ...]:
     """Starts with which one of several models is judged; those that it was fitted with where they explain."""
     simpler = [other.candidate.predict for other in tried if other is not one]
     settle_s = max(other.settle_s for other in tried)
-
-    def judge(records: Sequence[Record]) -> tuple[Start, ...]:
-        return judged_starts(records, one.candidate.predict, settle_s, task.settings.start, simpler)
-
-    if held:
-        return judge(held)
     open_ = unexplained(task.records, one.starts)
-    again = dict(zip(open_, judge([task.records[i] for i in open_]), strict=True))
+    judged = judged_starts(
+        [task.records[i] for i in open_], one.candidate.predict, settle_s, task.settings.start, simpler
+    )
+    again = dict(zip(open_, judged, strict=True))
     return tuple(again.get(i, start) for i, start in enumerate(one.starts))
 
 

@@ -65,6 +65,7 @@ class Settings:
         beside the plays, ``rate_dependent`` with thresholds that grow with the rate, ``bouc_wen``, or any
         registered kind that is ``Identifiable``
     dead_zones : of each input of an asymmetric block; None: as many as the records call for
+    accept_order : whether columns are taken as they are named, though an output leads its input
     error_curve : whether the held-out error is found for many numbers of operators
     """
 
@@ -82,6 +83,7 @@ class Settings:
     start: StartMode = "auto"
     hysteresis: str = PLAYS
     dead_zones: int | None = None
+    accept_order: bool = False
     error_curve: bool = True
 
     def __post_init__(self) -> None:

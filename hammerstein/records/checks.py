@@ -17,6 +17,8 @@ from hammerstein.records.noise import quantum
 FEWEST_SAMPLES = 20
 CLIPPED_RUN = 4
 """Equal extreme samples in a row that make a suspicion of clipping."""
+FEW_GAPS = 0.01
+"""Part of the steps that are gaps, beyond which it is the clock that jitters."""
 AROUND_GAP = 3
 """Samples on each side of a gap over which it must remain."""
 SHOWN = 5
@@ -166,8 +168,10 @@ def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
             )
         ]
     gaps = np.flatnonzero(steps > 1.5 * typical)
-    short = np.count_nonzero(steps < 0.5 * typical)
-    if gaps.size > 2 * short:  # else long and short steps make up for each other: jitter
+    short = np.count_nonzero(
+        steps < 0.5 * typical
+    )  # with jitter, long and short steps make up for each other
+    if 2 * short < gaps.size <= max(FEW_GAPS * len(steps), 1):
         listed = [_time_gap(name, time_s, rows, int(k), typical) for k in gaps[:SHOWN]]
         return listed + not_listed(where(name), gaps.size, "gaps further down")
     deviation = np.abs(time_s - _grid(time_s))

@@ -37,13 +37,16 @@ def lag_rad(records: Sequence[Record]) -> Array:
     -------
     (output, input) phases [rad]; 0 for inputs that are driven in no record
     """
-    response, _ = _slow_response(records)
+    response, _ = _response(records)
     sign = np.where(response.real < 0, -1.0, 1.0)
     return np.asarray(np.arctan2(-sign * response.imag, np.abs(response.real)))
 
 
-def _slow_response(records: Sequence[Record]) -> tuple[Complex, bool]:
-    """Response (output, input) over the slower half of the power; whether inputs can be told apart."""
+def _response(records: Sequence[Record], share: float = 0.5) -> tuple[Complex, bool]:
+    """Response (output, input) over the slower lines that hold a share of the inputs' power.
+
+    Also whether inputs can be told apart.
+    """
     driven = sorted({k for record in records for k in driven_inputs(record)})
     size = np.sqrt(sum(record.u_v[driven].var(axis=1) * record.samples for record in records))
     p = len(records[0].y_um)
@@ -52,7 +55,7 @@ def _slow_response(records: Sequence[Record]) -> tuple[Complex, bool]:
     for record in records:
         u = _spectra(record.u_v[driven]) / size[:, None]
         energy = np.cumsum((np.abs(u) ** 2).sum(axis=0))
-        lines = slice(0, int(np.searchsorted(energy, 0.5 * energy[-1])) + 2)
+        lines = slice(0, int(np.searchsorted(energy, share * energy[-1])) + 2)
         power += u[:, lines] @ u[:, lines].conj().T
         cross += _spectra(record.y_um)[:, lines] @ u[:, lines].conj().T
     response = np.zeros((p, len(records[0].u_v)), dtype=np.complex128)
@@ -75,9 +78,10 @@ def leads(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
     """Pairs (output, input) in which the output runs ahead of the input, as in swapped columns.
 
     Only the output that responds most to an input is judged, and only a lead of 0.03 to 0.8 rad at a positive
-    gain: beyond that, a lead cannot be told from the lag of a resonance. Nor is an output judged that hardly
-    looks like the input, such as a butterfly. Where the inputs cannot be told apart (one circle), a
-    cross-coupling looks like a lead on one axis, so that all must lead.
+    gain: beyond that, a lead cannot be told from the lag of a resonance. It must lead over the whole band
+    that the records excite, too, by power: a slow line says nothing against a strong one that lags. Nor is
+    an output judged that hardly looks like the input, such as a butterfly. Where the inputs cannot be told
+    apart (one circle), a cross-coupling looks like a lead on one axis, so that all must lead.
 
     Parameters
     ----------
@@ -91,7 +95,7 @@ def leads(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
     >>> leads([Record([u], x, 5e-5)]), leads([Record(x, [u], 5e-5)])
     ((), ((0, 0),))
     """
-    (response, apart), lag = _slow_response(records), lag_rad(records)
+    (response, apart), lag = _response(records), lag_rad(records)
     driven = [driven_inputs(record) for record in records]
     alike = [np.abs(_unit(record.y_um) @ _unit(record.u_v).T) for record in records]
     moved = np.sqrt(sum(record.y_um.var(axis=1) * record.samples for record in records))
@@ -100,9 +104,11 @@ def leads(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
         o = int(np.argmax(np.abs(response[:, k]) / np.maximum(moved, np.finfo(float).tiny)))
         correlation = max(float(a[o, k]) for a, inputs in zip(alike, driven, strict=True) if k in inputs)
         strongest.append((o, k, correlation))
+    whole, _ = _response(records, 1.0)
     found = tuple(
         (o, k)
         for o, k, correlation in strongest
+        if whole[o, k].imag > 0.0
         if FARTHEST_LEAD_RAD < lag[o, k] < LEAD_RAD and response[o, k].real > 0 and correlation > ALIKE
     )
     return found if apart or len(found) == len(strongest) else ()
@@ -120,7 +126,7 @@ def refuse_swapped(records: Sequence[Record]) -> None:
         Mistake(
             where(first.outputs[o], first.rows, 0, first.samples - 1),
             f"leads {first.inputs[k]} by {-np.degrees(lag[o, k]):.1f} degrees, which no actuator can; "
-            "are input and output columns swapped?",
+            "are input and output columns swapped? Where they are not, give --accept-order",
         )
         for o, k in leads(records)
     ]

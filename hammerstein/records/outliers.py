@@ -185,14 +185,24 @@ def listed(names: Sequence[str], values: Array, lost: Flags, rows: Indices) -> l
 
 
 def _suspects(x: Array) -> Flags:
-    """Samples that leave the range of the others, or jump away and back."""
+    """Samples that leave the range of the others, or jump away and back; none if they are too many.
+
+    What makes up more than one percent of a record is how it was driven: the upper level of a pulse train.
+    """
+    suspects = _all_suspects(x)
+    return suspects if np.count_nonzero(suspects) <= max(MOST * len(x), 1) else np.zeros_like(suspects)
+
+
+def _all_suspects(x: Array) -> Flags:
     low, high = np.quantile(x, [USUAL, 1.0 - USUAL])
     span = float(high - low)
     suspects = _placeholder(x)
     steps = np.diff(x)
     size = np.abs(steps)
     far = (x > high + FAR * span) | (x < low - FAR * span) if span > 0.0 else suspects
-    starts, stops = runs(far).T
+    inside = runs(far)
+    inside = inside[(inside[:, 0] > 0) & (inside[:, 1] < len(x) - 1)]  # a record may begin or end elsewhere
+    starts, stops = inside.T
     sharp = _stand_out(size, starts - 1) | _stand_out(size, stops)  # the step into each, or out of it
     for start, stop, is_sharp in zip(starts.tolist(), stops.tolist(), sharp, strict=True):
         if is_sharp or not _swings_back(x, start, stop):
@@ -230,12 +240,12 @@ def _swings_back(x: Array, start: int, stop: int) -> bool:
 
 
 def _placeholder(x: Array) -> Flags:
-    """A value that stands for nothing: far from all others, which are a minority at most."""
+    """A value that stands for nothing, the same to the last digit: far from the range of all others."""
     flags = np.zeros(len(x), dtype=bool)
     for extreme in (x.min(), x.max()):
         same = x == extreme
         rest = x[~same]
-        if rest.size > 0.5 * len(x) and np.ptp(rest) > 0.0:
+        if rest.size >= (1.0 - MOST) * len(x) and np.ptp(rest) > 0.0:
             distance = min(abs(extreme - rest.min()), abs(extreme - rest.max()))
             if distance > APART * np.ptp(rest):
                 flags |= same

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
@@ -89,6 +90,36 @@ def judged_starts(
     if mode == "rest":
         return (Start("rest"),) * len(records)
     return tuple(_judged(record, predict, settle_s, mode, simpler) for record in records)
+
+
+def own_starts(
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    predict: Callable[[Record, Start], Array],
+    mode: StartMode = "auto",
+) -> tuple[Start, ...]:
+    """Start of each record that suits one model, on the samples that count for all of them.
+
+    starts : as another model explains the records best; predict : readings that the model predicts
+    """
+    if mode != "auto":
+        return tuple(starts)
+    return tuple(_own(record, start, predict) for record, start in zip(records, starts, strict=True))
+
+
+def _own(record: Record, start: Start, predict: Callable[[Record, Start], Array]) -> Start:
+    if record.period_samples is not None or (start.kind == "repeated" and closed(record)):
+        return start
+    choices = dict.fromkeys([start, *(replace(_of_kind(kind, record), first=start.first) for kind in KINDS)])
+
+    def left(choice: Start) -> float:
+        error = (record.y_um - predict(record, choice))[:, start.first :]
+        span = np.maximum(np.ptp(record.y_um, axis=1), np.finfo(float).tiny)
+        return float(np.mean((error / span[:, None]).var(axis=1)))
+
+    errors = {choice: left(choice) for choice in choices}
+    best = min(errors, key=lambda choice: errors[choice])
+    return best if errors[best] < (1.0 - WORTH) * errors[start] else start
 
 
 def _judged(
