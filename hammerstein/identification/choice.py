@@ -199,7 +199,7 @@ def _moments_of_output(
 ) -> list[Mapping[int, Moments]]:
     """Moments of each fold of each record with the columns of one output behind its path."""
     p, n = len(records[0].y_um), len(candidate.hysteresis.weights[o])
-    found = []
+    found: list[Mapping[int, Moments]] = []
     for record, start in zip(records, starts, strict=True):
         whole, part_s = split_delay(candidate.dynamics.input_delay_s, record.sample_time_s)
         prompt = candidate.dynamics.model_copy(update={"input_delay_s": part_s})
