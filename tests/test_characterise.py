@@ -26,7 +26,7 @@ EQUATION_12 = [0.07, 0.32, 0.74, 1.3, 2, 2.8, 3.67, 4.61, 5.54, 6.5, 7.34, 8.1, 
 
 
 def identified(plant, spec, seed):
-    (model,) = identify_each(plant, [spec], seed)
+    (model,) = identify_each(plant, {spec: 1}, seed)
     return model
 
 
@@ -167,23 +167,6 @@ def test_every_input_is_driven_with_the_full_amplitude(monkeypatch):
         assert np.abs(sine).max() == pytest.approx(10.0, rel=1e-3)
         assert 6.0 < np.abs(noise).max() <= 10.0
         assert not record.u_v[1 - k].any()
-
-
-@pytest.mark.parametrize("spec", [ClosedFormSpec(frequency_hz=50.0), JointFitSpec(method="hammerstein")])
-def test_an_option_that_is_not_given_is_no_part_of_the_seed_of_the_noise(spec, monkeypatch):
-    """Options that were added later must not move the noise of those who do not give them."""
-
-    class Seeded(Exception):  # noqa: N818 - ends the experiment where its noise is seeded
-        pass
-
-    def seed(text):
-        raise Seeded(text.decode())
-
-    monkeypatch.setattr(simulated_identification.zlib, "crc32", seed)
-    actuator = HammersteinModel.load("duo_bimorph_static").to_json()
-    with pytest.raises(Seeded) as told:
-        simulated_identification._identified(actuator, spec.model_dump_json(), 0)
-    assert not any(name in str(told.value) for name in simulated_identification.ADDED_LATER)
 
 
 OPTIONS = {

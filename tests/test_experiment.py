@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from hammerstein.blocks.instruments import Drive, Instruments, Sensor, standard_noise
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.experiment.measure import _sensor_lag
+from hammerstein.experiment.measure import _sensor_lag, rows_of
 from hammerstein.experiment.run import run, simulate, simulate_in_blocks
 from hammerstein.experiment.set_up import set_up
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
@@ -153,6 +153,63 @@ def test_seed_changes_the_noise_and_not_the_position():
     first, second = (simulate(_scenario(drive=LOOP, seed=seed)) for seed in (1, 2))
     np.testing.assert_array_equal(first.position_um, second.position_um)
     assert (first.reading_um != second.reading_um).any()
+
+
+TRACK = {"kind": "sine", "amplitude_um": 20, "frequency_hz": 50}
+
+
+def _numbers(scenario, model=None):
+    if model is not None:
+        setup = set_up(scenario, model=model)
+        return [list(rows_of(setup, case).rows[i].figures.values()) for case in setup.cases() for i in (0, 1)]
+    return [list(row.figures.values()) for row in run(scenario, "x").rows]
+
+
+def test_no_name_moves_a_number():
+    """The noise follows from the seed and the position of the experiment, not from what things are called."""
+    two = [PAPER, {"label": "none", "law": "none", "identification": {"frequency_hz": 20}}]
+    renamed = [{**one, "label": f"{one['label']} again"} for one in two]
+    before, after = (_scenario(reference=TRACK, compensators=laws) for laws in (two, renamed))
+    assert _numbers(before) == _numbers(after)
+    model = HammersteinModel.load("duo_bimorph")
+    called = replace(model, name="another", inputs=("U1", "U2"), outputs=("left", "right"))
+    assert _numbers(before, model) == _numbers(before, called)
+    said = {**TRACK, "phase_deg": 0.0, "offset_um": 0.0}  # the same signal in other words
+    assert _numbers(_scenario(reference=said, compensators=two)) == _numbers(before)
+
+
+def test_a_signal_file_moves_no_number_by_its_name(tmp_path):
+    volts = 8.0 * np.sin(2 * np.pi * 50.0 * np.arange(800) * 50e-6)
+    text = "time_s,x,y\n" + "".join(f"{50e-6 * k!r},{v!r},0\n" for k, v in enumerate(volts.tolist()))
+    found = []
+    for name in ("first.csv", "second.csv"):
+        (tmp_path / name).write_text(text)
+        found.append(_numbers(_scenario(drive={"kind": "file", "path": str(tmp_path / name)})))
+    assert found[0] == found[1]
+
+
+def test_what_comes_later_in_a_scenario_moves_no_number_before_it():
+    more = [PAPER, {"label": "none", "law": "none", "identification": {"frequency_hz": 20}}]
+    few, many = (_scenario(reference=TRACK, compensators=laws) for laws in (more[:1], more))
+    assert _numbers(many)[:2] == _numbers(few)[:2]
+    swept = _scenario(reference=TRACK, compensators=more, sweep={"frequency_hz": [50, 70]})
+    assert _numbers(swept)[: len(_numbers(many))] == _numbers(many)
+
+
+def test_every_case_has_its_own_noise_and_all_trials_of_one_the_same():
+    cases = list(
+        set_up(_scenario(reference=TRACK, compensators=[PAPER], sweep={"frequency_hz": [50, 70]})).cases()
+    )
+    assert len({tuple(case.seed(1)) for case in cases}) == len(cases) == 4
+    (learned,) = {tuple(replace(cases[0], trial=trial).seed(1)) for trial in (1, 2, None)}
+    assert learned == tuple(cases[0].seed(1))
+
+
+def test_one_case_of_a_sweep_is_the_case_of_the_run():
+    scenario = _scenario(drive=LOOP, sweep={"frequency_hz": [20, 50]})
+    alone = simulate(scenario, frequency_hz=50.0)
+    trace = run(scenario, "x").traces[2]
+    np.testing.assert_array_equal(alone.reading_um[:, trace.first_sample :], trace.response.reading_um)
 
 
 def test_compensator_takes_the_hysteresis_and_the_coupling_out():

@@ -65,10 +65,11 @@ class KeptCases:
 
     def _key(self, case: Case, kind: str, more: Any) -> str:
         setup = self.setup
-        labels = [case.label] if case.label else [source.label for source in setup.scenario.models]
+        labels = [case.label] if case.label else list(setup.models)
         content = {
             "common": self._common,
             "signal": _signal(case),
+            "noise": case.seed(setup.scenario.seed),
             "axis": case.axis,
             "trial": case.trial,
             "tested": {label: self._tested[label] for label in labels},
@@ -85,7 +86,6 @@ class KeptCases:
             "instruments": setup.plant.instruments.model_dump_json(),
             "volts": scenario.drive is not None,
             "measure": scenario.measure.model_dump_json(),
-            "seed": scenario.seed,
             "metrics": [metric.name for metric in scenario.metrics()],
         }
         return digest_of(content)
@@ -103,12 +103,12 @@ class KeptCases:
 
 
 def _signal(case: Case) -> list[Any]:
-    """Everything in a signal, what its file holds included; its text is a part of the noise's seed."""
+    """Everything in a signal, what its file holds included."""
     signal = case.signal
     if not isinstance(signal, FromFile):
-        return [repr(signal), signal.model_dump_json()]
+        return [signal.model_dump_json()]
     digest = hashlib.sha256(Path(signal.path).read_bytes()).hexdigest()
-    return [repr(signal), signal.model_dump_json(exclude={"path"}), digest]
+    return [signal.model_dump_json(exclude={"path"}), digest]
 
 
 def _packed(result: Result) -> Kept:

@@ -202,12 +202,10 @@ def experiments_of(scenario: Scenario) -> set[Hashable]:
 def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
     """One part for each identification experiment."""
     m, p = plant.model.hysteresis.n_inputs, plant.model.hysteresis.n_outputs
-    labels: dict[ClosedFormSpec | JointFitSpec, str] = {}
-    for source in (*scenario.compensators, *scenario.models):
-        if source.identification is not None:
-            labels.setdefault(source.identification, source.label)
-    for spec, label in labels.items():
-        once = plant.model.digest(), plant.instruments, scenario.seed, spec
+    sources = (*scenario.compensators, *scenario.models)
+    for spec, position in scenario.experiments().items():
+        label = next(source.label for source in sources if source.identification == spec)
+        once = plant.model.digest(), plant.instruments, scenario.seed, position, spec
         step = spec.sample_time_s or plant.sample_time_s
         if isinstance(spec, ClosedFormSpec):
             cycles = max(spec.settle_cycles, math.ceil(0.05 * spec.frequency_hz)) + spec.measured_cycles

@@ -6,6 +6,7 @@ reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.kept import KeptCases
@@ -111,7 +112,8 @@ def _chosen(
     for case in setup.cases():
         right_axis = excited_axis is None or setup.excited_axis(case) in ("all", excited_axis)
         if right_axis and (compensator is None or case.label == compensator):
-            return setup, case
+            here = scenario.positions().get(case.signal, 1), case.position[1]
+            return setup, replace(case, position=here)
     raise InputError("simulate", f"the scenario has no case {compensator!r} on axis {excited_axis!r}")
 
 

@@ -6,7 +6,6 @@ reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one
 from __future__ import annotations
 
 import math
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -49,16 +48,21 @@ class Case:
     """One run of a scenario: a signal, the axis it excites (None: all), and the label of what is tested.
 
     trial : which one of a compensator that learns; None: what its options say
+    position : of the signal and of the compensator in the scenario, counted from 1
     """
 
     signal: Reference | Excitation
     axis: int | None
     label: str
     trial: int | None = None
+    position: tuple[int, int] = (1, 1)
 
     def seed(self, scenario_seed: int) -> list[int]:
-        """Seed of the case: does not depend on the other cases of the scenario; the same for all trials."""
-        return [scenario_seed, zlib.crc32(f"{self.signal!r} {self.axis} {self.label}".encode())]
+        """Seed of the sensor's noise: of the scenario's and the position of the case in it.
+
+        It is the same for all trials, and no name is a part of it.
+        """
+        return [scenario_seed, *self.position, 0 if self.axis is None else self.axis + 1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +106,14 @@ class SetUp:
     def cases(self) -> Iterator[Case]:
         """Every case, in the order of the report."""
         scenario = self.scenario
-        axes = driven_axes(scenario, len(self.axes))
+        axes, positions = driven_axes(scenario, len(self.axes)), scenario.positions()
+        numbered = list(enumerate(scenario.compensators, start=1))
         for signal, trial in scenario.runs():
-            tested = [c.label for c in scenario.compensators if c.is_tested_at(signal.highest_frequency_hz)]
-            for label in [""] if scenario.drive is not None else tested:
+            frequency_hz = signal.highest_frequency_hz
+            tested = [(i, c.label) for i, c in numbered if c.is_tested_at(frequency_hz)]
+            for i, label in [(1, "")] if scenario.drive is not None else tested:
                 for axis in axes:
-                    yield Case(signal, axis, label, trial)
+                    yield Case(signal, axis, label, trial, (positions[signal], i))
 
     @cached_property
     def courses(self) -> Courses:
@@ -270,7 +276,7 @@ def set_up(
     _check_signal(scenario, plant, source)
     models = _models(scenario, plant, progress, fresh, jobs)
     laws: dict[str, AnyLaw] = {}
-    for compensator in scenario.compensators:
+    for compensator in filter(lambda one: one.is_tested, scenario.compensators):
         laws[compensator.label] = law_of(compensator, models[compensator.label], plant)
     return SetUp(scenario, plant, models, laws)
 
@@ -328,13 +334,14 @@ def _models(
     """Models by label; one that several compensators share is identified once."""
     found: dict[Any, HammersteinModel] = {}
     models = {}
-    sources: tuple[ModelSource, ...] = (*scenario.compensators, *scenario.models)
-    specs = dict.fromkeys(s.identification for s in sources if s.identification is not None)
+    sources: list[ModelSource] = [s for s in (*scenario.compensators, *scenario.models) if s.is_tested]
+    asked = {source.identification for source in sources}
+    experiments = {spec: i for spec, i in scenario.experiments().items() if spec in asked}
     identified: Iterator[HammersteinModel] = iter(())
-    if specs:
+    if experiments:
         from hammerstein.experiment.simulated_identification import identify_each
 
-        identified = identify_each(plant, list(specs), scenario.seed, fresh, jobs)
+        identified = identify_each(plant, experiments, scenario.seed, fresh, jobs)
     for i, source in enumerate(sources):
         if progress:
             progress(f"identifying{on_workers(jobs)}", i, len(sources))

@@ -6,8 +6,7 @@ The model that comes out has seen the actuator only through its drive and its se
 from __future__ import annotations
 
 import math
-import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -34,8 +33,6 @@ from hammerstein.signals import MOST_LINES, Multisine, Sine, Triangle, smooth_st
 
 LOWEST_LINE_HZ = 5.0  # of the multisine
 REST_SAMPLES = 20
-ADDED_LATER = ("waveform", "hysteresis", "dead_zones", "dynamics")
-"""Options that are no part of the seed of the noise while they are not given."""
 CREEP_SAMPLES = 12_000
 CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
 """Slow steps of the creep record, in parts of the amplitude; each lasts a sixth of it."""
@@ -43,7 +40,7 @@ CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
 
 def identify_each(
     plant: Plant,
-    specs: Sequence[ClosedFormSpec | JointFitSpec],
+    experiments: Mapping[ClosedFormSpec | JointFitSpec, int],
     seed: int,
     fresh: str = "",
     jobs: Jobs = 1,
@@ -55,8 +52,8 @@ def identify_each(
     Parameters
     ----------
     plant : the actuator in its set-up
-    specs : the experiments and their methods, done side by side
-    seed : of the sensor's noise; the experiment's own settings are mixed in
+    experiments : with their methods and their positions in the scenario, done side by side
+    seed : of the sensor's noise; the position of the experiment is mixed in
     fresh : name of the command, where it passes by what was kept before it
     jobs : threads, or an executor of ``concurrent.futures``
 
@@ -65,7 +62,7 @@ def identify_each(
     IdentificationError : the data do not determine a model, or the drive cuts the voltage
     """
     actuator = replace(plant.model, instruments=plant.instruments).to_json()
-    arguments = [(actuator, spec.model_dump_json(), seed) for spec in specs]
+    arguments = [(actuator, spec.model_dump_json(), seed, i) for spec, i in experiments.items()]
     kept = [known(_identified, *one, fresh=fresh) for one in arguments]
 
     def finished(number: int, text: str) -> None:
@@ -79,15 +76,12 @@ def identify_each(
     yield from map(HammersteinModel.from_json, in_order(tasks, jobs, finished))
 
 
-def _identified(actuator_json: str, spec_json: str, seed: int) -> str:
+def _identified(actuator_json: str, spec_json: str, seed: int, position: int) -> str:
     """Text of the model file that comes out; texts in and out, so that it can be kept."""
     actuator = HammersteinModel.from_json(actuator_json)
     plant = Plant(actuator, actuator.instruments)
     spec: ClosedFormSpec | JointFitSpec = TypeAdapter(IdentificationSpec).validate_json(spec_json)
-    asked = spec.model_copy(update={"amplitude_v": spec.amplitude_v or actuator.amplitude_v})
-    # The text is a part of the seed: what was added later and is not given must not move the noise.
-    unsaid = {name for name in ADDED_LATER if getattr(spec, name, None) is None}
-    seeds = [seed, zlib.crc32(asked.model_dump_json(exclude=unsaid).encode())]
+    seeds = [seed, 0, position]  # a case has the number of its signal, from 1, where the 0 is
     if isinstance(spec, JointFitSpec):
         return _joint_fit(_at_sample_time(plant, spec.sample_time_s), spec, seeds).to_json()
     return _closed_form(plant, spec, seeds).to_json()
@@ -146,7 +140,7 @@ def _with_creep(
     steps = np.repeat(CREEP_LEVELS, CREEP_SAMPLES // len(CREEP_LEVELS))
     m = plant.model.hysteresis.n_inputs
     levels = np.stack([np.roll(steps, k * len(steps) // (3 * m)) for k in range(m)])
-    response = setup.respond(drive.centre_v[:, None] + drive.amplitude_v[:, None] * levels, [*seeds, m])
+    response = setup.respond(drive.centre_v[:, None] + drive.amplitude_v[:, None] * levels, [*seeds, m + 1])
     v, _ = model.static_response(response.drive_v)
     dynamics = model.dynamics
     if not isinstance(dynamics, AxesDynamics):  # none was found that is faster
@@ -177,7 +171,7 @@ def _records(plant: Plant, spec: JointFitSpec, drive: _Excursion, seeds: list[in
         blocks.append(np.concatenate([np.zeros(REST_SAMPLES), grown + away * ramp]))
     one, m = blocks[0], len(blocks)
     voltage = drive.rest_v[:, None] + block_diag(*blocks)
-    response = plant.respond(voltage, seeds)
+    response = plant.respond(voltage, [*seeds, 1])
     parts = [slice(k * len(one) + REST_SAMPLES, (k + 1) * len(one)) for k in range(m)]
     return [
         Record(
@@ -208,7 +202,7 @@ def _settled_loop(
     shape = Triangle if spec.waveform == "triangle" else Sine
     wave = shape(amplitude=float(drive.amplitude_v[k]), frequency_hz=spec.frequency_hz, axis=1)
     voltage[k] = drive.centre_v[k] + wave.sample(time_s, 1)[0]
-    response = setup.respond(voltage, [*seeds, k])
+    response = setup.respond(voltage, [*seeds, k + 1])
     phases = 2 * max(1, round(0.5 * period / setup.sample_time_s))
     both = np.vstack([response.drive_v[k] - drive.centre_v[k], response.reading_um])
     cycle = settled_cycle(both, spec.frequency_hz, setup.sample_time_s, phases, skip_cycles=settle)

@@ -105,13 +105,13 @@ def _value(variation: Variation, claim: Claim, store: Store | None) -> float:
 
 
 def _of_claim(scenario: Scenario, claim: Claim) -> Scenario:
-    """The scenario with the compensators or models alone that the claim names."""
+    """The scenario with the compensators or models alone that the claim names, each in its position."""
     named = {q.compensator for q in (claim.quantity, claim.over) if q is not None}
     if None in named:
         return scenario
 
     def kept(sources: Iterable[ModelSource]) -> tuple[ModelSource, ...]:
-        return tuple(source for source in sources if source.label in named)
+        return tuple(s if s.label in named else s.model_copy(update={"only_at_hz": ()}) for s in sources)
 
     return scenario.model_copy(
         update={"compensators": kept(scenario.compensators), "models": kept(scenario.models)}
@@ -121,8 +121,9 @@ def _of_claim(scenario: Scenario, claim: Claim) -> Scenario:
 def _with_sources(scenario: Scenario, change: Callable[[Any], Any]) -> Scenario | None:
     """The scenario with every source changed; None where this changes nothing."""
     groups = {name: tuple(map(change, getattr(scenario, name))) for name in ("compensators", "models")}
-    same = all(groups[name] == getattr(scenario, name) for name in groups)
-    return None if same else scenario.model_copy(update=groups)
+    tested = (s for group in groups.values() for s in group if s.is_tested)
+    before = (s for name in groups for s in getattr(scenario, name) if s.is_tested)
+    return None if list(tested) == list(before) else scenario.model_copy(update=groups)
 
 
 def adjusted(
@@ -160,7 +161,7 @@ def _identified(scenario: Scenario, key: str, value: float) -> Scenario | None:
 def _frequencies(scenario: Scenario) -> Iterator[float]:
     """Frequency of every closed-form identification [Hz]."""
     for source in (*scenario.compensators, *scenario.models):
-        if isinstance(source.identification, ClosedFormSpec):
+        if source.is_tested and isinstance(source.identification, ClosedFormSpec):
             yield source.identification.frequency_hz
 
 

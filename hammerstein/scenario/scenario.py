@@ -25,7 +25,7 @@ from hammerstein.plugins import load_plugins
 from hammerstein.quantities import Cycles, FileName, Frequency, NoCycles, Seed, Size, Tolerated, Trial, Wait
 from hammerstein.scenario.assessment import ASSESSMENTS, Assessment
 from hammerstein.scenario.names import MetricName, NumberName
-from hammerstein.scenario.source import ModelSource
+from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec, ModelSource
 from hammerstein.scenario.study import Study
 from hammerstein.scenario.tested import Tested
 from hammerstein.scenario.uncertainty import Uncertainty
@@ -231,6 +231,16 @@ class Scenario(Strict):
         """Every signal of the sweep; of one swept key alone if ``only`` names it."""
         for signal, _ in self.runs(only):
             yield signal
+
+    def positions(self) -> dict[Reference | Excitation, int]:
+        """Position of every signal in the sweep, counted from 1; trials of one signal share it."""
+        return {signal: i for i, signal in enumerate(dict.fromkeys(self.signals()), start=1)}
+
+    def experiments(self) -> dict[ClosedFormSpec | JointFitSpec, int]:
+        """Position of every identification experiment, counted from 1; what is equal is done once."""
+        sources: tuple[ModelSource, ...] = (*self.compensators, *self.models)
+        specs = dict.fromkeys(s.identification for s in sources if s.identification is not None)
+        return {spec: i for i, spec in enumerate(specs, start=1)}
 
     def runs(self, only: str | None = None) -> Iterator[tuple[Reference | Excitation, int | None]]:
         """Every signal of the sweep with its trial, where trials are swept; ``only`` as for ``signals``."""

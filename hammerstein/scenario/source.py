@@ -151,6 +151,11 @@ class ModelSource(Strict):
         """Whether this source takes part at a frequency of the sweep."""
         return self.only_at_hz is None or frequency_hz in self.only_at_hz
 
+    @property
+    def is_tested(self) -> bool:
+        """Whether it takes part at all."""
+        return self.only_at_hz != ()
+
     @model_validator(mode="after")
     def _one_source(self) -> Self:
         if (self.identification is None) == (self.model is None):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
@@ -46,7 +45,6 @@ class Shape(Strict, ABC):
     smooth_start_s: Wait = Field(default=0.0, description="time in which the signal grows from zero")
     offset: Offset | tuple[Offset, ...] | None = Field(
         default=None,
-        repr=False,  # the noise of a case is drawn from this text: a path has the same wherever it lies
         description="middle of the signal, one number or one an axis; a voltage lies about the actuator's "
         "working point if it is not given",
     )
@@ -159,13 +157,6 @@ class OnAxes(OneFrequency, ABC):
     def _moved(self, n_axes: int) -> Flags:
         """Those that are driven."""
         return np.array([self.axis in ("all", k + 1) for k in range(n_axes)])
-
-    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
-        """Fields with the offset behind the amplitude, as in the text that the noise is drawn from."""
-        for name, value in super().__repr_args__():
-            yield name, value
-            if name == "amplitude":
-                yield "offset", 0.0 if self.offset is None else self.offset
 
 
 class Sine(OnAxes):
