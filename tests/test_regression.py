@@ -161,8 +161,36 @@ def test_keys_are_compared_both_ways(loop: Report) -> None:
     assert kinds(compare(with_rows(loop, ROW, other, replace(ROW, compensator="new")), baseline)) == [
         Kind.EXTRA_ROW
     ]
-    assert compared(loop, {"rms_um": 0.5, "max_um": 1.0}, {"rms_um": 0.5}) == [Kind.MISSING_NUMBER]
-    assert compared(loop, {"rms_um": 0.5}, {"rms_um": 0.5, "max_um": 1.0}) == [Kind.EXTRA_NUMBER]
+    both, one = {"rms_um": 0.5, "max_um": 1.0}, {"rms_um": 0.5}
+    first, then = (replace(ROW, frequency_hz=60.0, figures=figures) for figures in (both, one))
+    full, poor = (with_rows(loop, replace(ROW, figures=both), row) for row in (first, then))
+    assert kinds(compare(poor, Baseline.of(full))) == [Kind.MISSING_NUMBER]
+    assert kinds(compare(full, Baseline.of(poor))) == [Kind.EXTRA_NUMBER]
+
+
+def test_a_new_figure_of_merit_is_a_note_and_a_lost_one_a_finding(accepted: Path) -> None:
+    """Whoever adds a figure of merit need not accept every baseline at once."""
+    path = Path("reports/baseline/large.json")
+    whole = Baseline.load(path)
+    rows = {key: {k: v for k, v in row.items() if k != "height_um"} for key, row in whole.rows.items()}
+    replace(whole, rows=rows).save(path)  # accepted before there was an height_um
+    result = check_files([Path("scenarios")])
+    assert (result.exit_code, result.findings) == (0, ())
+    assert "note: new in the report: height_um; --update-baseline accepts it" in result.text()
+    assert result.as_dict()["scenarios"][0]["new_columns"] == ["height_um"]
+    assert "height_um" in result.markdown()
+    rows = {key: row | {"smoothness": 1.0} for key, row in whole.rows.items()}
+    replace(whole, rows=rows).save(path)  # a figure that is no more
+    result = check_files([Path("scenarios")])
+    assert [(f.kind, f.metric) for f in result.findings] == [(Kind.MISSING_COLUMN, "smoothness")]
+    assert result.exit_code == 1
+    assert "large: smoothness is missing from every row" in result.text()
+    rows = {key: row | {"height_um": 2.0 * row["height_um"]} for key, row in whole.rows.items()}
+    replace(whole, rows={k: {n: v for n, v in r.items() if n != "width_um"} for k, r in rows.items()}).save(
+        path
+    )
+    result = check_files([Path("scenarios")])  # a new one hides no number that moved
+    assert {(f.kind, f.metric) for f in result.findings} == {(Kind.MOVED, "height_um")}
 
 
 def test_a_changed_scenario_or_model_is_told(loop: Report) -> None:
@@ -197,7 +225,7 @@ def test_the_bands_of_an_uncertain_actuator_are_guarded(loop: Report) -> None:
     now = replace(before, bands=(replace(band, p95_um=0.61),))
     assert [(f.kind, f.metric) for f in compare(now, baseline)] == [(Kind.MOVED, "rms_um.p95")]
     assert compare(now, baseline, {"rms_um": Tolerance(relative=0.02)}) == ()
-    assert kinds(compare(with_rows(loop, ROW), baseline)) == [Kind.MISSING_NUMBER] * 3
+    assert kinds(compare(with_rows(loop, ROW), baseline)) == [Kind.MISSING_COLUMN] * 3
 
 
 def test_the_figure_of_a_claim_on_every_actuator_is_guarded(loop: Report) -> None:

@@ -11,7 +11,7 @@ from hammerstein.experiment.batch import Outcome, find_scenarios, load_all, run_
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.set_up import Progress
 from hammerstein.regression.baseline import Baseline, numbers_of
-from hammerstein.regression.compare import Finding, Kind, compare
+from hammerstein.regression.compare import Finding, Kind, compare, new_columns
 from hammerstein.regression.result import DEFAULT_FOLDER, CheckResult, ScenarioCheck
 from hammerstein.runtime.fanning import Jobs
 from hammerstein.scenario import scenario_of
@@ -108,7 +108,13 @@ def _compare(report: Report, baseline: Path) -> dict[str, Any]:
         return {"findings": (Finding(Kind.NO_BASELINE),)}
     accepted, tolerances = _load(baseline), report.scenario.tolerances
     findings = compare(report, accepted, tolerances)
-    return {"findings": findings, "accepted": accepted.rows, "tolerances": tolerances}
+    added = new_columns(report, accepted)
+    return {
+        "findings": findings,
+        "new_columns": added,
+        "accepted": accepted.rows,
+        "tolerances": tolerances,
+    }
 
 
 def _load(path: Path) -> Baseline:

@@ -33,6 +33,7 @@ class Kind(StrEnum):
     EXTRA_ROW = "row is not in the baseline"
     MISSING_NUMBER = "number of the baseline is missing"
     EXTRA_NUMBER = "number is not in the baseline"
+    MISSING_COLUMN = "number of every row of the baseline is missing"
     SCENARIO_CHANGED = "the scenario changed since its baseline was made"
     MODEL_CHANGED = "the actuator's model changed since the baseline was made"
     NO_BASELINE = "has no baseline"
@@ -73,7 +74,8 @@ def compare(
     """Find everything in which a report differs from its baseline.
 
     A number may move by the larger of the relative and the absolute tolerance, either way: better than the
-    baseline is a finding too. Rows and numbers are compared both ways. NaN equals nothing.
+    baseline is a finding too. Rows and numbers are compared both ways; only a number that no row of the
+    baseline has is no finding (``new_columns``). NaN equals nothing.
 
     Parameters
     ----------
@@ -97,10 +99,33 @@ def compare(
     """
     allowed = all_tolerances(tolerances)
     _refuse_unknown(allowed, report.name)
+    now, stored = numbers_of(report), baseline.rows
+    lost, added = _columns(stored, now) - _columns(now), set(new_columns(report, baseline))
     return (
         *_changes(report, baseline),
-        *_rows(numbers_of(report), baseline.rows, allowed),
+        *(Finding(Kind.MISSING_COLUMN, metric=name) for name in sorted(lost)),
+        *_rows(_without(now, added), _without(stored, lost), allowed),
     )
+
+
+def new_columns(report: Report, baseline: Baseline) -> tuple[str, ...]:
+    """Names of the numbers that no row of the baseline has, such as those of a new figure of merit.
+
+    They are not compared until the baseline is written anew.
+    """
+    return tuple(sorted(_columns(numbers_of(report), baseline.rows) - _columns(baseline.rows)))
+
+
+def _columns(rows: Numbers, others: Numbers | None = None) -> set[str]:
+    """Names of all numbers; of the rows alone that others have, too, if they are given."""
+    return {name for key, row in rows.items() if others is None or key in others for name in row}
+
+
+def _without(rows: Numbers, columns: set[str]) -> Numbers:
+    return {
+        key: {name: value for name, value in numbers.items() if name not in columns}
+        for key, numbers in rows.items()
+    }
 
 
 def all_tolerances(given: Mapping[str, Tolerance] | None = None) -> dict[str, Tolerance]:

@@ -40,6 +40,7 @@ class ScenarioCheck:
     path : scenario file; for an orphan its baseline file
     numbers : how many were compared
     findings : what differs
+    new_columns : numbers that the baseline does not have in any row; they are not compared yet
     error : what stopped the run
     written : with an update, whether the baseline had to be written; otherwise None
     accepted, now : numbers of the baseline, empty where nothing was compared, and of this run
@@ -50,6 +51,7 @@ class ScenarioCheck:
     path: Path
     numbers: int = 0
     findings: tuple[Finding, ...] = ()
+    new_columns: tuple[str, ...] = ()
     error: HammersteinError | None = None
     written: bool | None = None
     accepted: Numbers = field(default_factory=dict)
@@ -65,9 +67,8 @@ class ScenarioCheck:
             return (
                 f"{self.name}: baseline {'written' if self.written else 'unchanged'}, {_count(self.numbers)}"
             )
-        if not self.findings:
-            return f"{self.name}: {_count(self.numbers)} within tolerance"
-        return f"{self.name}: {', '.join(_counts(self.findings, self.numbers))}"
+        found = [*_counts(self.findings, self.numbers)] or [f"{_count(self.numbers)} within tolerance"]
+        return f"{self.name}: {', '.join(found)}"
 
     @property
     def passed(self) -> bool:
@@ -79,10 +80,21 @@ class ScenarioCheck:
         if self.error is not None:
             return [self.headline, *(f"  {line}" for line in str(self.error).splitlines())]
         if not self.findings:
-            return [self.headline]
+            return [self.headline, *self._notes()]
         if any(finding.kind is Kind.ORPHAN for finding in self.findings):
             return [self.headline, f"  delete {self.path}, or restore its scenario"]
-        return [self.headline, *_table(self.findings), self._remedy(baseline_folder)]
+        return [
+            self.headline,
+            *_table(self.findings),
+            *self._notes(),
+            self._remedy(baseline_folder),
+        ]
+
+    def _notes(self) -> list[str]:
+        if not self.new_columns:
+            return []
+        names, them = ", ".join(self.new_columns), "it" if len(self.new_columns) == 1 else "them"
+        return [f"  note: new in the report: {names}; --update-baseline accepts {them}"]
 
     def _remedy(self, baseline_folder: Path) -> str:
         words = ["hammerstein", "check", str(self.path)]
@@ -123,7 +135,8 @@ class CheckResult:
         for check in self.checks:
             found = check.headline.removeprefix(f"{check.name}: ")
             mark = "pass" if check.passed else "**FAIL**"
-            lines.append(f"| {markdown(check.name)} | {mark}: {markdown(found)} |")
+            note = "; new: " + ", ".join(check.new_columns) if check.new_columns else ""
+            lines.append(f"| {markdown(check.name)} | {mark}: {markdown(found + note)} |")
         for check in self.checks:
             if not check.passed:
                 body = check.lines(self.baseline_folder)
@@ -156,6 +169,8 @@ def _count(number: int, what: str = "number") -> str:
 def _counts(findings: Sequence[Finding], numbers: int) -> Iterable[str]:
     """Short statements, one for each kind of finding."""
     kinds = [finding.kind for finding in findings]
+    if lost := [finding.metric for finding in findings if finding.kind is Kind.MISSING_COLUMN]:
+        yield f"{', '.join(lost)} {'is' if len(lost) == 1 else 'are'} missing from every row"
     for kind in (Kind.NO_BASELINE, Kind.ORPHAN, Kind.SCENARIO_CHANGED, Kind.MODEL_CHANGED):
         if kind in kinds:
             yield str(kind)
@@ -233,6 +248,7 @@ def _as_dict(check: ScenarioCheck) -> dict[str, Any]:
         "numbers": check.numbers,
         "error": None if check.error is None else str(check.error),
         "baseline_written": bool(check.written),
+        "new_columns": list(check.new_columns),
         "findings": [
             {
                 "kind": finding.kind.name.lower(),
