@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
+from hammerstein.escaping import one_line
+
 
 class Notice(UserWarning):
     """Something outside was not as it should be, and was mended or passed by."""
@@ -54,12 +56,13 @@ class InputError(HammersteinError):
         return type(self), (self.source, self.mistakes)  # so that it survives a process pool
 
     def _message(self) -> str:
+        source = one_line(self.source)
         if len(self.mistakes) == 1 and not self.mistakes[0].where:
-            return f"{self.source}: {self.mistakes[0].what}"
+            return f"{source}: {self.mistakes[0].what}"
         width = max(len(m.where) for m in self.mistakes)
         count = f"{len(self.mistakes)} mistake{'s' * (len(self.mistakes) > 1)}"
         lines = [f"  {m.where:<{width}}  {m.what}" for m in self.mistakes]
-        return "\n".join([f"{self.source}: {count}", *lines])
+        return "\n".join([f"{source}: {count}", *lines])
 
 
 def together(failures: Sequence[InputError], what: str) -> InputError:

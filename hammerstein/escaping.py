@@ -1,45 +1,103 @@
-"""Text of strangers in what people open, and its templates: nothing in it is obeyed, all can be read."""
+"""Untrusted text in what people open: one escape a target, which its templates apply to every value.
+
+Targets: ``clean`` for the terminal and for whatever has no escape of its own, ``Markdown``, ``C``, ``Markup``
+of markupsafe for HTML and XML, ``cell`` for CSV.
+"""
 
 from __future__ import annotations
 
 import re
+import unicodedata
+from collections.abc import Iterable
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
+
+from markupsafe import Markup
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+_UNUSUAL = re.compile(r"[^\n\t -~]")
+_UNSHOWN = {"Cc", "Cf", "Cs", "Zl", "Zp"}
+"""Categories of Unicode: control and format characters (direction, no width), surrogates, ends of lines."""
 _SPECIAL = re.compile(r"[\\`*<>|&~]|^#|(?<![a-zA-Z0-9])_|_(?![a-zA-Z0-9])|(?<=\])[(:\[]")
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
+_WORD_OF_C = re.compile(r"[\w.+-]*", re.ASCII)
+_LEAVES_COMMENT = re.compile(r"\*(?=/)|/(?=\*)|\?(?=\?)|\\")
 
 
 def clean(text: str) -> str:
-    r"""Text without what a terminal would obey: control characters are shown by their numbers.
+    r"""Text without characters that a terminal obeys or an editor hides: they are shown by their numbers.
 
-    >>> clean("\x1b[31mred")
-    '\\x1b[31mred'
+    >>> clean("\x1b[31mred"), clean("\u202egnp.exe")
+    ('\\x1b[31mred', '\\u202egnp.exe')
     """
-    return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
+    return _UNUSUAL.sub(_shown, text)
 
 
-def markdown(text: object) -> str:
-    r"""Text that Markdown, and the HTML that is made of it, show as it is.
+def _shown(found: re.Match[str]) -> str:
+    character = found[0]
+    hidden = unicodedata.category(character) in _UNSHOWN or ord(character) & 0xFFFE == 0xFFFE
+    return ascii(character)[1:-1] if hidden else character
 
-    >>> print(markdown("a|b *c* d_e [um] <script>"))
-    a\|b \*c\* d_e [um] \<script\>
+
+def one_line(text: str) -> str:
+    r"""Clean text without ends of lines, such as the name of a file in a message.
+
+    >>> one_line("a\nb")
+    'a\\nb'
     """
-    one_line = clean(str(text).replace("\n", " "))
-    return _SPECIAL.sub(lambda found: f"\\{found[0]}", one_line)
+    return clean(text).replace("\n", r"\n").replace("\t", r"\t")
 
 
-def code(text: object) -> str:
+class Markdown(Markup):
+    r"""Text in Markdown; whatever is formatted into it or joined with it is escaped.
+
+    >>> print(Markdown("*{}*").format("a|b *c* d_e [um] <script>"))
+    *a\|b \*c\* d_e [um] \<script\>*
+    """
+
+    @classmethod
+    def escape(cls, s: Any) -> Self:
+        """Markdown that reads as a text, in one line; Markdown as it is."""
+        if isinstance(s, cls):
+            return s
+        return cls(_SPECIAL.sub(lambda found: f"\\{found[0]}", clean(str(s).replace("\n", " "))))
+
+
+class C(Markup):
+    """Source code of C; only words and numbers can be put into it, and text by ``comment``."""
+
+    @classmethod
+    def escape(cls, s: Any) -> Self:
+        """A word or a number of C, or code as it is; TypeError for anything else."""
+        if not isinstance(s, cls) and not _WORD_OF_C.fullmatch(str(s)):
+            raise TypeError(f"{str(s)[:100]!r} is no word of C; is it text for a comment?")
+        return cls(s)
+
+    @classmethod
+    def comment(cls, text: object) -> Self:
+        r"""Text within a comment, in one line: nothing in it ends the comment or joins two lines.
+
+        >>> print(C.comment("x */ system(0); /* \\"))
+        x * / system(0); / * /
+        """
+        shown = one_line(str(text)).replace("\\", "/")
+        return cls(_LEAVES_COMMENT.sub(lambda found: f"{found[0]} ", shown))
+
+
+def markdown(text: object) -> Markdown:
+    """Text that Markdown, and the HTML that is made of it, show as it is."""
+    return Markdown.escape(text)
+
+
+def code(text: object) -> Markdown:
     r"""Text as code in Markdown, in a table too.
 
-    >>> code("stage"), code("a`b|c")
+    >>> str(code("stage")), str(code("a`b|c"))
     ('`stage`', '`ab\\|c`')
     """
-    return "`" + clean(str(text)).replace("`", "").replace("|", r"\|") + "`"
+    return Markdown("`" + one_line(str(text)).replace("`", "").replace("|", r"\|") + "`")
 
 
 def cell(text: str) -> str:
@@ -52,28 +110,45 @@ def cell(text: str) -> str:
     return f"'{shown}" if text.startswith(_FORMULA) else shown
 
 
-def templates_of(package: str, **options: Any) -> Environment:
-    """Templates of a package, in which an unknown name is a mistake; ``options`` are those of jinja2."""
+def templates_of(package: str, target: type[Markup]) -> Environment:
+    """Templates of a package, in which an unknown name is a mistake and every value is escaped.
+
+    package : that has the templates
+    target : language of the templates; a value of this type, as a macro gives it, is put in as it is
+    """
     import jinja2
 
-    return jinja2.Environment(
+    def escaped(value: Any) -> Markup:
+        if type(value) in (target, Markup):
+            return Markup(value)
+        return target.escape(clean(str(value)))
+
+    found = jinja2.Environment(
         loader=jinja2.PackageLoader(package),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
-        **options,
+        autoescape=True,
+        finalize=escaped,
     )
+
+    def joined(parts: Iterable[object], sign: str = "") -> Markup:
+        return target(sign).join(escaped(part) for part in parts)
+
+    found.filters |= {"join": joined}
+    return found
 
 
 @cache
 def _pages(package: str) -> Environment:
-    """Pages in Markdown, whose every text of a stranger goes through a filter of its own."""
-    found = templates_of(package, autoescape=False)
-    found.filters |= {"md": markdown, "code": code}
+    """Pages in Markdown."""
+    found = templates_of(package, Markdown)
+    found.filters |= {"code": code}
     return found
 
 
-def markdown_page(template: str, package: str = "hammerstein", **content: Any) -> str:
+def markdown_page(template: str, package: str = "hammerstein", **content: Any) -> Markdown:
     """Page in Markdown; no two empty lines follow each other."""
-    return re.sub(r"\n{3,}", "\n\n", _pages(package).get_template(template).render(**content))
+    page = _pages(package).get_template(template).render(**content)
+    return Markdown(re.sub(r"\n{3,}", "\n\n", page))

@@ -147,6 +147,24 @@ def _without_control_characters(text: str) -> str:
     return text
 
 
+LONGEST_NAME = 100
+
+
+def no_name(text: str) -> str:
+    """Say why a text is no name of a model or an axis; empty if it is one.
+
+    >>> no_name("stage x"), no_name("")
+    ('', 'is empty; give it a name')
+    """
+    if not text:
+        return "is empty; give it a name"
+    if len(text) > LONGEST_NAME:
+        return f"has {len(text)} characters; a name has at most {LONGEST_NAME}"
+    if not text.isprintable():
+        return "holds a character that cannot be printed; type it again"
+    return ""
+
+
 def _finite_throughout(value: JsonValue) -> JsonValue:
     try:
         json.dumps(value, allow_nan=False)
@@ -164,7 +182,9 @@ def of_equal_rows(matrix: Any) -> Any:
 
 # Words
 FileName = Annotated[str, Field(max_length=4000), AfterValidator(_without_control_characters)]
-Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_without_control_characters)]
+Name = Annotated[
+    str, Field(min_length=1, max_length=LONGEST_NAME), AfterValidator(_without_control_characters)
+]
 Plain = Annotated[JsonValue, AfterValidator(_finite_throughout)]
 
 

@@ -14,6 +14,7 @@ import pytest
 from browser import Page, browser, program
 
 from hammerstein.commands.cli import main
+from hammerstein.escaping import Markdown
 from hammerstein.model import HammersteinModel
 from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.reporting.figures.moved import courses_of
@@ -194,7 +195,8 @@ def test_a_small_file_comes_along_and_a_large_one_is_linked() -> None:
 
 
 def test_markdown_of_ours_is_read_and_html_is_not() -> None:
-    assert line_of("*a* <b>") == "<em>a</em> &lt;b&gt;"
+    assert line_of(Markdown("*a* <b>")) == "<em>a</em> &lt;b&gt;"
+    assert line_of("*a* <b>") == "*a* &lt;b&gt;"
 
 
 def test_drawings_of_one_page_share_no_id_and_keep_their_references() -> None:

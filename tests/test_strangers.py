@@ -1,19 +1,34 @@
 """Texts of a stranger reach pages, tables, figures and the terminal as text."""
 
+import ast
 import csv
+import dataclasses
 import io
 import json
 import re
 import sys
+import warnings
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
+import jinja2
 import numpy as np
 import pandas as pd
 import pytest
+from jinja2 import nodes
+from markdown_it import MarkdownIt
+from markupsafe import Markup
 
+import hammerstein
 from hammerstein.commands.cli import main
-from hammerstein.escaping import cell, clean, markdown
+from hammerstein.errors import InputError, Notice
+from hammerstein.escaping import C, Markdown, cell, clean, markdown, templates_of
+from hammerstein.export.code import CCode
+from hammerstein.export.folder import files_of
+from hammerstein.export.measured import MeasuredCode
+from hammerstein.export.request import Request
 from hammerstein.model import HammersteinModel
+from hammerstein.records.record import Record
 
 EVIL = "=HYPERLINK(1)<script>alert(1)</script>|`x`[a](http://b)&lt;\x1b[31m*_"
 SCENARIO = f"""
@@ -44,7 +59,7 @@ note = {json.dumps(EVIL)}
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     content = json.loads(HammersteinModel.load("duo_bimorph_static").to_json())
-    content |= {"name": EVIL, "inputs": ["=u<script>", "v"], "outputs": ["=x<b>", "y`[5m"]}
+    content |= {"name": clean(EVIL), "inputs": ["=u<script>", "v"], "outputs": ["=x<b>", "y`[5m"]}
     (tmp_path / "evil.json").write_text(json.dumps(content))
     (tmp_path / "odd.toml").write_text(SCENARIO)
     return tmp_path
@@ -148,3 +163,157 @@ def test_a_file_larger_than_its_limit_and_one_that_never_ends_are_refused(folder
         (folder / "pipe.toml").write_text(SCENARIO.replace("evil.json", "pipe.json"))
         assert call("run", "pipe.toml") == 2
         assert "no ordinary file" in capsys.readouterr().err
+
+
+NO_NAMES = ["", "x" * 101, "a\x1b[31m", "a\nb", "a\u202eb", "a\u2066b", "a\ufffe", "a\u200b", "a\0"]
+
+
+@pytest.mark.parametrize("name", NO_NAMES, ids=ascii)
+def test_names_have_one_type_where_they_are_read(folder, capsys, name):
+    known = json.loads((folder / "evil.json").read_text())
+    for key, value in (("name", name), ("inputs", [name, "v"]), ("outputs", ["x", name])):
+        (folder / "named.json").write_text(json.dumps(known | {key: value}))
+        assert call("show", "named.json") == 2
+        said = capsys.readouterr().err
+        assert re.match(rf"named.json: 1 mistake\n  {key}", said)
+        assert said.strip() == clean(said).strip()
+
+
+@pytest.mark.parametrize("name", NO_NAMES[1:], ids=ascii)
+def test_so_have_those_of_columns_and_of_models_in_python(name):
+    model = HammersteinModel.load("duo_bimorph_static")
+    with pytest.raises(InputError, match="name"):
+        dataclasses.replace(model, name=name)
+    t = np.linspace(0.0, 0.1, 500)
+    with pytest.raises(InputError, match="rename it"):
+        Record(np.sin([300.0 * t]), np.sin([300.0 * t]), 2e-4, outputs=(name,))
+
+
+PAYLOADS = [
+    "x */ int injected; /*",
+    "x *\\/ *??/ injected \\",
+    '*/#include "injected.h"',
+    "<script>injected()</script>",
+    "[a](http://injected)",
+    "![injected](//b) <b>",
+    '&injected; "quoted" \' ]]> -->',
+    "| injected | `x` ~~y~~",
+]
+
+
+def exported(text, form):
+    """Name of a law and the files of an export, with a text in every place of its model that takes one."""
+    known = json.loads(HammersteinModel.load("duo_bimorph_static").to_json())
+    said = {"flagged": True, "statements": [f"{text}\n\u2028 {text}"], "sentence": text}
+    known |= {"name": text, "inputs": [text, "v"], "outputs": [text, "y"], "verdict": said}
+    model = HammersteinModel.from_json(json.dumps(known))
+    request = Request(
+        source=f"{text}.json", law="exact_inverse", sample_time_s=5e-5, form=form, accept_flagged=True
+    )
+    code = CCode(request, model, request.block(model))
+    return code.name, files_of(code, MeasuredCode())
+
+
+def without_comments(name, text):
+    """C without its comments and strings, and with another name of the law."""
+    text = text.replace(name, "LAW").replace(name.upper(), "LAW")
+    return re.sub(r'/\*.*?\*/|"[0-9a-f]{32}"', "", text, flags=re.S)
+
+
+@pytest.mark.parametrize("form", ["c", "fmu"])
+def test_no_text_of_a_model_is_code_in_an_export(form):
+    own, plain = exported("plain", form)
+    for payload in PAYLOADS:
+        law, files = exported(payload, form)
+        for name, text in files.items():
+            assert clean(text) == text, name
+            if name.endswith((".c", ".h")):
+                assert "??" not in text
+                assert "\\\n" not in text
+                assert without_comments(law, text) == without_comments(own, plain[name.replace(law, own)])
+            if name.endswith(".xml"):
+                found = list(ElementTree.fromstring(text).iter())
+                assert not [node for node in found if node.tag in ("script", "b")]
+            if name.endswith(".md"):
+                tokens = MarkdownIt("gfm-like", {"html": True, "linkify": False}).parse(text)
+                inner = [child.type for token in tokens for child in (token, *(token.children or ()))]
+                assert not {"html_inline", "html_block", "link_open", "image", "s_open"} & set(inner)
+
+
+PACKAGE = Path(hammerstein.__file__).parent
+
+
+def test_every_template_escapes_every_value():
+    """One place makes environments; no template switches its escape off or glues texts before it."""
+    made = [path.name for path in PACKAGE.rglob("*.py") if re.search(r"\bEnvironment\(", path.read_text())]
+    assert made == ["escaping.py"]
+    templates = list(PACKAGE.rglob("*.jinja"))
+    assert len(templates) > 20
+    for path in templates:
+        tree = jinja2.Environment(extensions=["jinja2.ext.do"]).parse(path.read_text())
+        forbidden = (nodes.Concat, nodes.MarkSafe, nodes.MarkSafeIfAutoescape, nodes.EvalContextModifier)
+        assert not list(tree.find_all(forbidden)), path
+        assert not {found.name for found in tree.find_all(nodes.Filter)} & {"safe", "forceescape", "e"}, path
+
+
+@pytest.mark.parametrize("target", [C, Markdown, Markup])
+def test_a_value_of_a_template_is_escaped_by_default(target):
+    found = templates_of("hammerstein", target)
+    source = "{% macro m() %}{{ evil }}{% endmacro %}{{ evil }}{{ m() }}{{ [evil, 1]|join('') }}"
+    for payload in PAYLOADS:
+        if target is C:
+            with pytest.raises(TypeError):
+                found.from_string(source).render(evil=payload)
+            continue
+        once = str(target.escape(payload))
+        assert found.from_string(source).render(evil=payload) == 3 * once + "1"
+        other = Markup if target is Markdown else Markdown
+        if target is Markup:
+            assert found.from_string("{{ evil }}").render(evil=other(payload)) == once
+
+
+def test_what_is_taken_for_text_of_a_target_is_a_literal():
+    """``Markdown(...)`` and its like hold words of ours alone: what comes from elsewhere is formatted in."""
+    for path in PACKAGE.rglob("*.py"):
+        if path.name in ("escaping.py", "literals.py"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            named = isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+            if named and node.func.id in ("Markdown", "Markup", "C") and node.args:
+                first = node.args[0]
+                glued = isinstance(first, ast.JoinedStr) or (
+                    isinstance(first, ast.BinOp) and isinstance(first.op, ast.Add)
+                )
+                assert not glued, f"{path}:{node.lineno}"
+
+
+@pytest.mark.parametrize("line", [["run", "a\x1b[31m", "--bogus"], ["show", "a", "b\u202e"], ["\x1b[31m"],
+                                  ["show", "a\x1b\u202e\nb"], ["run", "--jobs", "\x1b"]], 
+                         ids=ascii)  # fmt: skip
+def test_the_parser_and_names_of_files_reach_the_terminal_escaped(tmp_path, monkeypatch, capsys, line):
+    monkeypatch.chdir(tmp_path)
+    assert call(*line) == 2
+    said = capsys.readouterr().err
+    assert said
+    assert clean(said) == said
+    assert "a\x1b\u202e\nb" not in said
+
+
+def test_a_table_shows_the_name_of_its_file_escaped(folder, capsys):
+    odd = folder / "a\x1b[31m\u202e\nb.json"
+    odd.write_bytes((folder / "evil.json").read_bytes())
+    assert call("show", odd) == 0
+    out = capsys.readouterr().out
+    assert clean(out) == out
+    assert "\\x1b[31m\\u202e" in out.replace("\n", "")
+
+
+def test_warnings_of_libraries_are_for_programmers(capsys):
+    from hammerstein.runtime.notices import tell_notices
+
+    with warnings.catch_warnings():
+        tell_notices()
+        warnings.simplefilter("always")
+        warnings.showwarning("overflow", RuntimeWarning, "numpy.py", 1)
+        warnings.showwarning("a notice", Notice, "hammerstein.py", 1)
+    assert capsys.readouterr().err == "a notice\n"

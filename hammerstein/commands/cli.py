@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
 import sys
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -69,6 +70,8 @@ SHORT = {
     "schema": "Print the JSON Schema of scenario files.",
 }
 """Every command in a line, in the order of a person's work."""
+USAGE: Any = typer.BadParameter.__base__
+"""What a command line that is no command line raises; Typer has it from click, or has click inside."""
 PRINTED = ("schema", "actuators", "show", "guide")
 """Commands that are asked for what they print, however quiet they are to be."""
 
@@ -172,9 +175,12 @@ def _exit_code(arguments: list[str] | None) -> int | str | None:
     code: int | str | None = 0
     try:
         try:
-            app(arguments)
+            code = app(arguments, standalone_mode=False)
         except SystemExit as end:
             code = end.code
+        except USAGE as mistake:
+            code = mistake.exit_code
+            complain(_message_of(mistake))
         except OSError as error:
             if error.filename is not None:
                 raise
@@ -189,6 +195,13 @@ def _exit_code(arguments: list[str] | None) -> int | str | None:
         complain(str(told))
         return told.exit_code
     return code
+
+
+def _message_of(mistake: Any) -> str:
+    """What the parser says of a command line, which it would print as it is."""
+    said = io.StringIO()
+    mistake.show(file=said)
+    return said.getvalue().rstrip()
 
 
 def schema() -> None:

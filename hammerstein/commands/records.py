@@ -130,9 +130,11 @@ def identify(
     """Identify a model from measured records, and say how far it can be trusted."""
     from hammerstein.commands.tables import gains_table, kept_aside
     from hammerstein.commands.warm_up import compile_when_needed
+    from hammerstein.escaping import one_line
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.identify import identify as identify_model
     from hammerstein.model import CONTENT
+    from hammerstein.quantities import LONGEST_NAME
     from hammerstein.reporting.fit_folder import ALWAYS, FIT, write_fit
     from hammerstein.reporting.fit_page import fit_json
     from hammerstein.runtime.storage.staging import prepare
@@ -148,7 +150,11 @@ def identify(
     gains = recorded.gains(records)
     with Spinner() as spinner:
         model, fit = identify_model(
-            records, settings, validation=validation, name=out.stem, progress=spinner.tell
+            records,
+            settings,
+            validation=validation,
+            name=one_line(out.stem)[:LONGEST_NAME],
+            progress=spinner.tell,
         )
     for place in write_fit(model, fit, out, folder, figures):
         complain(kept_aside(place))

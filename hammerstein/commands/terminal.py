@@ -10,11 +10,12 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, TextIO
 
 from hammerstein.errors import HammersteinError
-from hammerstein.escaping import clean
+from hammerstein.escaping import clean, one_line
 from hammerstein.files import reason_of
 from hammerstein.runtime.notices import tell_notices
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
     from rich.table import Table
 
 WIDTH_OF_A_FILE = 160
@@ -84,8 +85,10 @@ def show(table: Table) -> None:
         return
     from rich.console import Console
 
+    table.title = _plain(table.title)
     for column in table.columns:
-        column._cells = [clean(cell) if isinstance(cell, str) else cell for cell in column._cells]
+        column.header = _plain(column.header)
+        column._cells = [_plain(cell) for cell in column._cells]
     plain = {"markup": False, "emoji": False, "highlight": False}
     console = Console(**plain)  # type: ignore[arg-type]
     try:
@@ -93,6 +96,10 @@ def show(table: Table) -> None:
         sys.stdout.flush()
     except OSError as error:
         nobody_listens(error)
+
+
+def _plain(shown: RenderableType | None) -> RenderableType | None:
+    return one_line(shown) if isinstance(shown, str) else shown
 
 
 def settle() -> None:

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
+from hammerstein.escaping import C
 from hammerstein.export.c_blocks import CPart, Size, Table, c_block_of
 from hammerstein.hysteresis import Parallel, ParallelState
 
@@ -44,7 +45,7 @@ class Beside:
             start={self._of(name): value for name, value in part.start.items()},
         )
 
-    def text(self, macro: str, environment: Any, context: dict[str, Any]) -> str:
+    def text(self, macro: str, environment: Any, context: dict[str, Any]) -> C:
         """What a macro of its template gives."""
         template = environment.get_template(f"parts/{self.part.values['hysteresis']}.jinja")
         module = template.make_module({**context, **self.part.values})
@@ -54,7 +55,7 @@ class Beside:
         own |= {one.name for group in (self.part.sizes, self.part.tables, self.part.indices) for one in group}
         own -= set(SHARED)
         given = str(getattr(module, macro)())
-        return _WORD.sub(lambda word: self._of(word[0]) if word[0] in own else word[0], given)
+        return C(_WORD.sub(lambda word: self._of(word[0]) if word[0] in own else word[0], given))
 
     def _of(self, name: str) -> str:
         return f"{name}_{self.number}"

@@ -6,15 +6,17 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law
 from hammerstein.compensators import COMPENSATORS
 from hammerstein.dynamics import discretise
-from hammerstein.escaping import clean, templates_of
+from hammerstein.escaping import C, Markdown, templates_of
 from hammerstein.export.beside import Beside
 from hammerstein.export.c_blocks import CPart, Table
 from hammerstein.export.c_laws import c_law_of
@@ -31,6 +33,9 @@ from hammerstein.quantities import POSITION_UM, VOLTAGE_V
 INWARDS = {"low": 1.0, "lowest_v": 1.0, "high": -1.0, "highest_v": -1.0}
 """Ends of the range: in single precision they are rounded to its inside."""
 
+
+TARGETS: dict[str, type[Markup]] = {".md": Markdown, ".xml": Markup}
+"""Languages of templates by the ends of their names; all others are in C, or hold words alone."""
 
 LAGS, LAG_POINTS = (0.01, 0.1), 2000
 """Parts of a sine that dynamics may cost before that is told, and frequencies that are tried."""
@@ -138,7 +143,7 @@ class CCode:
     def title(self) -> str:
         """Say what it is in a line."""
         what = "the model itself" if self.is_model else f"law {self.request.law}"
-        return f"{what} of {clean(self.model.name)}"
+        return f"{what} of {self.model.name}"
 
     def _step_comment(self) -> str:
         if self.is_model:
@@ -149,19 +154,16 @@ class CCode:
 
     def _rendered(self, template: str, measured: MeasuredCode | None) -> str:
         part = self._part
-        text = (
-            environment()
-            .get_template(template)
-            .render(
-                **self.context(),
-                **{key: value for key, value in part.values.items() if key != "helpers"},
-                sizes=part.sizes,
-                tables=[_Written(table, self.real) for table in part.tables],
-                indices=[_Written(table, self.real) for table in part.indices],
-                at_start=initializer({**part.start, "last": self._last()}),
-                about=[] if measured is None else self._about(measured),
-                helpers=part.values.get("helpers", ()) if self.is_model else ("least", "most"),
-            )
+        text = rendered(
+            template,
+            **self.context(),
+            **{key: value for key, value in part.values.items() if key != "helpers"},
+            sizes=part.sizes,
+            tables=[_Written(table, self.real) for table in part.tables],
+            indices=[_Written(table, self.real) for table in part.indices],
+            at_start=initializer({**part.start, "last": self._last()}),
+            about=[] if measured is None else self._about(measured),
+            helpers=part.values.get("helpers", ()) if self.is_model else ("least", "most"),
         )
         return in_single_precision(text) if self.request.float32 else text
 
@@ -178,7 +180,7 @@ class CCode:
     def _about(self, measured: MeasuredCode) -> list[str]:
         lines: list[str] = []
         for text in (*self.statements(), self._cost_words(measured), *self._precision(measured)):
-            lines += [*textwrap.wrap(clean(text).replace("*/", "* /").replace("/*", "/ *"), 104), ""]
+            lines += [*textwrap.wrap(text, 104), ""]
         return lines[:-1]
 
     def statements(self) -> list[str]:
@@ -249,7 +251,7 @@ class _Written:
             outside = INWARDS[table.name] * (single.astype(np.float64) - values) < 0.0
             way = np.float32(INWARDS[table.name] * np.inf)
             values = np.where(outside, np.nextafter(single, way), single).astype(np.float64)
-        self.name, self.what, self.shape = table.name, table.what, table.shape
+        self.name, self.what, self.shape = table.name, table.what, C(table.shape)
         self.text = initializer(values if values.shape else values.item())
 
 
@@ -275,16 +277,23 @@ def _left_by_dynamics(model: HammersteinModel, sample_time_s: float) -> str:
     return f"This law takes the dynamics for none: besides the model's own error it leaves {told}."
 
 
+def rendered(template: str, **content: Any) -> str:
+    """Fill a template of the export; its name tells the language."""
+    form = PurePath(template.removesuffix(".jinja")).suffix
+    return _environment(TARGETS.get(form, C)).get_template(template).render(**content)
+
+
 @cache
-def environment() -> Any:
-    """Templates of the export, compiled once."""
+def _environment(target: type[Markup]) -> Any:
+    """Templates of the export in a language, compiled once."""
     from jinja2 import pass_context
 
-    found = templates_of("hammerstein.export")
+    found = templates_of("hammerstein.export", target)
 
     @pass_context
-    def beside(context: Any, part: Beside, macro: str) -> str:
+    def beside(context: Any, part: Beside, macro: str) -> C:
         return part.text(macro, found, context.get_all())
 
     found.globals["beside"] = beside
+    found.filters["comment"] = C.comment
     return found

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import column
 from hammerstein.errors import InputError, ToleranceError
-from hammerstein.export.code import CCode, environment
+from hammerstein.export.code import CCode, rendered
 from hammerstein.export.compiling import compiler
 from hammerstein.export.fmu import BUILD, DESCRIPTION, UNIT, fmu_context, fmu_of
 from hammerstein.export.golden import SAMPLES, entering
@@ -56,7 +56,6 @@ def files_of(code: CCode, measured: MeasuredCode | None = None) -> dict[str, str
     signal = entering(code.block, code.model_on_grid, SAMPLES)
     output = code.block.respond(signal)[0]
     found = measured if measured is not None else measure(code, signal, output)
-    template = environment().get_template
     context = code.context() | {
         "request": request,
         "model_name": model.name,
@@ -71,14 +70,14 @@ def files_of(code: CCode, measured: MeasuredCode | None = None) -> dict[str, str
     unit: dict[str, str] = {}
     if request.form == "fmu":
         context |= fmu_context(header + source, request.sample_time_s, code.shape.entering, _columns(code))
-        unit = {name: template(f"{name}.jinja").render(context) for name in (UNIT, DESCRIPTION, BUILD)}
+        unit = {name: rendered(f"{name}.jinja", **context) for name in (UNIT, DESCRIPTION, BUILD)}
     return unit | {
         f"{code.name}.h": header,
         f"{code.name}.c": source,
         "golden.csv": _golden(code, signal, output),
-        "selftest.c": template("selftest.c.jinja").render(context),
-        "Makefile": template("Makefile.jinja").render(context),
-        "README.md": template("README.md.jinja").render(context),
+        "selftest.c": rendered("selftest.c.jinja", **context),
+        "Makefile": rendered("Makefile.jinja", **context),
+        "README.md": rendered("README.md.jinja", **context),
         MODEL_FILE: model.to_json(),
         REQUEST_FILE: _json(ExportFile(request=request, measured=found)),
     }

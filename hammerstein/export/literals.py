@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from hammerstein.escaping import C
+
 WIDTH = 100
 LARGEST = {"double": float(np.finfo(np.float64).max), "float": float(np.finfo(np.float32).max)}
 _TOKEN = re.compile(
@@ -32,10 +34,10 @@ def literal(value: Any) -> str:
     return repr(number)
 
 
-def initializer(value: Any, indent: int = 0) -> str:
+def initializer(value: Any, indent: int = 0) -> C:
     """Text that initialises a number, an array, or a structure given as a mapping of its members.
 
-    >>> initializer({"end": 1, "x": np.array([0.0, 2.5])})
+    >>> str(initializer({"end": 1, "x": np.array([0.0, 2.5])}))
     '{ .end = 1, .x = { 0.0, 2.5 } }'
     """
     if isinstance(value, Mapping):
@@ -43,10 +45,10 @@ def initializer(value: Any, indent: int = 0) -> str:
     elif isinstance(value, list | tuple | np.ndarray):
         parts = [initializer(part, indent + 2) for part in value]
     else:
-        return literal(value)
+        return C.escape(literal(value))
     line = f"{{ {', '.join(parts)} }}"
     if len(line) <= WIDTH - indent and "\n" not in line:
-        return line
+        return C(line)
     inside = " " * (indent + 2)
     if any("{" in part for part in parts):
         body = ",\n".join(f"{inside}{part}" for part in parts)
@@ -59,7 +61,7 @@ def initializer(value: Any, indent: int = 0) -> str:
             break_long_words=False,
             break_on_hyphens=False,
         )
-    return f"{{\n{body}\n{' ' * indent}}}"
+    return C(f"{{\n{body}\n{' ' * indent}}}")
 
 
 def in_single_precision(code: str) -> str:

@@ -26,7 +26,7 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.files import Content, is_there, read_limited, write_atomic
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
 from hammerstein.pictured import Pictured
-from hammerstein.quantities import Name, Plain, Size
+from hammerstein.quantities import Name, Plain, Size, no_name
 from hammerstein.validation import Strict, mistakes_of, suggestion
 
 if TYPE_CHECKING:
@@ -96,7 +96,8 @@ class HammersteinModel(ByValue, Pictured):
             mistakes.append(
                 Mistake("dynamics", f"must have {p} inputs and {p} outputs, as the hysteresis has")
             )
-        for key, names in (("inputs", self.inputs), ("outputs", self.outputs)):
+        for key, names in (("name", (self.name,)), ("inputs", self.inputs), ("outputs", self.outputs)):
+            mistakes += [Mistake(key, why) for name in names if (why := no_name(name))]
             if len(set(names)) < len(names):
                 mistakes.append(Mistake(key, "name two axes alike; every name must differ"))
         if isinstance(self.dynamics, StateSpaceDynamics) and (unstable := self.dynamics.instability()):
@@ -300,7 +301,7 @@ class ModelFile(Strict):
     model_config = ConfigDict(ser_json_inf_nan="strings")
 
     format: Literal["hammerstein-model/2"] = "hammerstein-model/2"
-    name: str
+    name: Name
     hysteresis: Annotated[HysteresisFile, HYSTERESIS.field(), Field(description="chosen by its kind")]
     dynamics: Dynamics
     amplitude_v: Size

@@ -10,8 +10,9 @@ import numpy as np
 from hammerstein.arrays import Array, Indices, freeze, frozen
 from hammerstein.blocks.axis_names import unique
 from hammerstein.errors import InputError, Mistake
+from hammerstein.escaping import clean
 from hammerstein.pictured import Pictured
-from hammerstein.quantities import POSITION_UM, VOLTAGE_V
+from hammerstein.quantities import POSITION_UM, VOLTAGE_V, no_name
 from hammerstein.records.checks import (
     clipping_mistakes,
     far_mistakes,
@@ -107,6 +108,9 @@ class Record(Pictured):
             raise InputError(self.source, f"sample_time_s is {self.sample_time_s:g}; it must be above 0")
 
     def _refuse_names(self) -> None:
+        for name in (*self.inputs, *self.outputs):
+            if why := no_name(name):
+                raise InputError(self.source, [Mistake(f"column {clean(name[:60])}", f"{why}; rename it")])
         counts = len(self.inputs), len(self.outputs), len(self.rows)
         wanted = len(self.u_v), len(self.y_um), self.samples
         if counts != wanted:

@@ -12,7 +12,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from hammerstein.errors import HammersteinError, ToleranceError
-from hammerstein.escaping import clean, markdown
+from hammerstein.escaping import Markdown, clean
 from hammerstein.files import Content
 from hammerstein.metrics import KEY
 from hammerstein.regression.baseline import Numbers
@@ -30,7 +30,6 @@ _COLUMNS = (
     *("claim", "actuator", *(name for name in KEY if name not in _AXES)),
     *("axis", "metric", "baseline", "now", "change", "allowed"),
 )
-_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 @dataclass(frozen=True)
@@ -131,18 +130,20 @@ class CheckResult:
 
     def markdown(self) -> str:
         """Give a summary page: one line a scenario, then what differs."""
-        lines = [TITLE, "", "| scenario | result |", "|---|---|"]
+        lines = [Markdown(TITLE), "", Markdown("| scenario | result |"), Markdown("|---|---|")]
         for check in self.checks:
             found = check.headline.removeprefix(f"{check.name}: ")
-            mark = "pass" if check.passed else "**FAIL**"
+            mark = Markdown("pass" if check.passed else "**FAIL**")
             note = "; new: " + ", ".join(check.new_columns) if check.new_columns else ""
-            lines.append(f"| {markdown(check.name)} | {mark}: {markdown(found + note)} |")
+            lines.append(Markdown("| {} | {}: {} |").format(check.name, mark, found + note))
         for check in self.checks:
             if not check.passed:
                 body = check.lines(self.baseline_folder)
-                fence = "`" * max(3, 1 + _longest_run_of_ticks(body))
-                lines += ["", f"## {markdown(check.name)}", "", f"{fence}text", *map(clean, body), fence]
-        return "\n".join(lines) + "\n"
+                fence = Markdown("`" * max(3, 1 + _longest_run_of_ticks(body)))
+                shown = [Markdown(clean(line)) for line in body]
+                title = Markdown("## {}").format(check.name)
+                lines += ["", title, "", fence + Markdown("text"), *shown, fence]
+        return Markdown("\n").join([*lines, ""])
 
     def junit(self) -> str:
         """Give a JUnit XML file: one test case a scenario, without times so that two runs are equal."""
@@ -153,11 +154,11 @@ class CheckResult:
         suite = ElementTree.SubElement(root, "testsuite", {"name": SUITE, **counts})
         for check in self.checks:
             names = {"classname": check.path.parent.as_posix(), "name": check.name}
-            case = ElementTree.SubElement(suite, "testcase", {k: _xml(v) for k, v in names.items()})
+            case = ElementTree.SubElement(suite, "testcase", {k: clean(v) for k, v in names.items()})
             if not check.passed:
                 tag = "failure" if check.error is None else "error"
-                problem = ElementTree.SubElement(case, tag, {"message": _xml(check.headline)})
-                problem.text = _xml("\n".join(check.lines(self.baseline_folder)))
+                problem = ElementTree.SubElement(case, tag, {"message": clean(check.headline)})
+                problem.text = clean("\n".join(check.lines(self.baseline_folder)))
         ElementTree.indent(root)
         return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
@@ -269,8 +270,3 @@ def _json(value: float | str | None) -> float | str | None:
 
 def _longest_run_of_ticks(lines: Iterable[str]) -> int:
     return max((len(run) for line in lines for run in re.findall("`+", line)), default=0)
-
-
-def _xml(text: str) -> str:
-    """Text without the characters that XML cannot hold, such as those of a label with control codes."""
-    return _NOT_XML.sub("?", text)

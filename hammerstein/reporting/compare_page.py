@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hammerstein.comparison.inverting import HEADROOM, SETTLING
 from hammerstein.comparison.result import RULE, Compared, Comparison
-from hammerstein.escaping import markdown, markdown_page
+from hammerstein.escaping import Markdown, markdown_page
 
 CAPTION = (
     "One line a model. Left: its errors, filled where they are judged, hollow on the fitted records beside "
@@ -15,17 +15,18 @@ CAPTION = (
 
 def compare_page(found: Comparison, with_figure: bool) -> str:
     """Markdown page of a comparison."""
+    figure = Markdown("[![compare](compare.png)](compare.svg)\n\n*{}*").format(CAPTION)
     parts = [
-        "# Models compared",
-        " ".join(markdown(sentence) for sentence in found.sentences()),
-        *([f"[![compare](compare.png)](compare.svg)\n\n*{CAPTION}*"] if with_figure else []),
+        Markdown("# Models compared"),
+        " ".join(found.sentences()),
+        *([figure] if with_figure else []),
         compare_body(found),
-        "Every number with full precision is in `compare.json`.",
+        Markdown("Every number with full precision is in `compare.json`.\n"),
     ]
-    return "\n\n".join(parts) + "\n"
+    return Markdown("\n\n").join(parts)
 
 
-def compare_body(found: Comparison) -> str:
+def compare_body(found: Comparison) -> Markdown:
     """Markdown of the tables."""
     faults: dict[str, list[str]] = {}  # what holds for several models is said once
     for entry in found.entries:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.escaping import markdown, markdown_page
+from hammerstein.escaping import Markdown, markdown_page
 from hammerstein.experiment.selection import percent
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.choice import CLOSE
@@ -57,14 +57,14 @@ def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> 
     figures : names of PNG files beside the page
     """
     parts = [
-        f"# Fit report of {markdown(model.name)}",
-        markdown(headline(model, fit)),
-        markdown(fit.verdict),
+        Markdown("# Fit report of {}").format(model.name),
+        headline(model, fit),
+        fit.verdict,
         fit_body(model, fit),
-        *(["## Figures", *_pictures(figures)] if figures else []),
-        "Every number with full precision is in `fit.json`.",
+        *([Markdown("## Figures"), *_pictures(figures)] if figures else []),
+        Markdown("Every number with full precision is in `fit.json`.\n"),
     ]
-    return "\n\n".join(parts) + "\n"
+    return Markdown("\n\n").join(parts)
 
 
 def headline(model: HammersteinModel, fit: Fit) -> str:
@@ -84,7 +84,7 @@ def headline(model: HammersteinModel, fit: Fit) -> str:
     return f"The model {model.name} is off by {off}, rms, {where}.{warned}"
 
 
-def fit_body(model: HammersteinModel, fit: Fit) -> str:
+def fit_body(model: HammersteinModel, fit: Fit) -> Markdown:
     """Markdown of what stands between the verdict and the figures."""
     return markdown_page(
         "fit_body.md.jinja",
@@ -106,7 +106,7 @@ def _begun(fit: Fit) -> Iterator[tuple[str, str, Sequence[float]]]:
         began = BEGINNINGS[start.kind]
         if start.kind == "turned":
             turns = zip(fit.inputs, start.turn_v, record.rest_v, strict=True)
-            began += ", ".join(f" {turn + rest:.4g} V on {markdown(name)}" for name, (_, turn), rest in turns)
+            began += ", ".join(f" {turn + rest:.4g} V on {name}" for name, (_, turn), rest in turns)
         if start.first:
             began += f", the first {start.first} samples left out"
         yield PurePath(record.source).name, began, offsets
@@ -146,8 +146,8 @@ def _thresholds(block: Hysteresis[Any], fit: Fit) -> Iterator[tuple[str, float, 
         yield name, r, None if i in known.open or r == 0.0 else error_v
 
 
-def _pictures(figures: Sequence[str]) -> Iterator[str]:
+def _pictures(figures: Sequence[str]) -> Iterator[Markdown]:
     for name in sorted(figures):
         stem = PurePath(name).stem
-        yield f"[![{stem}]({name})]({stem}.svg)"
-        yield f"*{CAPTIONS.get(stem, stem)}*"
+        yield Markdown("[![{0}]({1})]({0}.svg)").format(stem, name)
+        yield Markdown("*{}*").format(CAPTIONS.get(stem, stem))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
-from hammerstein.escaping import code, markdown, markdown_page
+from hammerstein.escaping import Markdown, code, markdown, markdown_page
 from hammerstein.experiment.report import Report, Trace
 from hammerstein.experiment.selection import identified_at, percent
 from hammerstein.metrics import METRICS
@@ -122,15 +122,15 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
     )
 
 
-def _answer(report: Report) -> list[tuple[str, list[str]]]:
+def _answer(report: Report) -> list[tuple[Markdown, list[Markdown]]]:
     """The answer with its labels in italics; no text of the scenario is taken for Markdown."""
     opening, closing = "\ue000", "\ue001"
 
     def quoted(label: str) -> str:
         return opening + re.sub(f"[{opening}{closing}]", "", label) + closing
 
-    def told(text: str) -> str:
-        return re.sub(f"[{opening}{closing}]", "*", markdown(text))
+    def told(text: str) -> Markdown:
+        return Markdown(re.sub(f"[{opening}{closing}]", "*", markdown(text)))
 
     return [sentence.map(told) for sentence in sentences(report, quoted)]
 
@@ -216,7 +216,7 @@ def setting_of(report: Report) -> Iterator[tuple[str, str]]:
     """What was run, as pairs of a name and a text."""
     scenario, portable = report.scenario, report.scenario.portable()
     model = HammersteinModel.load(scenario.actuator)
-    yield "Actuator", f"{code(report.actuator)}, dynamics: {markdown(model.dynamics.describe())}"
+    yield "Actuator", Markdown("{}, dynamics: {}").format(code(report.actuator), model.dynamics.describe())
     for name in ("drive", "reference"):
         if name in portable:
             kind = {"kind": portable[name]["kind"]}
@@ -250,7 +250,7 @@ def source_of(source: ModelSource) -> tuple[str, str, str, str]:
 def _listed(values: dict[str, Any], plain: bool = False) -> str:
     """Keys and values in one line, as in ``frequency_hz = 50, amplitude_v = 10``."""
     texts = [f"{key} = {_value(value)}" for key, value in values.items()]
-    return ", ".join(texts if plain else [code(text) for text in texts])
+    return ", ".join(texts) if plain else Markdown(", ").join(map(code, texts))
 
 
 def _value(value: Any) -> str:

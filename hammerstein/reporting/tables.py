@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from hammerstein.escaping import Markdown
 from hammerstein.experiment.report import Band, Report, Sensitivity
 from hammerstein.experiment.selection import (
     Condition,
@@ -64,7 +65,9 @@ def _kept_rows(report: Report, most: int) -> tuple[list[Row], str]:
     if len(frequencies) <= most:
         return list(report.rows), ""
     kept = selected_frequencies(frequencies, identified_at(report).values(), most)
-    remark = f"Shown are {len(kept)} of {len(frequencies)} frequencies; all are in `rms.csv`."
+    remark = Markdown("Shown are {} of {} frequencies; all are in `rms.csv`.").format(
+        len(kept), len(frequencies)
+    )
     return [row for row in report.rows if row.frequency_hz in kept], remark
 
 

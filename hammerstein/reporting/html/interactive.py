@@ -67,7 +67,7 @@ def _embedded(layout: UIElement) -> Interactive:
             f"<script>{start}</script>",
         ]
     )
-    return Interactive(Markup(f'<div id="{PLACE}"></div>'), Markup(scripts))
+    return Interactive(Markup('<div id="{}"></div>').format(PLACE), Markup(scripts))
 
 
 @cache

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from hammerstein.escaping import clean, templates_of
+from hammerstein.escaping import Markdown, templates_of
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -53,7 +53,7 @@ def rendered(template: str, **content: Any) -> str:
 @cache
 def environment() -> Environment:
     """Templates of the pages."""
-    found = templates_of("hammerstein", autoescape=True, finalize=_shown)
+    found = templates_of("hammerstein", Markup)
     found.filters |= {"line": line_of, "slug": _slug}
     found.globals |= {"style": _own_file(found, "page.css"), "script": _own_file(found, "page.js")}
     return found
@@ -64,24 +64,20 @@ def _own_file(found: Environment, name: str) -> Markup:
     return Markup(found.loader.get_source(found, name)[0])  # of this package
 
 
-def _shown(value: Any) -> Any:
-    return clean(value) if type(value) is str else value
-
-
 def _slug(text: str) -> str:
     return "-".join("".join(c if c.isalnum() else " " for c in text.lower()).split())
 
 
 def line_of(text: str) -> Markup:
-    """One line of our Markdown as HTML; what it holds of strangers was escaped when it was written.
+    """One line of Markdown as HTML; any other text as it is.
 
-    >>> line_of("a *b* `c` <script>")
+    >>> line_of(Markdown("a *b* `c` <script>"))
     Markup('a <em>b</em> <code>c</code> &lt;script&gt;')
     """
-    return Markup(_reader().renderInline(clean(text)))  # the reader escapes HTML
+    return Markup(_reader().renderInline(Markdown.escape(text)))  # the reader escapes HTML
 
 
-def page_of(text: str) -> Markup:
+def page_of(text: Markdown) -> Markup:
     """Markdown of ours as HTML, its tables as those of the templates."""
     return Markup(_reader().render(text))
 
