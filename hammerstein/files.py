@@ -18,7 +18,7 @@ LARGEST_TEXT_BYTES = 50_000_000
 DEEPEST = 100
 """Brackets in brackets that a file may have; readers that call themselves end somewhere beyond."""
 _BRACKETS = re.compile(r"[\[\]{}]")
-_QUOTED = re.compile(r'"(?:[^"\\\n]|\\.)*"?|\'[^\'\n]*\'?')
+_QUOTED = re.compile(r'"(?:[^"\\\n]++|\\.)*+"?|\'[^\'\n]*+\'?')
 SIGNED_BYTES = 1_000_000
 """How far into a file its sign is searched."""
 NOTHING = b" \t\r\n{}[]"

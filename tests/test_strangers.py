@@ -288,7 +288,7 @@ def test_what_is_taken_for_text_of_a_target_is_a_literal():
 
 
 @pytest.mark.parametrize("line", [["run", "a\x1b[31m", "--bogus"], ["show", "a", "b\u202e"], ["\x1b[31m"],
-                                  ["show", "a\x1b\u202e\nb"], ["run", "--jobs", "\x1b"]], 
+                                  ["show", "a\x1b\u202e\nb"], ["run", "--jobs", "\x1b"]],
                          ids=ascii)  # fmt: skip
 def test_the_parser_and_names_of_files_reach_the_terminal_escaped(tmp_path, monkeypatch, capsys, line):
     monkeypatch.chdir(tmp_path)

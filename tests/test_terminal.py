@@ -139,7 +139,7 @@ def test_what_a_library_makes_of_ctrl_c_is_ctrl_c_still():
 import signal
 from hammerstein.commands import cli
 
-def imported(arguments):
+def imported(*_, **__):
     try:
         signal.raise_signal(signal.SIGINT)
     except BaseException as error:

@@ -175,7 +175,7 @@ def _exit_code(arguments: list[str] | None) -> int | str | None:
     code: int | str | None = 0
     try:
         try:
-            code = app(arguments, standalone_mode=False)
+            code = app(arguments, standalone_mode=False) or 0
         except SystemExit as end:
             code = end.code
         except USAGE as mistake:

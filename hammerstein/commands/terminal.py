@@ -15,7 +15,6 @@ from hammerstein.files import reason_of
 from hammerstein.runtime.notices import tell_notices
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
     from rich.table import Table
 
 WIDTH_OF_A_FILE = 160
@@ -85,10 +84,11 @@ def show(table: Table) -> None:
         return
     from rich.console import Console
 
-    table.title = _plain(table.title)
+    if isinstance(table.title, str):
+        table.title = one_line(table.title)
     for column in table.columns:
-        column.header = _plain(column.header)
-        column._cells = [_plain(cell) for cell in column._cells]
+        shown = [column.header, *column._cells]
+        column.header, *column._cells = [clean(cell) if isinstance(cell, str) else cell for cell in shown]
     plain = {"markup": False, "emoji": False, "highlight": False}
     console = Console(**plain)  # type: ignore[arg-type]
     try:
@@ -96,10 +96,6 @@ def show(table: Table) -> None:
         sys.stdout.flush()
     except OSError as error:
         nobody_listens(error)
-
-
-def _plain(shown: RenderableType | None) -> RenderableType | None:
-    return one_line(shown) if isinstance(shown, str) else shown
 
 
 def settle() -> None:

@@ -16,12 +16,14 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake
-from hammerstein.records.matlab_v5 import is_matlab_v5, read_matlab_v5
+from hammerstein.records.matlab_v5 import is_matlab_v4, is_matlab_v5, read_matlab_v5
 
 Variables = Mapping[str, Callable[[], Any]]
 """Name of each variable in a file, and how to load it; the only one of an ``.npy`` file has no name."""
 
 SUFFIXES = (".npy", ".npz", ".mat")
+MOST_OBJECTS = 100_000
+"""Of an HDF5 file: more are no record."""
 MOST_NUMBERS = 50_000_000
 """As many numbers are read from one variable; a file that declares more is not opened up."""
 
@@ -126,9 +128,12 @@ def _loaded(variables: Variables, name: str) -> Array:
     return array.astype(np.float64)
 
 
-def refuse_large(shape: Sequence[int]) -> None:
-    """Refuse an array before it is unpacked, by the shape that its file declares."""
-    numbers = math.prod(int(n) for n in shape)
+def refuse_large(shape: Sequence[int], bytes_each: int = 8) -> None:
+    """Refuse an array before it is unpacked, by the shape that its file declares.
+
+    bytes_each : of an entry; a text counts as so many numbers as would take its place
+    """
+    numbers = math.prod(int(n) for n in shape) * max(1, bytes_each // 8)
     if numbers > MOST_NUMBERS:
         raise InputError(
             "file",
@@ -199,19 +204,20 @@ def _numpy_archive(path: Path) -> Variables:
         names = list(archive.files)
 
     def load(name: str) -> Any:
-        refuse_large(_declared_shape(path, name))
+        refuse_large(*_declared(path, name))
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return archive[name]
 
     return {name: partial(load, name) for name in names}
 
 
-def _declared_shape(path: Path, name: str) -> tuple[int, ...]:
-    """Shape that the header of an array in an ``.npz`` file declares."""
+def _declared(path: Path, name: str) -> tuple[tuple[int, ...], int]:
+    """Shape and bytes of a number that the header of an array in an ``.npz`` file declares."""
     with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as file:
         old = np.lib.format.read_magic(file) == (1, 0)
         read = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
-        return tuple(read(file)[0])
+        shape, _, kind = read(file)
+        return tuple(shape), kind.itemsize
 
 
 def _matlab(path: Path) -> Variables:
@@ -224,14 +230,26 @@ def _matlab_old(path: Path) -> Variables:
     """Versions 4 to 7.2."""
     if is_matlab_v5(path):
         content = read_matlab_v5(path, most_bytes=8 * MOST_NUMBERS)
+    elif is_matlab_v4(path):
+        content = _matlab_v4(path)
     else:
-        import scipy.io
-
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # SciPy warns of what it cannot read; that is left out here
-            content = scipy.io.loadmat(path)
+        raise ValueError("it has neither the byte-order mark of version 5 nor the first number of version 4")
     found = (pair for name, value in content.items() if name[:2] != "__" for pair in _flat(name, value))
     return {name: partial(np.asarray, value) for name, value in found}
+
+
+def _matlab_v4(path: Path) -> dict[str, Any]:
+    """Version 4, by SciPy, whose reader of this version is Python; of others it is compiled and may die."""
+    import scipy.io
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # SciPy warns of what it cannot read; that is left out here
+        listed = scipy.io.whosmat(path)
+        numbers = sum(math.prod(shape) for _, shape, _ in listed)
+        if numbers > path.stat().st_size or any(min(shape) < 0 for _, shape, _ in listed):
+            raise ValueError("it declares more numbers than it holds")
+        content: dict[str, Any] = scipy.io.loadmat(path)
+    return content
 
 
 def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -262,15 +280,18 @@ def _matlab_hdf5(path: Path) -> Variables:
     import h5py
 
     places: dict[str, str] = {}
+    seen: set[int] = set()
 
     def note(name: str, item: Any) -> None:
+        if _refused(item, seen):
+            return
         kind = item.attrs.get("MATLAB_class", b"double")
         if isinstance(item, h5py.Group):
             for member, inside in _members(item):
                 note(f"{name}.{member}", inside)
         elif item.dtype == h5py.ref_dtype and kind == b"cell":
-            for number, reference in enumerate(item[()].flat, start=1):
-                note(f"{name}.{number}", item.file[reference])
+            for number, inside in _referred(item):
+                note(f"{name}.{number}", inside)
         elif item.dtype.kind in "biuf" and kind != b"char" and "MATLAB_empty" not in item.attrs:
             places[name] = item.name
 
@@ -280,20 +301,53 @@ def _matlab_hdf5(path: Path) -> Variables:
             return file[place][()].T
 
     with h5py.File(path, "r") as file:
-        for name, item in file.items():
+        for name, item in _inside(file):
             if not name.startswith("#"):
                 note(name, item)
     return {name: partial(load, place) for name, place in places.items()}
+
+
+def _refused(item: Any, seen: set[int]) -> bool:
+    """Whether a group or cell was looked into before, under another name; ValueError for what no record is.
+
+    It lies at one address of the file, however many links lead to it.
+    """
+    import h5py
+
+    if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
+        raise ValueError(f"{item.name} lies in another file; save it in this one")
+    address = h5py.h5o.get_info(item.id).addr
+    known = address in seen
+    seen.add(address)
+    if len(seen) > MOST_OBJECTS:
+        raise ValueError(f"it holds more than {MOST_OBJECTS} objects")
+    return known and (isinstance(item, h5py.Group) or item.dtype == h5py.ref_dtype)
+
+
+def _inside(group: Any) -> Iterator[tuple[str, Any]]:
+    """Objects of a group; ValueError for a link to another file."""
+    import h5py
+
+    for name in group:
+        if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
+            raise ValueError(f"{name} lies in another file; save it in this one")
+        yield name, group[name]
+
+
+def _referred(item: Any) -> Iterator[tuple[int, Any]]:
+    """Objects that an array of references names, by number."""
+    refuse_large(item.shape)
+    for number, reference in enumerate(item[()].flat, start=1):
+        yield number, item.file[reference]
 
 
 def _members(group: Any) -> Iterator[tuple[str, Any]]:
     """Fields of a structure; those of an array of structures stand under the number of each."""
     import h5py
 
-    for field, item in group.items():
+    for field, item in _inside(group):
         several = isinstance(item, h5py.Dataset) and item.dtype == h5py.ref_dtype
         if several and item.attrs.get("MATLAB_class") is None:
-            for number, reference in enumerate(item[()].flat, start=1):
-                yield f"{number}.{field}", group.file[reference]
+            yield from ((f"{number}.{field}", inside) for number, inside in _referred(item))
         else:
             yield field, item

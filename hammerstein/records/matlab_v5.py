@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 HEADER_BYTES = 128
 LOOKED_AT = 1000  # bytes of a compressed variable in which its size stands
 DEEPEST = 20  # structures within structures
+MEMBER_BYTES = 100  # of an empty member of a cell or structure, about
 MATRIX, COMPRESSED = 14, 15
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 """How numbers are stored, by the type in their tag."""
@@ -45,6 +46,15 @@ class Reader:
 
     def __init__(self, order: str, most_bytes: int):
         self.order, self.most_bytes = order, most_bytes
+        self.left = most_bytes
+
+    def spend(self, size: int) -> None:
+        """Count what comes out of the file; ValueError beyond what it may be in all."""
+        self.left -= size
+        if self.left < 0:
+            raise ValueError(
+                f"it unfolds to more than {self.most_bytes / 1e6:.0f} MB; save the signals alone in a file"
+            )
 
     def elements(self, data: memoryview) -> Iterator[Element]:
         """All elements that follow each other in some bytes."""
@@ -76,8 +86,7 @@ class Reader:
         if len(head) < 8:
             raise ValueError("a compressed variable is cut short")
         size = int(np.frombuffer(head, f"{self.order}u4")[1])
-        if size > self.most_bytes:
-            raise ValueError(f"a variable unfolds to {size / 1e9:.3g} GB, too much for a record")
+        self.spend(size)
         whole = zlib.decompressobj().decompress(data, size + 8)
         if len(whole) < size + 8:
             raise ValueError("a compressed variable is shorter than it says")
@@ -114,6 +123,8 @@ class Reader:
         name = bytes(_next(parts).data).decode("latin-1")
         if class_ == TEXT:
             return name, _text(_next(parts))
+        if class_ in (CELL, STRUCTURE):
+            self.spend(count * MEMBER_BYTES)
         if class_ == CELL:
             cells = np.empty(count, dtype=object)
             for i in range(count):
@@ -121,6 +132,7 @@ class Reader:
             return name, cells.reshape(shape, order="F")
         if class_ == STRUCTURE:
             return name, self._structure(parts, shape, depth)
+        self.spend(count * np.dtype(ARRAYS[class_]).itemsize * (2 if flag & IS_COMPLEX else 1))
         real = self.numbers(_next(parts), count).astype(ARRAYS[class_], copy=False)
         if flag & IS_COMPLEX:
             real = real + 1j * self.numbers(_next(parts), count)
@@ -155,13 +167,20 @@ def is_matlab_v5(path: Path) -> bool:
     return len(header) == HEADER_BYTES and header[126:128] in (b"IM", b"MI") and 0 not in header[:4]
 
 
+def is_matlab_v4(path: Path) -> bool:
+    """Whether a file begins as those of version 4 do, with a small number: the only ones that SciPy reads."""
+    with path.open("rb") as file:
+        header = file.read(4)
+    return len(header) == 4 and 0 in header
+
+
 def read_matlab_v5(path: Path, most_bytes: int) -> dict[str, Any]:
     """Variables of a file by name.
 
     Parameters
     ----------
     path : file, of which ``is_matlab_v5`` holds
-    most_bytes : what a variable may unfold to
+    most_bytes : what all of it may unfold to
 
     Raises
     ------

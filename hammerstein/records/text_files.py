@@ -284,6 +284,7 @@ def _frame(path: Path, layout: Layout, indices: list[int], skipped: list[int]) -
             skiprows=[*range(layout.first), *skipped],
             skip_blank_lines=False,
             low_memory=False,
+            compression=None,  # what is packed was refused as binary; a name says nothing
         )
     except (pd.errors.ParserError, ValueError) as error:
         raise InputError(str(path), f"cannot be read as a table ({error})") from None
