@@ -435,7 +435,7 @@ def test_junit_is_well_formed_whatever_the_labels_are() -> None:
         ("spiral", []),
         ("far", ["error"]),
     ]
-    assert "a?<b>&" in str(suite[0][0].text)
+    assert "a\\x01<b>&" in str(suite[0][0].text)
     assert result.exit_code == SimulationError.exit_code
 
 
