@@ -280,7 +280,7 @@ def _left_by_dynamics(model: HammersteinModel, sample_time_s: float) -> str:
 def rendered(template: str, **content: Any) -> str:
     """Fill a template of the export; its name tells the language."""
     form = PurePath(template.removesuffix(".jinja")).suffix
-    return _environment(TARGETS.get(form, C)).get_template(template).render(**content)
+    return str(_environment(TARGETS.get(form, C)).get_template(template).render(**content))
 
 
 @cache
