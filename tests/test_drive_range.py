@@ -225,7 +225,7 @@ def test_out_of_reach_names_volts_and_positions(stage, capsys):
     frame.to_csv(stage / "below.csv", index=False)
     assert compensate(stage, "--law", "exact_inverse", path="below.csv") == 3
     error = capsys.readouterr().err
-    assert "input u stands at its range" in error
+    assert "input u stands at its lower limit, 0 V, in" in error
     assert "0 to 100 V on u, -20 to 120 V on v (--range)" in error
     low, high = reach(model_of(), [(0.0, 100.0), (-20.0, 120.0)]).alone_um[0]
     assert f"one at a time, x {low:.4g} to {high:.4g}" in error
@@ -240,7 +240,7 @@ def test_a_corner_gets_a_filter_with_a_number(tmp_path, capsys):
     command = (tmp_path, "--start", "45,45")
     assert compensate(*command) == 3
     error = capsys.readouterr().err
-    assert "With --filter-hz " in error
+    assert "--filter-hz " in error
     value = error.split("--filter-hz ")[1].split()[0]
     assert compensate(*command, "--filter-hz", value) == 0
     assert compensate(*command, "--filter-hz", 1.5 * float(value)) == 3  # no smaller than needed

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from hammerstein.compensators.drive_file import Terms
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,44 @@ class Sent:
     def begins(self) -> tuple[float, ...] | None:
         """Voltages of the start."""
         return volts("--start", self.start)
+
+
+@dataclass(frozen=True)
+class Reached:
+    """What is done with a path that the drive does not reach as it is."""
+
+    lead_in: Annotated[
+        bool, typer.Option("--lead-in", help="Go to the beginning of the path first, from where it stands.")
+    ] = False
+    offset: Annotated[
+        str | None, typer.Option(metavar="UM[,UM]", help="Added to the positions of the path, in um.")
+    ] = None
+    clip: Annotated[bool, typer.Option("--clip", help="Accept a path partly out of reach.")] = False
+    beyond_records: Annotated[
+        bool, typer.Option("--beyond-records", help="Accept voltages that were never recorded.")
+    ] = False
+
+    def terms(self, sent: Sent) -> Terms:
+        """All that is allowed of a drive."""
+        from hammerstein.compensators.drive_file import Terms
+
+        return Terms(
+            sent.ends,
+            sent.begins,
+            sent.conditioned,
+            self.clip,
+            self.beyond_records,
+            sent.accept_flagged,
+            self.lead_in,
+            volts("--offset", self.offset),
+        )
+
+    def refuse_with_period(self) -> None:
+        """Raise InputError for what a period has no use for: it writes a run-up of its own."""
+        from hammerstein.errors import InputError
+
+        if self.lead_in or self.offset is not None:
+            raise InputError("--lead-in, --offset", "belong to a path, not to --cycle or --table")
 
 
 def volts(option: str, words: str | None) -> tuple[float, ...] | None:

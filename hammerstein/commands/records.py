@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hammerstein.commands.grouped import grouped
-from hammerstein.commands.law_options import LawWords, Sent
+from hammerstein.commands.law_options import LawWords, Reached, Sent
 from hammerstein.commands.record_options import AsJson, HeldBack, Identified, RecordFiles
 from hammerstein.commands.refusals import refuse_output, told_by_options
 from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_statements
@@ -214,10 +214,7 @@ def compensate(
             help="Deviations of weights and resonances that --learn counts on; 0.05,0.01 if not given.",
         ),
     ] = None,
-    clip: Annotated[bool, typer.Option("--clip", help="Accept a path partly out of reach.")] = False,
-    beyond_records: Annotated[
-        bool, typer.Option("--beyond-records", help="Accept voltages that were never recorded.")
-    ] = False,
+    reached: Reached,
     as_json: AsJson = False,
 ) -> None:
     """Turn a reference into the voltages to send, with the predicted response."""
@@ -225,7 +222,7 @@ def compensate(
     from hammerstein.commands.periods import Period, TableRequest, write_cycle, write_lesson
     from hammerstein.commands.tables import compensation_table
     from hammerstein.commands.warm_up import compile_when_needed
-    from hammerstein.compensators.drive_file import Terms, compensate as compensated
+    from hammerstein.compensators.drive_file import compensate as compensated
     from hammerstein.errors import InputError
     from hammerstein.files import write_atomic
 
@@ -236,9 +233,11 @@ def compensate(
     wanted.check()
     refuse_output(out, [Path(model), reference, *(learn or ())], wanted.content())
     compile_when_needed(complain)
-    terms = Terms(sent.ends, sent.begins, sent.conditioned, clip, beyond_records, sent.accept_flagged)
+    terms = reached.terms(sent)
     with told_by_options("compensate"), watched() as onlooker:
         period = Period(model, reference, law, options, terms, out, wanted, as_json, onlooker)
+        if learn is not None or cycle or table is not None:
+            reached.refuse_with_period()
         if learn is not None:
             write_lesson(period, learn, unsure or "0.05,0.01")
             return

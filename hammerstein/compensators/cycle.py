@@ -12,13 +12,13 @@ import numpy as np
 from hammerstein.arrays import Array, Complex
 from hammerstein.blocks import Law
 from hammerstein.blocks.driving import DriveRange
+from hammerstein.compensators.attempt import sensorless_law
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.drive_file import (
     Terms,
     allowed_range,
     refuse_beyond,
     refuse_flagged,
-    sensorless_law,
     verdict_statements,
 )
 from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, read_path

@@ -9,52 +9,67 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import ValidationError
 
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law, checked_reference
 from hammerstein.blocks.driving import DriveRange
-from hammerstein.compensators import COMPENSATORS, Compensator, HammersteinInverse
+from hammerstein.compensators.attempt import Attempt, LawLike, compensator_of
 from hammerstein.compensators.drive_csv import Tell, drive_csv
+from hammerstein.compensators.lead_in import lead_in
 from hammerstein.compensators.path_file import UNWATCHED, Onlooker, read_path
-from hammerstein.compensators.reach import Reach, Shortfall, reach, require_reach, shortfall
-from hammerstein.errors import HammersteinError, IdentificationError, InputError, SimulationError
+from hammerstein.compensators.prediction import Prediction
+from hammerstein.compensators.reach import Reach, Shortfall, reach
+from hammerstein.compensators.remedies import Missed
+from hammerstein.errors import IdentificationError, InputError, SimulationError
 from hammerstein.files import Content
 from hammerstein.model import HammersteinModel
-from hammerstein.validation import mistakes_of
 
 CONTENT = Content("drive file", sign="time_s,drive_")
 
 HEADING = "Voltages to send, as they are: absolute, in V. Times in s, positions in um."
-FILTER_TRIALS, FILTER_DECADES = 16, 300.0
-LOST_SHARE = 0.2
-"""Part of a path, in rms, that a filter may take away to be proposed."""
-
-LawLike = str | Compensator
-"""A law by its name in a scenario, or a compensator."""
 
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
     """A drive for real hardware, and what the model says of it.
 
-    time_s : (sample,) on the drive's sample time; reference_um : (output, sample), counted from the start
-    drive_v : (input, sample) as it is sent: absolute, on the converter's steps and within the range
+    attempt : the law, the reference with its lead-in, the drive, and what the model predicts
+    prediction : parts of the error
     reach : what slow paths can reach
-    shortfall : predicted position and error, and where the voltage stands at the range
+    time_s : (sample,) on the drive's sample time; the path begins at its own time, a lead-in before it
     resampled : whether the file was interpolated onto the drive's sample time
     source : name of the model
+    held : whether the range is met, and what it costs is less than the model's own error
     """
 
     model: HammersteinModel
-    law: Law[Any]
+    attempt: Attempt
+    prediction: Prediction
     reach: Reach
     time_s: Array
-    reference_um: Array
-    drive_v: Array
-    shortfall: Shortfall
     resampled: bool
     source: str
+    held: bool = False
+
+    @property
+    def law(self) -> Law[Any]:
+        """The law that gave the drive."""
+        return self.attempt.law
+
+    @property
+    def reference_um(self) -> Array:
+        """Path (output, sample), its lead-in included, counted from the start [um]."""
+        return self.attempt.reference_um
+
+    @property
+    def drive_v(self) -> Array:
+        """Voltages (input, sample) as they are sent: absolute, on the converter's steps, in the range."""
+        return self.attempt.drive_v
+
+    @property
+    def shortfall(self) -> Shortfall:
+        """Predicted position and error, and where the voltage stands at the range."""
+        return self.attempt.predicted
 
     def __repr__(self) -> str:
         drive, error = self.drive_v, self.shortfall.error_um
@@ -77,6 +92,7 @@ class Compensation:
                 "reference_um": [float(self.reference_um[o].min()), float(self.reference_um[o].max())],
                 "predicted_rms_um": float(np.sqrt(np.mean(self.shortfall.error_um[o] ** 2))),
                 "predicted_max_um": float(np.abs(self.shortfall.error_um[o]).max()),
+                "expected_error": self.prediction.summary(o),
             }
             for o, name in enumerate(self.model.outputs)
         }
@@ -102,17 +118,18 @@ class Compensation:
         said = [f"Model {self.source}, found from {self.model.recorded.statement(self.model.inputs)}."]
         said += verdict_statements(self.model)
         said += [self._start(), f"Range {self.law.range.words(self.model.inputs)}."]
-        verdict = self.model.verdict
-        off = verdict.error(self.model.outputs) if verdict is not None else ""
-        said.append(
-            "Predicted: the error if the actuator were exactly the model. "
-            + (
-                f"By its fit report the model is off by {off}."
-                if off
-                else "Its file does not say how far off it is."
+        said.append(self.prediction.statement(self.model.outputs))
+        if self.attempt.lead:
+            seconds = self.attempt.lead * (self.time_s[1] - self.time_s[0])
+            said.append(
+                f"The first {seconds:.4g} s lead in from where the actuator stands; then the path begins."
             )
-        )
-        if not self.shortfall.complete:
+        if self.held:
+            said.append(
+                "The drive is held at the range where the path asks for more: that costs less than the "
+                "model's own error."
+            )
+        elif not self.shortfall.complete:
             said.append(self.shortfall.statement(self.model.inputs, self.model.outputs))
         said += [text] if (text := self.law.statement()) else []
         if self.resampled:
@@ -169,6 +186,8 @@ class Terms:
     clip : accept a path that is partly out of reach
     beyond_records : accept voltages that the records did not cover
     accept_flagged : accept a model that its own fit report flagged
+    lead_in : go from where the actuator stands to where the path begins first
+    offset_um : added to the positions of each output, or of all [um]
     """
 
     range_v: tuple[float, ...] | None = None
@@ -177,6 +196,8 @@ class Terms:
     clip: bool = False
     beyond_records: bool = False
     accept_flagged: bool = False
+    lead_in: bool = False
+    offset_um: tuple[float, ...] | None = None
 
 
 def compensate(
@@ -214,7 +235,7 @@ def compensate(
         found = compensation_of(model, reference, law, options, terms, source)
     except SimulationError as error:
         raise SimulationError(f"{reference_path}: {error}") from None
-    return replace(found, time_s=time_s, resampled=resampled)
+    return replace(found, time_s=time_s[0] + found.time_s, resampled=resampled)
 
 
 def compensation_of(
@@ -232,29 +253,35 @@ def compensation_of(
     terms, called = terms or Terms(), source or model.name
     refuse_flagged(model, called, terms)
     limits = allowed_range(model, terms)
-    drive = model.instruments.drive.model_copy(
-        update={"range_v": tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))}
-    )
-    reference = checked_reference(reference_um, len(model.outputs))
+    time_step = model.instruments.drive.sample_time_s
+    path = moved(checked_reference(reference_um, len(model.outputs)), terms.offset_um)
+    before = lead_in(path, time_step) if terms.lead_in else path[:, :0]
     compensator = compensator_of(law, options)
-    built = sensorless_law(compensator, {}, model, limits, drive.sample_time_s)
-    asked = built.drive_for(reference)
-    held, _ = drive.apply(asked)
-    predicted = shortfall(model, built, reference, asked, drive.sample_time_s, held)
+    found = Attempt.of(model, limits, compensator, np.hstack([before, path]), before.shape[1])
+    prediction = Prediction.of(model, found.path_error_um)
+    own = np.zeros(len(path)) if prediction.model is None else prediction.model
+    held = not found.predicted.complete and bool((found.path_error_um <= own).all())
     reachable = reach(model, limits, run_anyway=True)
-    if not terms.clip:
-        try:
-            require_reach(predicted, model.inputs, model.outputs)
-        except SimulationError as error:
-            volts = f"With {limits.words(model.inputs)} (--range), counted from the start (--start):"
-            remedy = _slower(model, limits, compensator, reference, drive.sample_time_s)
-            raise SimulationError(
-                f"{error} {volts} {reachable.statement(model.outputs)} {remedy}Or accept it with --clip."
-            ) from None
+    if not (terms.clip or held or found.predicted.complete):
+        missed = Missed(model, limits, compensator, path, found, own, reachable)
+        ends = f"With {limits.words(model.inputs)} (--range), counted from the start (--start):"
+        raise SimulationError(
+            f"out of reach: {found.predicted.statement(model.inputs, model.outputs)}\n"
+            f"{missed.statement()}\n{ends} {reachable.statement(model.outputs)}"
+        )
     if not terms.beyond_records:
-        refuse_beyond(model, held)
-    time_s = np.arange(reference.shape[1], dtype=np.float64) * drive.sample_time_s
-    return Compensation(model, built, reachable, time_s, reference, held, predicted, False, called)
+        refuse_beyond(model, found.drive_v)
+    time_s = (np.arange(found.reference_um.shape[1], dtype=np.float64) - found.lead) * time_step
+    return Compensation(model, found, prediction, reachable, time_s, False, called, held)
+
+
+def moved(path_um: Array, offset_um: tuple[float, ...] | None) -> Array:
+    """Path (p, N) with an offset added to each output [um]; InputError for another number of them."""
+    if offset_um is None:
+        return path_um
+    if len(offset_um) not in (1, len(path_um)) or not np.isfinite(offset_um).all():
+        raise InputError("--offset", f"names {len(offset_um)} offsets; the model has {len(path_um)} outputs")
+    return np.asarray(path_um + np.broadcast_to(np.array(offset_um), len(path_um))[:, None])
 
 
 def refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
@@ -333,72 +360,3 @@ def refuse_beyond(model: HammersteinModel, drive_v: Array) -> None:
                 f"model cover {low:.6g} to {high:.6g} V, {int(outside.sum())} of {row.size} samples lie "
                 "outside. Record that range too, or accept it with --beyond-records."
             )
-
-
-def _slower(
-    model: HammersteinModel,
-    limits: DriveRange,
-    compensator: Compensator,
-    reference: Array,
-    sample_time_s: float,
-) -> str:
-    """Bandwidth of the reference filter with which the path is within reach, as a sentence; or nothing.
-
-    A filter that takes the path itself away is none.
-    """
-    if not isinstance(compensator, HammersteinInverse) or compensator.filter_hz is not None:
-        return ""
-    nyquist = 0.5 / sample_time_s
-    lowest = max(2.0 / (reference.shape[1] * sample_time_s), nyquist / FILTER_DECADES)
-    best, most = None, LOST_SHARE * float(np.std(reference, axis=1).max())
-    for frequency in np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS):
-        rounded = float(f"{frequency:.2g}")
-        try:
-            filtered = compensator.model_copy(update={"filter_hz": rounded})
-            built = sensorless_law(filtered, {}, model, limits, sample_time_s)
-            found = shortfall(model, built, reference, built.drive_for(reference), sample_time_s)
-        except HammersteinError:
-            break
-        if found.complete:
-            lost = float(np.sqrt(np.mean(found.error_um**2, axis=1)).max())
-            best = (rounded, float(np.abs(found.error_um).max())) if lost < most else None
-            break
-    if best is None:
-        return "Ask for a smaller or a slower path. "
-    return (
-        f"With --filter-hz {best[0]:g} it is within reach: what is faster is then left out, up to "
-        f"{best[1]:.3g} um of it. "
-    )
-
-
-def sensorless_law(
-    law: LawLike,
-    options: Mapping[str, Any],
-    model: HammersteinModel,
-    limits: DriveRange,
-    sample_time_s: float,
-) -> Law[Any]:
-    """Design the law that is named; InputError where it needs the sensor, or its options are wrong."""
-    compensator = compensator_of(law, options)
-    built = compensator.design(model, limits, sample_time_s)
-    if not isinstance(built, Law):
-        what = f"{compensator.law} needs the sensor's readings: it has no drive to send ahead"
-        raise InputError("--law", what)
-    return built
-
-
-def compensator_of(law: LawLike, options: Mapping[str, Any]) -> Compensator:
-    """Give the compensator that is named, with its options, or that is there already.
-
-    Raises InputError for an unknown law or option.
-    """
-    if isinstance(law, Compensator):
-        if options:
-            names = ", ".join(sorted(options))
-            raise InputError("compensate", f"give {names} to {type(law).__name__} itself")
-        return law
-    given = {name: value for name, value in options.items() if value is not None}
-    try:
-        return COMPENSATORS.value({"law": law, **given})
-    except ValidationError as error:
-        raise InputError("compensate", mistakes_of(error, COMPENSATORS.adapter())) from None

@@ -17,7 +17,6 @@ from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.exact.inverse import exact_inverse_of, has_exact_inverse
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.dynamics import discretise
-from hammerstein.errors import SimulationError
 from hammerstein.hysteresis.kind import SLOW_S
 from hammerstein.model import HammersteinModel
 
@@ -155,7 +154,8 @@ class Shortfall:
     """Where a drive would leave its path, as the model predicts it.
 
     predicted_um, error_um : (p, N) position and its distance from the path [um]
-    at_range : (m, N) where the drive stands at its range
+    at_range : (m, N) where the drive stands at its range; limits : that range
+    at_low : (m,) whether it stands at the lower end more often
     sample_time_s : time between samples [s]
     turn : output and sample where the path changes its velocity most
     """
@@ -165,6 +165,8 @@ class Shortfall:
     at_range: Flags
     sample_time_s: float
     turn: tuple[int, int]
+    limits: DriveRange
+    at_low: Flags
 
     @property
     def complete(self) -> bool:
@@ -177,22 +179,20 @@ class Shortfall:
             worst = ", ".join(f"{n} {e:.3g}" for n, e in zip(outputs, self._worst(), strict=True))
             return f"The drive stays within its range; predicted errors up to {worst} um."
         parts = []
-        for name, row in zip(inputs, self.at_range, strict=True):
+        for k, (name, row) in enumerate(zip(inputs, self.at_range, strict=True)):
             if row.any():
                 first = int(np.argmax(row))
+                end, volts = ("lower", self.limits.low_v) if self.at_low[k] else ("upper", self.limits.high_v)
                 parts.append(
-                    f"input {name} stands at its range in {int(row.sum())} of {len(row)} samples, first at "
-                    f"sample {first} ({first * self.sample_time_s:.4g} s)"
+                    f"input {name} stands at its {end} limit, {volts[k]:.6g} V, in {int(row.sum())} of "
+                    f"{len(row)} samples, first at sample {first} ({first * self.sample_time_s:.4g} s)"
                 )
         for name, row, worst_um in zip(outputs, self.error_um, self._worst(), strict=True):
             if worst_um > MISSED_SHARE * max(self._worst()):
                 where = int(np.argmax(np.abs(row)))
                 parts.append(f"output {name} is missed by up to {worst_um:.4g} um (sample {where})")
         axis, sample = self.turn
-        return "; ".join(parts) + (
-            f". The path turns hardest at sample {sample} of {outputs[axis]}; where it has a corner or a "
-            "jump, set filter_hz, start it smoothly, or make it smaller."
-        )
+        return f"{'; '.join(parts)}. The largest acceleration is at sample {sample} of {outputs[axis]}."
 
     def _worst(self) -> list[float]:
         return [float(e) for e in np.abs(self.error_um).max(axis=1)]
@@ -234,10 +234,7 @@ def shortfall(
     rounding = float(np.abs(v - asked_for).max(initial=0.0))
     missed = (np.abs(error) > MISSED_UM + rounding).any(axis=0)
     at_range = law.range.reached(asked_v) & ((asked_v != law.range.start_v[:, None]) | missed)
-    return Shortfall(position, error, at_range, sample_time_s, (int(axis), int(sample)))
-
-
-def require_reach(found: Shortfall, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-    """Raise SimulationError with the statement unless the drive stays within its range."""
-    if not found.complete:
-        raise SimulationError(f"The path is out of reach: {found.statement(inputs, outputs)}")
+    middle = 0.5 * (law.range.low_v + law.range.high_v)[:, None]
+    at_low = 2 * (at_range & (asked_v < middle)).sum(axis=1) > at_range.sum(axis=1)
+    turn = int(axis), int(sample)
+    return Shortfall(position, error, at_range, sample_time_s, turn, law.range, np.asarray(at_low))

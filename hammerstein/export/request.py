@@ -8,7 +8,8 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 
 from hammerstein.blocks import Law
-from hammerstein.compensators.drive_file import Terms, allowed_range, refuse_flagged, sensorless_law
+from hammerstein.compensators.attempt import sensorless_law
+from hammerstein.compensators.drive_file import Terms, allowed_range, refuse_flagged
 from hammerstein.errors import InputError
 from hammerstein.export.forward import ForwardModel
 from hammerstein.model import HammersteinModel

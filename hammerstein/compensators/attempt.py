@@ -1,0 +1,92 @@
+"""One try of a law on a path: the drive it asks for, what is sent, and what the model predicts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from hammerstein.arrays import Array
+from hammerstein.blocks import Law
+from hammerstein.blocks.driving import DriveRange
+from hammerstein.compensators import COMPENSATORS, Compensator
+from hammerstein.compensators.reach import Shortfall, shortfall
+from hammerstein.errors import InputError
+from hammerstein.model import HammersteinModel
+from hammerstein.validation import mistakes_of
+
+LawLike = str | Compensator
+"""A law by its name in a scenario, or a compensator."""
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """A law on a path whose first ``lead`` samples lead in: what it sends, and what follows from it.
+
+    drive_v : (m, N) as it is sent; predicted : of all samples
+    """
+
+    law: Law[Any]
+    reference_um: Array
+    lead: int
+    drive_v: Array
+    predicted: Shortfall
+
+    @classmethod
+    def of(
+        cls,
+        model: HammersteinModel,
+        limits: DriveRange,
+        compensator: Compensator,
+        reference_um: Array,
+        lead: int = 0,
+    ) -> Attempt:
+        """Design the law, and drive the model with it."""
+        ends = tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))
+        drive = model.instruments.drive.model_copy(update={"range_v": ends})
+        law = sensorless_law(compensator, {}, model, limits, drive.sample_time_s)
+        asked = law.drive_for(reference_um)
+        sent, _ = drive.apply(asked)
+        predicted = shortfall(model, law, reference_um, asked, drive.sample_time_s, sent)
+        return cls(law, reference_um, lead, sent, predicted)
+
+    @property
+    def path_error_um(self) -> Array:
+        """Largest error of each output (p,) on the path, its lead-in left out [um]."""
+        return np.asarray(np.abs(self.predicted.error_um[:, self.lead :]).max(axis=1))
+
+
+def sensorless_law(
+    law: LawLike,
+    options: Mapping[str, Any],
+    model: HammersteinModel,
+    limits: DriveRange,
+    sample_time_s: float,
+) -> Law[Any]:
+    """Design the law that is named; InputError where it needs the sensor, or its options are wrong."""
+    compensator = compensator_of(law, options)
+    built = compensator.design(model, limits, sample_time_s)
+    if not isinstance(built, Law):
+        what = f"{compensator.law} needs the sensor's readings: it has no drive to send ahead"
+        raise InputError("--law", what)
+    return built
+
+
+def compensator_of(law: LawLike, options: Mapping[str, Any]) -> Compensator:
+    """Give the compensator that is named, with its options, or that is there already.
+
+    Raises InputError for an unknown law or option.
+    """
+    if isinstance(law, Compensator):
+        if options:
+            names = ", ".join(sorted(options))
+            raise InputError("compensate", f"give {names} to {type(law).__name__} itself")
+        return law
+    given = {name: value for name, value in options.items() if value is not None}
+    try:
+        return COMPENSATORS.value({"law": law, **given})
+    except ValidationError as error:
+        raise InputError("compensate", mistakes_of(error, COMPENSATORS.adapter())) from None

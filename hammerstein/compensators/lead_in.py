@@ -1,0 +1,50 @@
+"""A way from where the actuator stands to where a path begins."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hammerstein.arrays import Array
+
+SHORTEST_S, LONGEST_S = 0.02, 1.0
+PEAK = 10.0 / math.sqrt(3.0)
+"""Largest acceleration of a fifth-order step of size and duration 1."""
+TURNED = 4.0
+"""Largest acceleration of a fifth-order way to velocity 1 in duration 1, at most."""
+AT_REST = 1e-9
+
+
+def lead_in(reference_um: Array, sample_time_s: float) -> Array:
+    """Positions (p, N) from 0 at rest to the beginning of a path (p, samples), velocity included [um].
+
+    A fifth-order polynomial: its acceleration starts and ends at zero and stays within the largest one of the
+    path, as far as that takes neither less than 0.02 s nor more than 1 s. No sample for a path that begins
+    where the actuator rests.
+
+    Examples
+    --------
+    >>> way = lead_in(np.full((1, 100), 8.0), 1e-3)
+    >>> way.shape, round(way[0, 0], 3), round(way[0, 500], 3), round(way[0, -1], 3)
+    ((1, 1000), 0.0, 4.0, 8.0)
+    """
+    start = reference_um[:, 0]
+    velocity = (reference_um[:, 1] - start) / sample_time_s
+    bend = np.abs(np.diff(reference_um, 2, axis=1)).max(initial=0.0) / sample_time_s**2
+    largest = float(np.abs(reference_um).max())
+    if largest == 0.0 or (not (np.abs(start) > AT_REST * largest).any() and not _moves(reference_um)):
+        return np.zeros((len(start), 0))
+    distance, speed = float(np.abs(start).max()), float(np.abs(velocity).max())
+    asked = max(math.sqrt(PEAK * distance / bend), TURNED * speed / bend) if bend > 0.0 else LONGEST_S
+    samples = math.ceil(min(max(asked, SHORTEST_S), LONGEST_S) / sample_time_s)
+    x = np.arange(samples) / samples
+    step = x**3 * (10.0 + x * (6.0 * x - 15.0))
+    turn = x**3 * (-4.0 + x * (7.0 - 3.0 * x))
+    return np.asarray(start[:, None] * step + velocity[:, None] * (samples * sample_time_s) * turn)
+
+
+def _moves(reference_um: Array) -> bool:
+    """Whether a path begins at the velocity that it has a sample later, not from rest."""
+    first = np.abs(np.diff(reference_um[:, :3], axis=1))
+    return bool(first.size and (first[:, 0] > 0.5 * first[:, -1]).any())

@@ -1,0 +1,86 @@
+"""What error is to be expected of a drive: of the path, of the model, of the converter and of the sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hammerstein.arrays import Array
+from hammerstein.model import HammersteinModel
+
+
+def half_span_v(model: HammersteinModel) -> Array:
+    """Half of what the records covered of each input (m,) [V]; not finite where nothing limits it."""
+    return np.asarray(0.5 * (np.array(model.recorded.highest_v) - np.array(model.recorded.lowest_v)))
+
+
+def model_error_um(model: HammersteinModel) -> Array | None:
+    """Rms error of the model itself (p,) [um], by its fit report; None where no record has judged it."""
+    verdict, half = model.verdict, half_span_v(model)
+    if verdict is None or len(verdict.nrmse_percent) != len(model.outputs) or not np.isfinite(half).all():
+        return None
+    travel_um = 2.0 * np.abs(model.hysteresis.amplitude(half)).max(axis=1)
+    return np.asarray(0.01 * np.array(verdict.nrmse_percent) * travel_um)
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Parts of the error of a drive, each (p,) in um; all but that of the path are the model file's word.
+
+    path : largest error if the actuator were exactly the model; model : rms, None where untested
+    validated : whether a validation record has told that of the model
+    converter : half a step; noise : rms, of the sensor
+    """
+
+    path: Array
+    model: Array | None
+    validated: bool
+    converter: Array
+    noise: float
+
+    @classmethod
+    def of(cls, model: HammersteinModel, path_error_um: Array) -> Prediction:
+        """Parts of a drive whose path is missed by so much (p,)."""
+        half = half_span_v(model)
+        volts = float(half.max()) if np.isfinite(half).all() else 1.0
+        step_um = (
+            0.5 * model.instruments.drive.resolution_v * np.abs(model.hysteresis.gain(volts)).sum(axis=1)
+        )
+        validated = model.verdict is not None and model.verdict.held_out
+        noise = float(model.instruments.sensor.noise_um)
+        return cls(path_error_um, model_error_um(model), validated, np.asarray(step_um), noise)
+
+    @property
+    def sum_um(self) -> Array:
+        """All parts together (p,), that of an untested model left out."""
+        own = 0.0 if self.model is None else self.model
+        return np.asarray(self.path + own + self.converter + self.noise)
+
+    def summary(self, o: int) -> dict[str, Any]:
+        """Parts of one output, as plain JSON."""
+        return {
+            "path_um": float(self.path[o]),
+            "model_um": None if self.model is None else float(self.model[o]),
+            "model_validated": self.validated,
+            "converter_um": float(self.converter[o]),
+            "noise_um": self.noise,
+            "sum_um": float(self.sum_um[o]),
+        }
+
+    def statement(self, outputs: Sequence[str]) -> str:
+        """Say the parts and their sum for each output."""
+        return "Expected error: " + "; ".join(self._of(o, name) for o, name in enumerate(outputs)) + "."
+
+    def _of(self, o: int, name: str) -> str:
+        if self.model is None:
+            own, more = "model untested", ", and that of the model"
+        else:
+            word = "validation record" if self.validated else "fitted records only"
+            own, more = f"model {self.model[o]:.2g} ({word})", ""
+        return (
+            f"{name} path {self.path[o]:.2g} + {own} + converter step {self.converter[o]:.2g} + sensor noise "
+            f"{self.noise:.2g} = {self.sum_um[o]:.2g} um{more}"
+        )
