@@ -31,8 +31,7 @@ from hammerstein.validation import Strict, mistakes_of, suggestion
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.block_system import BlockSystem
-    from hammerstein.compensators.attempt import LawLike
-    from hammerstein.compensators.drive_file import Compensation
+    from hammerstein.compensators.drive_file import Compensation, LawLike
     from hammerstein.model.simulation import Plant, Response, Wire
 
 FORMAT = "hammerstein-model/2"
