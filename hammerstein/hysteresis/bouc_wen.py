@@ -29,6 +29,9 @@ RATES, SHARES = (1e-2, 1e3), (1e-3, 1e3)
 """Least and largest of both: beyond, the loop is a line, or it bends within a thousandth of the swing."""
 
 
+LEAST_LOAD = 1e-12  # of beta: a smaller beta + gamma is rounding
+
+
 @dataclass(frozen=True)
 class BoucWenPair:
     """How one output responds to one input.
@@ -42,8 +45,8 @@ class BoucWenPair:
     direct_um_per_v : d, the slope once z has come to its limit 1 / (beta + gamma) [um/V]
     hysteretic_um_per_v : a, what z takes off the slope [um/V], of either sign; 0: a linear gain
     beta_per_v : how fast z forgets [1/V], 0 or more: below, a loop would give energy
-    gamma_per_v : how much faster while it grows than while it falls [1/V], at least -beta: below, z would
-        grow without limit
+    gamma_per_v : how much faster while it grows than while it falls [1/V], above -beta: at and below, z would
+        grow without limit; both 0: a line
 
     Raises
     ------
@@ -62,8 +65,8 @@ class BoucWenPair:
             mistakes.append(Mistake("direct_um_per_v", "and the others must be finite"))
         if self.beta_per_v < 0.0:
             mistakes.append(Mistake("beta_per_v", f"is {self.beta_per_v:g}; it must be 0 or more"))
-        elif self.load_per_v < 0.0:
-            what = f"is {self.gamma_per_v:g}; below -beta the hysteretic part grows without limit"
+        elif self.load_per_v < LEAST_LOAD * self.beta_per_v or self.load_per_v < 0.0:
+            what = f"is {self.gamma_per_v:g}; at -beta and below the hysteretic part grows without limit"
             mistakes.append(Mistake("gamma_per_v", what))
         if mistakes:
             raise InputError("Bouc-Wen pair", mistakes)

@@ -207,17 +207,13 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         return sum(len(plays.thresholds_v) + 2 for plays in self.inputs)
 
     def loop_gain(self) -> Array:
-        """Gain beta of the loop from each voltage through its rate back to itself in the inverse (m,).
+        """How far the inverse of a square model is from ringing up, by input (m,): stable below 1.
 
-        On a branch the inverse gives u[k] = ... + b rho[k], with b the weighted mean growth of the plays that
-        move; rho follows u[k-1] - u[k-2]. The loop closed has the poles of
-
-            z^2 - (a + beta) z + beta = 0,      beta = b (1 - a) / T
-
-        so that the inverse is stable while beta < 1 for the largest b: for a fine grid, 2 pi f b < 1.
+        See ``rate_loop.stability_gain``.
         """
-        most = np.array([float(plays.growth_s.max()) for plays in self.inputs])
-        return most * (1.0 - self.poles) / self.grid_s
+        from hammerstein.hysteresis.rate_loop import stability_gain
+
+        return stability_gain(self.bank.w, self.bank.b, self.poles, self.grid_s)
 
     def rest(self) -> RateState:
         """Memory of an actuator that was never driven."""

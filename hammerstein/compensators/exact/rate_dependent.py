@@ -58,9 +58,9 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         gain = float(hysteresis.loop_gain().max())
         if gain >= 1.0 and not run_anyway:
             raise SimulationError(
-                f"The inverse of this rate-dependent model rings up: growth (1 - a) / T reaches {gain:.3g}, "
-                "and must stay below 1. Identify with a lower bandwidth of the rate or smaller growth, or "
-                "set run_anyway = true."
+                "The inverse of this rate-dependent model rings up: its loop through the rate has "
+                f"{gain:.3g} times the gain at which it is still stable. Identify with a lower bandwidth of "
+                "the rate or smaller growth, or set run_anyway = true."
             )
         self._design = self._new_design()
         history = self.range.history()
@@ -83,7 +83,8 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         """Say whether there is an inverse, and how far it is from ringing."""
         gain = float(self.hysteresis.loop_gain().max())
         return (
-            f"{self.invertibility.statement()} Its loop through the rate has gain {gain:.3g}, stable below 1."
+            f"{self.invertibility.statement()} Its loop through the rate has {gain:.3g} times "
+            "the gain at which it would ring up."
         )
 
     def rest(self) -> RateInverseState:
