@@ -98,10 +98,14 @@ def test_exact_inverse_leaves_nothing_of_a_static_actuator():
 def test_feedback_alone_cannot_follow_what_feedforward_can():
     feedback = {"label": "feedback", "law": "feedback", "identification": JOINT}
     both = feedback | {"label": "both", "feedforward": "hammerstein_inverse"}
-    rows = _rows(CIRCLE, compensators=[DYNAMIC, feedback, both])
+    best = feedback | {"label": "best feedback", "feedforward": "none", "derivative": True}
+    plain = {"label": "gain", "law": "none", "identification": JOINT}
+    rows = _rows(CIRCLE, compensators=[DYNAMIC, feedback, both, best, plain])
     worst = {row.compensator: row.euclidean_max_true_um for row in rows}
     assert worst["feedback"] > 10.0
     assert worst["both"] <= 0.3
+    assert worst["best feedback"] < 0.5 * worst["gain"] < worst["feedback"]
+    assert worst["both"] < 0.2 * worst["best feedback"]
 
 
 @pytest.mark.parametrize("reference", [CIRCLE, _lissajous(50, 100 / 3)])
