@@ -13,7 +13,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Annotated, Any, Generic, TypeVar, get_args
 
-from pydantic import BaseModel, GetCoreSchemaHandler, TypeAdapter
+from pydantic import BaseModel, GetCoreSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
 from hammerstein.errors import InputError
@@ -21,6 +21,7 @@ from hammerstein.errors import InputError
 GROUP = "hammerstein.blocks"
 
 T = TypeVar("T", bound=BaseModel)
+V = TypeVar("V")
 K = TypeVar("K", bound=type[BaseModel])
 
 
@@ -67,7 +68,7 @@ class Family(Generic[T]):
 
     def value(self, data: Any) -> T:
         """One of the kinds from plain data; ValidationError where it is wrong."""
-        return self.adapter().validate_python(data)
+        return looked_up(lambda: self.adapter().validate_python(data))
 
     def field(self, form: Callable[[type[T]], type[BaseModel]] = lambda kind: kind) -> Choice:
         """Annotation of a field that holds one of the kinds, in the form that the field wants."""
@@ -106,6 +107,26 @@ def register(kind: K) -> K:
             return kind
     bases = ", ".join(family.base.__name__ for family in _FAMILIES)
     raise InputError(kind.__name__, f"is no kind that plugs in; derive it from one of {bases}")
+
+
+def looked_up(validate: Callable[[], V]) -> V:
+    """What a validation gives; where it meets a name that nobody knows, once more with the plug-ins loaded.
+
+    Parameters
+    ----------
+    validate : asks the model anew each time, which is built again when a kind plugs in
+
+    Raises
+    ------
+    ValidationError : as the validation raises it
+    """
+    try:
+        return validate()
+    except ValidationError as error:
+        if not any(found["type"] == "union_tag_invalid" for found in error.errors(include_url=False)):
+            raise
+    load_plugins()
+    return validate()
 
 
 @cache

@@ -115,6 +115,75 @@ def test_entry_points_are_found(monkeypatch):
         plugins.load_plugins.cache_clear()
 
 
+@pytest.fixture
+def installed(monkeypatch):
+    """Another package, installed and not yet imported, that brings a law and a kind of hysteresis."""
+
+    class Entry:
+        def __init__(self, kind):
+            self.kind = kind
+
+        def load(self):
+            return self.kind
+
+    entries = [Entry(Doubtful), Entry(FollowerFile)]
+    monkeypatch.setattr(plugins, "entry_points", lambda group: entries)
+    plugins.load_plugins.cache_clear()
+    yield
+    for family, kind in ((COMPENSATORS, Doubtful), (HYSTERESIS, FollowerFile)):
+        family.remove(kind)
+    plugins.load_plugins.cache_clear()
+
+
+@pytest.fixture
+def followed(follower):
+    """A model file of that kind, which nothing of this process has registered."""
+    HYSTERESIS.remove(FollowerFile)
+    return follower[1]
+
+
+def test_a_kind_that_is_installed_is_found_when_its_name_is_read(installed, followed):
+    assert hammerstein.HammersteinModel.load(followed).hysteresis.gains == (5.0, 4.0)
+
+
+@pytest.mark.parametrize("command", ["show", "play"])
+def test_commands_find_it_when_its_name_is_read(installed, followed, tmp_path, command):
+    (tmp_path / "drive.csv").write_text(
+        "time_s,u_x,u_y\n" + "".join(f"{k * 1e-3!r},{k % 5},0\n" for k in range(20))
+    )
+    asked = {
+        "show": [followed],
+        "play": [followed, str(tmp_path / "drive.csv"), "--out", str(tmp_path / "played.csv")],
+    }
+    result = CliRunner().invoke(app, [command, *asked[command]])
+    assert result.exit_code == 0, f"{result.output}{result.exception}"
+
+
+@pytest.mark.parametrize("command", ["compensate", "export"])
+def test_a_law_that_is_installed_takes_its_own_options(installed, tmp_path, command):
+    (tmp_path / "path.csv").write_text(
+        "time_s,x,y\n" + "".join(f"{k * 5e-5!r},{0.1 * k},0\n" for k in range(40))
+    )
+    path = [str(tmp_path / "path.csv")] if command == "compensate" else []
+    base = [command, "duo_bimorph_static", *path, "--law", "doubtful", "--out", str(tmp_path / "out")]
+
+    def said(*options):
+        result = CliRunner().invoke(app, [*base, *options])
+        return result.exit_code, f"{result.output}{result.exception}"
+
+    assert "--option gain_v_per_um" in said("--option", "gain_v_per_um=0")[1]
+    assert "did you mean gain_v_per_um" in said("--option", "gain_v_per_u=0.2")[1]
+    assert "given twice" in said("--option", "gain_v_per_um=0.2", "--option", "gain_v_per_um=0.1")[1]
+    assert "write KEY=VALUE" in said("--option", "gain_v_per_um")[1]
+    if command == "compensate":
+        assert said("--option", "gain_v_per_um=0.2")[0] == 0
+        lines = [line for line in (tmp_path / "out").read_text().splitlines() if not line.startswith("#")]
+        found = np.array([line.split(",")[1] for line in lines[1:]], dtype=float)  # behind the time
+        np.testing.assert_allclose(found, 0.02 * np.arange(40), atol=2e-3)
+    else:
+        assert "law" not in said("--option", "gain_v_per_um=0.2")[1].partition("is not one of")[1]
+
+
 @dataclass(frozen=True)
 class Kept(Judgement):
     """Whether a limit is kept."""

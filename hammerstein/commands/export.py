@@ -35,6 +35,7 @@ def export(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Turn a law, or the model itself, into code that runs without Python."""
+    from hammerstein.commands.refusals import told_by_options
     from hammerstein.errors import InputError
 
     if (model is None) == (check is None):
@@ -54,7 +55,8 @@ def export(
         "form": form,
     }
     assert model is not None  # the condition above
-    _write(model, law, out, sample_time, request, as_json)
+    with told_by_options("compensate", words.own):
+        _write(model, law, out, sample_time, request, as_json)
 
 
 def _check(folder: Path, as_json: bool) -> None:
@@ -72,7 +74,6 @@ def _check(folder: Path, as_json: bool) -> None:
 def _write(
     model: str, law: str, out: Path | None, sample_time: float | None, given: dict[str, Any], as_json: bool
 ) -> None:
-    from hammerstein.commands.refusals import told_by_options
     from hammerstein.commands.tables import kept_aside
     from hammerstein.commands.warm_up import compile_when_needed
     from hammerstein.errors import InputError
@@ -85,10 +86,9 @@ def _write(
         raise InputError("--out", "name the folder for the code")
     refuse_unwritable("--out", out)
     prepare(out, EXPORT, ALWAYS)
-    with told_by_options("compensate"):
-        request, loaded = request_of(model, law, sample_time, **given)
-        compile_when_needed(complain)
-        written = write_export(request, loaded, out)
+    request, loaded = request_of(model, law, sample_time, **given)
+    compile_when_needed(complain)
+    written = write_export(request, loaded, out)
     for place in written.kept:
         complain(kept_aside(place))
     if as_json:

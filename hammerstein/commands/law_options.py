@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,11 +23,15 @@ class LawWords:
     preview: Annotated[float | None, typer.Option("--preview", hidden=True)] = None  # as it was called before
     softening_v: Annotated[float | None, typer.Option(help="Voltage that spreads the jump.")] = None
     gain: Annotated[str | None, typer.Option(help="Of inverse_multiplicative: auto or identity.")] = None
+    option: Annotated[
+        list[str] | None,
+        typer.Option("--option", metavar="KEY=VALUE", help="Any other option of the law, as in a scenario."),
+    ] = None
 
     def options(self) -> dict[str, Any]:
         """Those that were given, by their names in a scenario.
 
-        Raises InputError for a gain that no word stands for.
+        Raises InputError for a gain that no word stands for, and for an option without a key or given twice.
         """
         from hammerstein.errors import InputError
 
@@ -40,7 +45,31 @@ class LawWords:
             "softening_v": self.softening_v,
             "gain": self.gain,
         }
-        return {name: value for name, value in asked.items() if value is not None}
+        known = {name: value for name, value in asked.items() if value is not None}
+        own = [words.partition("=") for words in self.option or ()]
+        for i, (name, sign, _) in enumerate(own):
+            if not sign or not name.isidentifier():
+                raise InputError("--option", f"{name + sign!r} has no key or no value; write KEY=VALUE")
+            if name in known or name in [other for other, _, _ in own[:i]]:
+                raise InputError("--option", f"{name} is given twice; leave one of them out")
+        return known | {name: _value(words) for name, _, words in own}
+
+    @property
+    def own(self) -> frozenset[str]:
+        """Keys that ``--option`` gave."""
+        return frozenset(words.partition("=")[0] for words in self.option or ())
+
+
+def _value(words: str) -> Any:
+    """Value of an option in the words of a scenario file; other words are a text.
+
+    >>> _value("[1, 2]"), _value("0.5"), _value("auto")
+    ([1, 2], 0.5, 'auto')
+    """
+    try:
+        return tomllib.loads(f"value = {words}")["value"]
+    except tomllib.TOMLDecodeError:
+        return words
 
 
 @dataclass(frozen=True)

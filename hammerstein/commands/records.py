@@ -234,7 +234,7 @@ def compensate(
     refuse_output(out, [Path(model), reference, *(learn or ())], wanted.content())
     compile_when_needed(complain)
     terms = reached.terms(sent)
-    with told_by_options("compensate"), watched() as onlooker:
+    with told_by_options("compensate", words.own), watched() as onlooker:
         period = Period(model, reference, law, options, terms, out, wanted, as_json, onlooker)
         if learn is not None or cycle or table is not None:
             reached.refuse_with_period()

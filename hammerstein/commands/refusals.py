@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,8 +34,11 @@ def refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
 
 
 @contextmanager
-def told_by_options(source: str) -> Iterator[None]:
-    """Let the mistakes in what a function was told name the options that told it."""
+def told_by_options(source: str, own: Collection[str] = ()) -> Iterator[None]:
+    """Let the mistakes in what a function was told name the options that told it.
+
+    own : keys that were given as ``--option KEY=VALUE``
+    """
     from hammerstein.errors import InputError
 
     try:
@@ -45,11 +48,13 @@ def told_by_options(source: str) -> Iterator[None]:
             raise InputError(f"--{error.source}", error.mistakes) from None
         if error.source != source:
             raise
-        named = [m._replace(where=_option_of(m.where)) for m in error.mistakes]
+        named = [m._replace(where=_option_of(m.where, own)) for m in error.mistakes]
         raise InputError("options", named) from None
 
 
-def _option_of(where: str) -> str:
+def _option_of(where: str, own: Collection[str]) -> str:
     """Option that gave a setting; nothing where the mistake is of them together."""
     name = where.partition("[")[0]
+    if name.partition(".")[0] in own:
+        return f"--option {where}"
     return f"--{_OPTIONS.get(name, name.replace('_', '-'))}" * bool(name)

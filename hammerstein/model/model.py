@@ -26,6 +26,7 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.files import Content, is_there, read_limited, write_atomic
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
 from hammerstein.pictured import Pictured
+from hammerstein.plugins import looked_up
 from hammerstein.quantities import Name, Plain, Size, no_name
 from hammerstein.validation import Strict, mistakes_of, suggestion
 
@@ -265,7 +266,7 @@ class HammersteinModel(ByValue, Pictured):
     def from_json(cls, text: str, source: str = "model") -> HammersteinModel:
         """Model from the text of a model file; InputError with every mistake in it."""
         try:
-            file = ModelFile.model_validate_json(text)
+            file = looked_up(lambda: ModelFile.model_validate_json(text))
         except ValidationError as error:
             raise InputError(source, mistakes_of(error, ModelFile)) from None
         try:
