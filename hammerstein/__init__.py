@@ -17,7 +17,18 @@ array([[58.4 ,  1.41],
        [ 2.08, 50.57]])
 """
 
-# Nothing is imported here: the command line must answer at once, and Ctrl-C must work from the start.
+from hammerstein.pictured import show_with
+
+# Nothing else is imported here: the command line must answer at once, and Ctrl-C must work from the start.
+
+
+def _html_of(value: object) -> str:
+    from hammerstein.reporting.notebook import html_of
+
+    return html_of(value)
+
+
+show_with(_html_of)
 
 
 def __getattr__(name: str) -> object:

@@ -1,67 +1,64 @@
-"""Time loops as machine code, kept on the disk: what was spoilt there is noticed and made anew.
+"""Time loops as machine code, kept on the disk for as long as no source of any loop changes.
 
-Of several processes that need a loop, one compiles it; the others wait and find it.
+Numba notices a changed file, but not a changed function that a loop takes from another file. The folder of
+the kept loops is therefore named by all of those sources.
 """
 
 from __future__ import annotations
 
 import gc
 import hashlib
-import inspect
-import io
 import os
-import pickle
+import shutil
+import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
 from typing import Any
 
+import filelock
 import numba
-from numba.core import caching
-from numba.core.compiler_lock import global_compiler_lock
+from numba.core import event as numba_events
+from numba.core.errors import NumbaError
 from numba.extending import register_jitable
 
 from hammerstein.errors import Notice
 
-types: Any = numba.types  # numba has no types
-FunctionCache: Any = caching.FunctionCache
-NullCache: Any = caching.NullCache
-IndexDataCacheFile: Any = caching.IndexDataCacheFile
+config: Any = numba.config  # numba has no types
+event: Any = numba_events
 
 Loop = Callable[..., Any]
 
 SPAN, LEAST = 2**25, 2**5
 """Multiplications of one call, a tenth of a second, and the least that a sample counts for."""
-
 LEAN: dict[str, Any] = {"no_cfunc_wrapper": True}
 """Nothing is made for C to call."""
-CHECKED = ".checked"
-"""In the names of the files, which are not those of numba alone."""
-MARK = b"hammerstein sha256"
-"""Stands at the end of each file, before the digest of what is above it."""
-LONGEST_WAIT_S, PAUSE_S = 60.0, 0.02
+PACKAGE = Path(__file__).parent
+LOCK_TIMEOUT_S = 60.0
 """For another process that compiles the same loop; none takes that long, unless it was halted."""
+UNUSED_S = 30 * 86400.0
+"""Loops of other sources go after a month."""
 
 
-def compiled(reads: str = "", **options: Any) -> Callable[[Loop], Loop]:
-    """Compile a loop when it is first used; other threads run meanwhile.
+def compiled(**options: Any) -> Callable[[Loop], Loop]:
+    """Compile a loop when it is first used, and keep it; other threads run meanwhile.
 
-    Parameters
-    ----------
-    reads : names of arrays that may be frozen or not: the loop is compiled once, as one that cannot write
-        to them. Of an array that is not named here, numba makes one loop for each.
-    options : what ``numba.njit`` is told besides
+    options : passed to ``numba.njit``
     """
 
     def decorate(loop: Loop) -> Loop:
-        dispatcher = numba.njit(nogil=True, **LEAN, **options)(loop)
-        places = list(inspect.signature(loop).parameters)
-        dispatcher.compile = _OnceFor(dispatcher, [places.index(name) for name in reads.split()])
+        folder = _folder()
+        as_options = {"nogil": True, **LEAN, **options}
         try:
-            dispatcher._cache = _Cache(loop)
-        except RuntimeError:  # as numba says that no folder can be written
-            dispatcher._cache = _NoCache()
+            with _kept_in(folder):
+                dispatcher = numba.njit(cache=folder is not None, **as_options)(loop)
+        except RuntimeError:  # a folder within it belongs to somebody else
+            _warn_once(f"compiled loops cannot be kept in {folder}")
+            folder, dispatcher = None, numba.njit(**as_options)(loop)
+        dispatcher.compile = _OneAtATime(dispatcher.compile, folder, f"{loop.__module__}.{loop.__qualname__}")
         return dispatcher  # type: ignore[no-any-return]  # numba has no types
 
     return decorate
@@ -72,7 +69,7 @@ def helper(**options: Any) -> Callable[[Loop], Loop]:
 
     What makes a compiled loop callable from Python costs the compiler as much as many a helper itself.
 
-    options : what ``numba.njit`` is told besides
+    options : passed to ``numba.njit``
     """
     return register_jitable(**LEAN, **options)
 
@@ -87,33 +84,6 @@ def uncollected() -> Iterator[None]:
     finally:
         if was_on:
             gc.enable()
-
-
-class _OnceFor:
-    """Compiles a loop for types of its arguments, or finds what is compiled for others that stand for them.
-
-    A number that its caller knows is a number, and an array that is only read is one that cannot be written.
-    """
-
-    def __init__(self, dispatcher: Any, reads: Sequence[int]) -> None:
-        self.dispatcher, self.reads = dispatcher, reads
-        self.compile = dispatcher.compile
-        # What numba is told twice it finds ambiguous, and asks again at every call.
-        self.known: set[tuple[Any, ...]] = set()
-
-    def __call__(self, given: Sequence[Any]) -> Any:
-        """Give the compiled loop for these types."""
-        plain = [types.unliteral(one) for one in given]
-        for i in self.reads:
-            if isinstance(plain[i], types.Array):
-                plain[i] = plain[i].copy(readonly=True)
-        # Before the lock of the loop that of all threads: a loop that calls others compiles them as well.
-        with global_compiler_lock, uncollected(), self.dispatcher._cache.by_one_process():
-            entry = self.compile(tuple(plain))
-        if plain != list(given) and tuple(given) not in self.known:
-            self.known.add(tuple(given))
-            self.dispatcher._insert([one._code for one in given], entry, False)
-        return entry
 
 
 def spans(samples: int, products: int = LEAST) -> Iterator[tuple[int, int]]:
@@ -137,141 +107,181 @@ def spans(samples: int, products: int = LEAST) -> Iterator[tuple[int, int]]:
         yield first, min(first + length, samples)
 
 
-class _NoCache(NullCache):  # type: ignore[misc]
-    """Tells once, when there is something to keep, that nothing can be kept."""
+class _OneAtATime:
+    """Compiles a loop, or loads it; of several processes that need it one compiles, the others wait.
 
-    def by_one_process(self) -> AbstractContextManager[None]:
-        """Each process compiles for itself."""
-        return nullcontext()
+    Two processes that keep a loop for different types at once could otherwise take one for the other.
+    """
 
-    def save_overload(self, *_: object) -> None:
-        _tell_once("compiled loops cannot be kept: set NUMBA_CACHE_DIR to a folder that can be written")
+    def __init__(self, compile_it: Callable[[Any], Any], folder: Path | None, name: str) -> None:
+        self.compile_it, self.folder, self.name = compile_it, folder, name
 
-
-class _Cache(FunctionCache):  # type: ignore[misc]
-    def __init__(self, loop: Callable[..., Any]) -> None:
-        super().__init__(loop)
-        plain: Any = vars(self)["_cache_file"]
-        self._cache_file = _CheckedFile(
-            cache_path=self._cache_path,
-            filename_base=f"{self._impl.filename_base}{CHECKED}",
-            source_stamp=plain._source_stamp,
-        )
-        self._held = False
-
-    @contextmanager
-    def by_one_process(self) -> Iterator[None]:
-        """Keep the processes apart that would compile this loop at the same time, where the system can."""
-        if self._held:  # a loop that calls itself
-            yield
-            return
-        handle = _locked(os.path.join(self._cache_path, f"{self._impl.filename_base}.lock"))
-        self._held = True
-        try:
-            yield
-        finally:
-            self._held = False
-            if handle is not None:
-                os.close(handle)
+    def __call__(self, given: Any) -> Any:
+        """Give the compiled loop for these types."""
+        with _one_thread(), _locked(self.folder, self.name), uncollected():
+            try:
+                return self.compile_it(given)
+            except NumbaError:
+                raise
+            except Exception as error:  # a full disk; a damaged file raises nearly anything
+                if self.folder is None:
+                    raise
+                reason = error
+            with suppress(Exception):
+                found = self.compile_it(given)  # compiled, and not kept
+                _warn_once(f"compiled loops cannot be kept in {self.folder} ({reason})")
+                return found
+            shutil.rmtree(self.folder, ignore_errors=True)
+            return self.compile_it(given)
 
 
-def _locked(path: str) -> int | None:
-    """Handle of a file that no other process has locked; None where that cannot be."""
+_compiling = threading.RLock()
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """One thread at a time asks for the locks of loops, of which a compiling one may need several.
+
+    With a time limit: a loop of a user's own that calls these holds the compiler before.
+    """
+    held = _compiling.acquire(timeout=LOCK_TIMEOUT_S)
     try:
-        import fcntl
+        yield
+    finally:
+        if held:
+            _compiling.release()
 
-        os.makedirs(os.path.dirname(path), exist_ok=True)
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-    except (ImportError, OSError):
-        return None
-    until = time.monotonic() + LONGEST_WAIT_S
-    while time.monotonic() < until:
+
+@contextmanager
+def _locked(folder: Path | None, name: str) -> Iterator[None]:
+    """Hold the lock of a loop, where the system has one and nobody holds it for too long."""
+    if folder is None:
+        yield
+        return
+    lock = filelock.FileLock(folder / f"{name}.lock", timeout=LOCK_TIMEOUT_S, is_singleton=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except (OSError, NotImplementedError):  # Timeout is an OSError
+        yield
+        return
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+@contextmanager
+def _kept_in(folder: Path | None) -> Iterator[None]:
+    """Let numba keep what is decorated meanwhile in a folder; loops of others stay where they are."""
+    before = config.CACHE_DIR
+    config.CACHE_DIR = "" if folder is None else str(folder)
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before
+
+
+@cache
+def _folder() -> Path | None:
+    """Folder for the loops of these sources; None where no folder can be written."""
+    for place in _places():
+        folder = place / f"loops-{_digest()}"
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            time.sleep(PAUSE_S)
+            folder.mkdir(parents=True, exist_ok=True)
+            probe = folder / f"{os.getpid()}.probe"
+            probe.touch()
+            probe.unlink()
         except OSError:
-            break
-        else:
-            return handle
-    os.close(handle)
+            continue
+        os.utime(folder)
+        for other in place.glob("loops-*"):
+            with suppress(OSError):
+                if time.time() - other.stat().st_mtime > UNUSED_S:
+                    shutil.rmtree(other)
+        return folder
+    _warn_once("compiled loops cannot be kept: set NUMBA_CACHE_DIR to a folder that can be written")
     return None
 
 
-class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
-    """Files of one loop, each with a digest: machine code of which a byte has changed may do anything."""
+def _places() -> Iterator[Path]:
+    """Where loops may be kept: as the user says, beside the sources, or in the user's cache."""
+    if config.CACHE_DIR:
+        yield Path(config.CACHE_DIR)
+        return
+    yield PACKAGE / "__pycache__"
+    with suppress(RuntimeError):  # a user without a home
+        yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hammerstein"
 
-    def save(self, key: Any, data: Any) -> None:
-        """Keep a compiled loop, where that is possible."""
-        try:
-            super().save(key, data)
-        except (OSError, _SpoiltError) as error:
-            why = error.strerror if isinstance(error, OSError) else f"{error} cannot be replaced"
-            _tell_once(f"compiled loops cannot be kept in {self._cache_path} ({why})")
 
-    def load(self, key: Any) -> Any:
-        """Give a compiled loop that was kept; None if there is none, or if it was spoilt."""
-        found = None
-        try:
-            found = super().load(key)
-        except _SpoiltError as error:
-            _tell_once(f"compiled loops in {os.path.dirname(str(error))} were spoilt and are compiled again")
-        while found is None and _waiting:
-            _waiting.pop()()
-        return found
+def _digest() -> str:
+    """Digest of every source that loops are compiled from: what is named ``kernel``, and this file."""
+    digest = hashlib.sha256(Path(__file__).read_bytes())
+    for path in sorted(PACKAGE.rglob("*kernel*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
-    def _load_index(self) -> Any:
-        try:
-            file = io.BytesIO(_checked(self._index_path))
-            if pickle.load(file) != self._version:
-                return {}
-            stamp, overloads = pickle.load(file)
-        except FileNotFoundError:
-            return {}
-        except _SpoiltError:
+
+class _Watch(numba_events.Listener):  # type: ignore[misc]  # numba has no types
+    """Says once what is compiled and how long that took the last time; keeps how long it takes."""
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self.say, self.said, self.depth, self.seconds, self.began = say, False, 0, 0.0, 0.0
+
+    def on_start(self, begun: Any) -> None:
+        """Begin to compile a loop, or one that it calls."""
+        if not self.said:
+            self.said = True
+            before = _last_time()
+            known = f"last time it took {before:.0f} s" if before else "once after installation"
+            loop = begun.data["dispatcher"].py_func.__name__
+            self.say(f"compiling {loop} and the other time loops that are needed; {known}")
+        if self.depth == 0:
+            self.began = time.monotonic()
+        self.depth += 1
+
+    def on_end(self, ended: Any) -> None:
+        """End it."""
+        self.depth -= 1
+        if self.depth == 0:
+            self.seconds += time.monotonic() - self.began
             with suppress(OSError):
-                os.unlink(self._index_path)
-            raise
-        return overloads if stamp == self._source_stamp else {}
-
-    def _load_data(self, name: str) -> Any:
-        return pickle.loads(_checked(self._data_path(name)))
-
-    @contextmanager
-    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
-        content = io.BytesIO()
-        yield content
-        data = content.getvalue()
-        with super()._open_for_write(filepath) as file:
-            file.write(data + MARK + hashlib.sha256(data).digest())
+                if (place := _note()) is not None:
+                    place.write_text(f"{self.seconds:.1f}\n", encoding="utf-8")
 
 
-class _SpoiltError(Exception):
-    """A file that does not hold what was written."""
+_watches: list[_Watch] = []
 
 
-def _checked(path: str) -> bytes:
-    """Bytes of a file, if they are those that were written."""
-    if not os.path.isfile(path) and os.path.exists(path):
-        raise _SpoiltError(path)
-    with open(path, "rb") as file:
-        content = file.read()
-    data, mark, digest = content.rpartition(MARK)
-    if not mark or hashlib.sha256(data).digest() != digest:
-        raise _SpoiltError(path)
-    return data
+def announce_compiling(say: Callable[[str], None]) -> None:
+    """Let a person know that loops are compiled, once, before the first of them.
+
+    say : told one line, with how long it took the last time
+    """
+    for watch in _watches:
+        event.unregister("numba:compile", watch)
+    _watches[:] = [_Watch(say)]
+    event.register("numba:compile", _watches[0])
+
+
+def _note() -> Path | None:
+    """File with how long compiling took, beside the folders of loops."""
+    folder = _folder()
+    return None if folder is None else folder.parent / "compiled_s.txt"
+
+
+def _last_time() -> float | None:
+    try:
+        place = _note()
+        return None if place is None else float(place.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
 
 
 _told: set[str] = set()
-_waiting: list[Callable[[], None]] = []
 
 
-def told_before_compiling(say: Callable[[], None] | None) -> None:
-    """Let a function be called before the next loop is compiled, once, or none: a person has to wait."""
-    _waiting[:] = [] if say is None else [say]
-
-
-def _tell_once(text: str) -> None:
+def _warn_once(text: str) -> None:
     if text not in _told:
         _told.add(text)
         warnings.warn(text, Notice, stacklevel=2)

@@ -1,73 +1,19 @@
-"""A loop is compiled once for arguments that are one to it."""
+"""Loops as machine code: what is compiled, what is kept on the disk, what is said of it."""
 
-import gc
+import ast
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 from types import FunctionType
 
+import filelock
 import numpy as np
 import pytest
-from numba.core.errors import TypingError
 
+import hammerstein
 from hammerstein.compiled import compiled, helper
-
-
-@compiled(reads="values")
-def add_up(values, first, total):
-    for value in values[first:]:
-        total[0] += value
-
-
-@compiled()
-def from_the_first_and_the_second(values, total):
-    add_up(values, 0, total)
-    add_up(values, 1, total)
-
-
-@compiled(reads="values")
-def wipe(values):
-    values[0] = 0.0
-
-
-@pytest.mark.parametrize("caller", [False, True])
-def test_frozen_arrays_and_known_numbers_need_no_loop_of_their_own(caller):
-    values, total = np.arange(4.0), np.zeros(1)
-    frozen = values.copy()
-    frozen.flags.writeable = False
-    for given in (values, frozen, values):
-        if caller:
-            from_the_first_and_the_second(given, total)
-        else:
-            add_up(given, 0, total)
-            add_up(given, 1, total)
-    assert total[0] == 3 * 2 * values.sum()
-    assert len(add_up.overloads) == 1
-
-
-def test_a_loop_that_two_others_call_is_found_at_once():
-    """Types that are told to numba twice are ambiguous: it would ask for the loop at every call."""
-
-    @compiled(reads="values")
-    def first_of(values):
-        return values[0]
-
-    @compiled()
-    def doubled(values):
-        return 2.0 * first_of(values)
-
-    @compiled()
-    def trebled(values):
-        return 3.0 * first_of(values)
-
-    values, asked = np.ones(3), []
-    assert (first_of(values), doubled(values), trebled(values)) == (1.0, 2.0, 3.0)
-    ask = first_of.compile
-    first_of.compile = lambda given: asked.append(given) or ask(given)
-    assert first_of(values) == 1.0
-    assert asked == []
-
-
-def test_a_loop_cannot_write_to_what_it_only_reads():
-    with pytest.raises(TypingError, match="readonly"):
-        wipe(np.ones(1))
 
 
 def test_a_helper_is_compiled_as_a_part_of_its_loop():
@@ -87,19 +33,199 @@ def test_a_helper_is_compiled_as_a_part_of_its_loop():
     assert isinstance(over, FunctionType)  # there is nothing of its own to compile or to keep
 
 
-def test_no_garbage_is_searched_while_a_loop_is_compiled():
-    @compiled()
-    def halve(value):
-        return 0.5 * value
+PACKAGE = Path(hammerstein.__file__).parent
 
-    once, searched = halve.compile, []
-    compile_it = once.compile
 
-    def watched(given):
-        searched.append(gc.isenabled())
-        return compile_it(given)
+def _is_kernel(path):
+    return "kernel" in path.stem or path.stem == "compiled"
 
-    once.compile = watched
-    assert halve(1.0) == 0.5
-    assert searched == [False]
-    assert gc.isenabled()
+
+def _names_a_kernel(module):
+    return module == "hammerstein.compiled" or "kernel" in module.rpartition(".")[2]
+
+
+def test_every_loop_stands_in_a_kernel_and_takes_nothing_from_elsewhere():
+    """The folder of the kept loops is named by the sources of the kernels: nothing else may decide them."""
+    for path in PACKAGE.rglob("*.py"):
+        tree = ast.parse(path.read_text())
+        found = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+        taken = {name.name for node in found if node.module == "hammerstein.compiled" for name in node.names}
+        if taken & {"compiled", "helper"}:
+            assert _is_kernel(path), path
+        if _is_kernel(path) and path.stem != "compiled":
+            ours = [node.module for node in found if (node.module or "").startswith("hammerstein")]
+            assert all(map(_names_a_kernel, ours)), path
+
+
+CALLER = "from hammerstein.compiled import compiled\nfrom hammerstein.some_kernel import part\n\n"
+CALLER += "@compiled()\ndef whole(x):\n    return part(x)\n\n"
+CALLER += "print(whole(1.0), sum(whole.stats.cache_hits.values()))\n"
+PART = "from hammerstein.compiled import helper\n\n@helper()\ndef part(x):\n    return {} * x\n"
+
+
+def test_a_changed_helper_in_another_file_counts_in_a_loop_that_was_kept(tmp_path):
+    shutil.copytree(PACKAGE, tmp_path / "hammerstein", ignore=shutil.ignore_patterns("__pycache__"))
+    caller, part = tmp_path / "hammerstein/other_kernel.py", tmp_path / "hammerstein/some_kernel.py"
+    caller.write_text(CALLER)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "loops"), "PYTHONPATH": str(tmp_path)}
+
+    def run(factor):
+        part.write_text(PART.format(factor))
+        return subprocess.run(
+            [sys.executable, "-c", "import hammerstein.other_kernel"],
+            env=environment,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=100,
+        ).stdout.split()
+
+    assert [run(2.0), run(2.0), run(3.0), run(3.0)] == [
+        ["2.0", "0"],
+        ["2.0", "1"],
+        ["3.0", "0"],
+        ["3.0", "1"],
+    ]
+
+
+SCENARIO = """
+question = "How large is a loop?"
+actuator = "duo_bimorph_static"
+[drive]
+kind = "sine"
+amplitude_v = 10
+frequency_hz = 50
+"""
+LAWS = """
+question = "How round?"
+reference = { kind = "circle", radius_um = 10, frequency_hz = 50 }
+compensators = [{ label = "a", law = "exact_inverse", identification = {} }]
+"""
+MOST_LOOPS = 8
+"""Of about forty."""
+
+
+@pytest.mark.parametrize(
+    ("scenario", "most"), [(SCENARIO, MOST_LOOPS), pytest.param(LAWS, 25, marks=pytest.mark.long)]
+)
+def test_one_scenario_compiles_what_it_needs_and_the_next_run_nothing(tmp_path, scenario, most):
+    (tmp_path / "one.toml").write_text(scenario)
+    env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "loops"), "HAMMERSTEIN_CACHE": ""}
+    command = [sys.executable, "-m", "hammerstein", "run", "one.toml", "--no-figures", "--jobs", "2"]
+
+    def told():
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0
+        return done.stderr
+
+    first = told()
+    assert first.startswith("compiling ")
+    assert first.endswith(" and the other time loops that are needed; once after installation\n")
+    assert told() == ""
+    (folder,) = (tmp_path / "loops").glob("loops-*")
+    assert 1 <= len(list(folder.rglob("*.nbi"))) <= most
+    seconds = float((tmp_path / "loops/compiled_s.txt").read_text())
+    assert seconds > 0.1
+    shutil.rmtree(folder)
+    assert f"last time it took {seconds:.0f} s" in told()
+
+
+LOOP = """
+import os
+from hammerstein.compiled import compiled
+
+@compiled()
+def double(x):
+    return 2.0 * x
+
+if __name__ == "__main__":
+    import pathlib, sys, time
+    from hammerstein.runtime.notices import tell_notices
+    tell_notices()
+    for place in sys.argv[1:2]:
+        pathlib.Path(place).touch()
+    while not all(map(os.path.exists, sys.argv[2:])):
+        time.sleep(0.001)
+    print(double(21.0), sum(double.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def loop(tmp_path):
+    """Run a compiled loop in a process of its own: what it prints, and what it says."""
+    (tmp_path / "loop.py").write_text(LOOP)
+
+    def run(**environment):
+        command = [sys.executable, str(tmp_path / "loop.py")]
+        env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "loops")} | environment
+        done = subprocess.run(command, capture_output=True, text=True, check=False, env=env, timeout=200)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split(), done.stderr
+
+    return run
+
+
+def _truncate(path):
+    os.truncate(path, path.stat().st_size // 2)
+
+
+def _empty(path):
+    os.truncate(path, 0)
+
+
+def _make_a_folder(path):
+    path.unlink()
+    path.mkdir()
+
+
+@pytest.mark.parametrize("kind", ["nbc", "nbi"])
+@pytest.mark.parametrize(
+    "spoil", [_truncate, *(pytest.param(how, marks=pytest.mark.long) for how in (_empty, _make_a_folder))]
+)
+def test_a_spoilt_compiled_loop_is_compiled_again(loop, tmp_path, kind, spoil):
+    """As where the power failed, or the disk was full."""
+    assert [loop(), loop()] == [(["42.0", "0"], ""), (["42.0", "1"], "")]
+    (path,) = (tmp_path / "loops").rglob(f"*.{kind}")
+    spoil(path)
+    assert loop()[0] == ["42.0", "0"]
+    if (spoil, kind) != (_make_a_folder, "nbc"):  # that cannot be replaced, and is told
+        assert loop() == (["42.0", "1"], "")
+
+
+def test_of_processes_that_need_a_loop_one_compiles_it(tmp_path):
+    (tmp_path / "loop.py").write_text(LOOP)
+    ready = [str(tmp_path / name) for name in "abc"]
+    env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "loops")}
+    command = [sys.executable, str(tmp_path / "loop.py")]
+    begun = [
+        subprocess.Popen([*command, own, *ready], stdout=subprocess.PIPE, text=True, env=env) for own in ready
+    ]
+    assert sorted(process.communicate(timeout=200)[0] for process in begun) == ["42.0 0\n", *2 * ["42.0 1\n"]]
+
+
+def test_a_halted_process_that_compiles_stops_no_other(loop, tmp_path):
+    assert loop()[0] == ["42.0", "0"]
+    (path,) = (tmp_path / "loops").rglob("*.lock")
+    with filelock.FileLock(path):
+        hurried = "import os, hammerstein.compiled; hammerstein.compiled.LOCK_TIMEOUT_S = 0.1"
+        (tmp_path / "loop.py").write_text(LOOP.replace("import os", hurried, 1))
+        assert loop() == (["42.0", "0"], "")
+
+
+@pytest.mark.parametrize("place", ["file/loops", "file"])
+def test_where_nothing_can_be_written_loops_are_compiled_each_time(loop, tmp_path, place):
+    (tmp_path / "file").write_text("no folder")
+    out, error = loop(NUMBA_CACHE_DIR=str(tmp_path / place))
+    assert out == ["42.0", "0"]
+    assert error.count("\n") == 1
+    assert "NUMBA_CACHE_DIR" in error
+
+
+def test_a_disk_that_is_full_keeps_no_loop_and_stops_no_run(loop, tmp_path):
+    limit = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (50, resource.RLIM_INFINITY))\n"
+    (tmp_path / "loop.py").write_text(limit + LOOP)
+    out, error = loop()
+    assert out == ["42.0", "0"]
+    assert error.count("\n") == 1
+    assert "cannot be kept" in error

@@ -8,8 +8,7 @@ import hammerstein
 from hammerstein.blocks.instruments import Drive, Instruments, Sensor
 from hammerstein.blocks.interop.packing import Packing
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
-from hammerstein.compensators.feedback.pid import FeedbackController
-from hammerstein.compensators.feedback.stream import FeedbackStream
+from hammerstein.compensators.feedback.pid import FeedbackController, FeedbackStream
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.compensators.no_compensation import NoCompensationLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hammerstein.blocks.noise_kernel import draw
-from hammerstein.compiled import compiled, helper
+from hammerstein.compiled import compiled
 
 at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
-
-BLOCK = 1024  # samples whose noise is drawn at once; it stays in the cache
 
 
 @compiled(inline="always")
@@ -23,7 +20,7 @@ def converted(value, low, high, step):  # type: ignore[no-untyped-def]
     return held if step == 0.0 else np.rint(held / step) * step
 
 
-@compiled(reads="asked steps ends")
+@compiled()
 def convert(asked, steps, ends, step, drive, cut):  # type: ignore[no-untyped-def]
     """Voltages that leave the converter, and where the range cut them.
 
@@ -39,7 +36,7 @@ def convert(asked, steps, ends, step, drive, cut):  # type: ignore[no-untyped-de
             cut[k, at(t)] = (value < least) | (value > most)
 
 
-@compiled(reads="asked rest ends")
+@compiled()
 def leaving(asked, rest, ends, left):  # type: ignore[no-untyped-def]
     """Whether a voltage comes to an end of its range; ``left`` notes which inputs leave a voltage.
 
@@ -56,7 +53,7 @@ def leaving(asked, rest, ends, left):  # type: ignore[no-untyped-def]
     return reached > 0
 
 
-@compiled(reads="wire")
+@compiled()
 def outside(wire, first, stop, low, high):  # type: ignore[no-untyped-def]
     """How many values of a wire (axis, N) are not between two bounds, from sample first up to stop."""
     found = 0
@@ -67,26 +64,15 @@ def outside(wire, first, stop, low, high):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def read_positions(generator, noise, largest, step, first, end, reading):  # type: ignore[no-untyped-def]
-    """Make readings of positions: noise, range and step.
+def digitise(drawn, noise, largest, step, reading):  # type: ignore[no-untyped-def]
+    """Turn positions (p, N) [um] into readings, overwritten: noise, range and step.
 
-    The numbers of the generator are those of its ``standard_normal``, drawn sample by sample.
-
-    noise : rms [um]; largest : reading of either sign [um]; step : of the reading
-    reading : (p, N) positions [um], turned into readings from sample first up to end
+    drawn : (N, p) standard normal numbers; noise : rms [um]; largest : reading of either sign [um]
+    step : of the reading [um]
     """
-    p = reading.shape[0]
-    drawn = np.zeros((p, BLOCK))
-    for start in range(first, end, BLOCK):
-        stop = min(start + BLOCK, end)
-        if noise != 0.0:
-            draw(generator.bit_generator, stop - start, drawn)
-        for o in range(p):
-            _digitise(drawn[o, : stop - start], noise, largest, step, reading[o, start:stop])
-
-
-@helper()
-def _digitise(drawn, noise, largest, step, reading):  # type: ignore[no-untyped-def]
-    """Turn positions (N,) into readings, with the noise drawn for them (N,)."""
-    for i in range(reading.shape[0]):
-        reading[at(i)] = converted(reading[at(i)] + noise * drawn[at(i)], -largest, largest, step)
+    for o in range(reading.shape[0]):
+        for i in range(reading.shape[1]):
+            value = reading[o, at(i)]
+            if noise != 0.0:
+                value += noise * drawn[at(i), o]
+            reading[o, at(i)] = converted(value, -largest, largest, step)

@@ -61,6 +61,10 @@ def slack_v(limits: Array) -> Array:
     return np.asarray(ALLOWED * np.max(np.where(np.isfinite(ends), ends, 0.0), axis=0))
 
 
+NOISE_BLOCK = 4096
+"""Samples whose noise is drawn at once; it stays in the processor's cache."""
+
+
 class Drive(Strict):
     """Digital-to-analogue converter and amplifier: clips, rounds and holds the voltage.
 
@@ -147,9 +151,14 @@ class Sensor(Strict):
 
     def read_in_place(self, um: Array, generator: np.random.Generator, first: int, stop: int) -> None:
         """Turn such positions (output, sample) into their readings, from one sample up to another."""
-        from hammerstein.blocks.instrument_kernels import read_positions
+        from hammerstein.blocks.instrument_kernels import digitise
 
-        read_positions(generator, self.noise_um, self.range_um, self.resolution_um, first, stop, um)
+        drawn = np.zeros((0, um.shape[0]))
+        for begin in range(first, stop, NOISE_BLOCK):
+            end = min(begin + NOISE_BLOCK, stop)
+            if self.noise_um != 0.0:
+                drawn = generator.standard_normal((end - begin, um.shape[0]))
+            digitise(drawn, self.noise_um, self.range_um, self.resolution_um, um[:, begin:end])
 
     def clipped(self, reading_um: Array) -> int:
         """Samples of the readings (output, sample) at which the range cut one of them, or may have."""

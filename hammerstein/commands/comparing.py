@@ -32,8 +32,8 @@ def compare(
 ) -> None:
     """Fit every kind of hysteresis and the linear models to the same records, and recommend one."""
     from hammerstein.commands.tables import kept_aside
-    from hammerstein.commands.warm_up import compile_when_needed
     from hammerstein.comparison.compare import compare as compared
+    from hammerstein.compiled import announce_compiling
     from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.compare_folder import ALWAYS, COMPARISON, write_comparison
     from hammerstein.runtime.storage.staging import prepare
@@ -42,7 +42,7 @@ def compare(
     held.refuse_fitted(recorded.files)
     refuse_unwritable("--out", out)
     prepare(out, COMPARISON, ALWAYS)
-    compile_when_needed(complain)
+    announce_compiling(complain)
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
     samples = sum(record.samples for record in records)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +14,6 @@ from hammerstein.runtime.processors import processors
 
 if TYPE_CHECKING:
     from hammerstein.runtime import fanning
-    from hammerstein.scenario import Scenario
 
 Address = Annotated[
     str | None,
@@ -33,7 +32,7 @@ WORTH_PROCESSES_S = 4.0
 
 @contextmanager
 def workers(jobs: int, cluster: str | None) -> Iterator[fanning.Jobs]:
-    """Give the workers of a cluster, if there is one, or the jobs of this machine, whose loops are compiled.
+    """Give the workers of a cluster, if there is one, or the jobs of this machine.
 
     Raises InputError where the cluster cannot be used.
     """
@@ -57,19 +56,6 @@ def apart(jobs: fanning.Jobs, seconds: float) -> AbstractContextManager[fanning.
     if isinstance(jobs, int) and jobs > 1 and seconds > WORTH_PROCESSES_S:
         return ProcessesAndThis(jobs)
     return nullcontext(jobs)
-
-
-def compiling(
-    cluster: str | None, scenarios: Collection[Scenario], jobs: fanning.Jobs
-) -> AbstractContextManager[None]:
-    """Compile the time loops, where this machine runs them: all of them where processes would need them."""
-    from hammerstein.commands.warm_up import compile_all, compiled_beside
-
-    if cluster is None and isinstance(jobs, int) and (len(scenarios) == 1 or jobs == 1):
-        return compiled_beside(complain, next(iter(scenarios)), jobs)
-    if cluster is None:
-        compile_all(complain)
-    return nullcontext()
 
 
 def announce(text: str, seconds: float, yes: bool) -> None:

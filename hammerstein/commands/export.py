@@ -60,10 +60,10 @@ def export(
 
 
 def _check(folder: Path, as_json: bool) -> None:
-    from hammerstein.commands.warm_up import compile_when_needed
+    from hammerstein.compiled import announce_compiling
     from hammerstein.export.folder import check_export
 
-    compile_when_needed(complain)
+    announce_compiling(complain)
     files = check_export(folder)
     if as_json:
         tell_json({"check": str(folder), "files": files})
@@ -75,7 +75,7 @@ def _write(
     model: str, law: str, out: Path | None, sample_time: float | None, given: dict[str, Any], as_json: bool
 ) -> None:
     from hammerstein.commands.tables import kept_aside
-    from hammerstein.commands.warm_up import compile_when_needed
+    from hammerstein.compiled import announce_compiling
     from hammerstein.errors import InputError
     from hammerstein.export.folder import ALWAYS, EXPORT, write_export
     from hammerstein.export.request import request_of
@@ -87,7 +87,7 @@ def _write(
     refuse_unwritable("--out", out)
     prepare(out, EXPORT, ALWAYS)
     request, loaded = request_of(model, law, sample_time, **given)
-    compile_when_needed(complain)
+    announce_compiling(complain)
     written = write_export(request, loaded, out)
     for place in written.kept:
         complain(kept_aside(place))

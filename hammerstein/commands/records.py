@@ -129,7 +129,7 @@ def identify(
 ) -> None:
     """Identify a model from measured records, and say how far it can be trusted."""
     from hammerstein.commands.tables import gains_table, kept_aside
-    from hammerstein.commands.warm_up import compile_when_needed
+    from hammerstein.compiled import announce_compiling
     from hammerstein.escaping import one_line
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.identify import identify as identify_model
@@ -145,7 +145,7 @@ def identify(
     folder = report or out.parent / f"{out.stem}_fit"
     refuse_unwritable("--report", folder)
     prepare(folder, FIT, ALWAYS)
-    compile_when_needed(complain)
+    announce_compiling(complain)
     records, validation = recorded.read(), held.read(recorded)
     gains = recorded.gains(records)
     with Spinner() as spinner:
@@ -221,8 +221,8 @@ def compensate(
     from hammerstein.commands.path_watch import watched
     from hammerstein.commands.periods import Period, TableRequest, write_cycle, write_lesson
     from hammerstein.commands.tables import compensation_table
-    from hammerstein.commands.warm_up import compile_when_needed
     from hammerstein.compensators.drive_file import compensate as compensated
+    from hammerstein.compiled import announce_compiling
     from hammerstein.errors import InputError
     from hammerstein.files import write_atomic
 
@@ -232,7 +232,7 @@ def compensate(
     wanted = TableRequest(table, table_scale, table_points)
     wanted.check()
     refuse_output(out, [Path(model), reference, *(learn or ())], wanted.content())
-    compile_when_needed(complain)
+    announce_compiling(complain)
     terms = reached.terms(sent)
     with told_by_options("compensate", words.own), watched() as onlooker:
         period = Period(model, reference, law, options, terms, out, wanted, as_json, onlooker)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from hammerstein.commands.crew import PROCESSORS, Address, Jobs, Yes, announce, apart, compiling, workers
+from hammerstein.commands.crew import PROCESSORS, Address, Jobs, Yes, announce, apart, workers
 from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Watch
@@ -192,11 +192,13 @@ def _run_what_changed(
 
     if jobs > 1 and len(left) > 1 and cluster is None:
         begin_loading()  # before this process loads what it needs itself
+    from hammerstein.compiled import announce_compiling
     from hammerstein.experiment.batch import run_all
 
     with workers(jobs, cluster) as asked, _planned(left, asked, yes) as crew:
         there = writer.on(crew)
-        with compiling(cluster, left.values(), crew), Watch(len(left)) as watch:
+        announce_compiling(complain)
+        with Watch(len(left)) as watch:
             for outcome in run_all(left, there, crew, watch.progress, there.store):
                 watch.finished(outcome.name)
                 outcomes.append(outcome)
@@ -257,6 +259,7 @@ def check(
     as_json: AsJson = False,
 ) -> None:
     """Run scenarios again and compare every number with its baseline."""
+    from hammerstein.compiled import announce_compiling
     from hammerstein.experiment.batch import load_all
     from hammerstein.files import refuse_overwriting, refuse_unwritable, write_atomic
     from hammerstein.regression.check import check_files
@@ -269,10 +272,10 @@ def check(
             refuse_unwritable(option, file.parent)
             refuse_overwriting(option, file, content)
     scenarios = load_all(paths)
+    announce_compiling(complain)
     with (
         workers(jobs, cluster) as asked,
         _planned(scenarios, asked, yes) as crew,
-        compiling(cluster, scenarios.values(), crew),
         Watch(len(scenarios)) as watch,
     ):
         result = check_files(paths, baseline, update_baseline, crew, watch.progress, watch.finished)
@@ -296,7 +299,7 @@ def plot(
     yes: Yes = False,
 ) -> None:
     """Draw the figures of one scenario, and nothing else."""
-    from hammerstein.commands.warm_up import compile_when_needed
+    from hammerstein.compiled import announce_compiling
     from hammerstein.errors import InputError
     from hammerstein.experiment.batch import load_all
     from hammerstein.experiment.run import run as run_scenario
@@ -311,7 +314,7 @@ def plot(
     ((name, scenario),) = load_all([path]).items()
     _planned({name: scenario}, jobs, yes)
     prepare(out / name, FIGURES, ())
-    compile_when_needed(complain)
+    announce_compiling(complain)
     with Watch(1) as watch:
         report = run_scenario(scenario, name, jobs, watch.progress)
     for figure in write_figures(report, out / name):

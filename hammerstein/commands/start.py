@@ -9,7 +9,6 @@ from typing import Annotated
 
 import typer
 
-from hammerstein.commands.crew import PROCESSORS
 from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.terminal import complain, show as show_table, tell, tell_json
 
@@ -26,18 +25,19 @@ def init(
     ] = None,
 ) -> None:
     """Make a working folder: records, a model, a scenario, its numbers, and what to do next."""
-    from hammerstein.commands.working_folder import folder_of, own_folder, own_scenario, refuse_started
+    from hammerstein.commands.working_folder import folder_of, own_folder, refuse_started
 
     there = "" if folder == Path(".") else f"cd {shlex.quote(str(folder))}, then "
     if of is not None:
         folder_of(of, folder)
         tell(f"scenarios in {folder}; {there}hammerstein run . or hammerstein check .")
         return
-    from hammerstein.commands.warm_up import compiled_beside
     from hammerstein.commands.watch import Spinner
+    from hammerstein.compiled import announce_compiling
 
     refuse_started(folder)
-    with compiled_beside(complain, own_scenario(), PROCESSORS), Spinner() as spinner:
+    announce_compiling(complain)
+    with Spinner() as spinner:
         own_folder(folder, spinner.tell)
     tell(f"what to do next stands in {folder / 'README.md'}")
     tell(f"look at {folder / 'reports/circle/report.html'}; {there}hammerstein run .")
@@ -116,11 +116,11 @@ def play(
     from hammerstein.commands.playing import PLAYED, played
     from hammerstein.commands.refusals import refuse_output
     from hammerstein.commands.tables import played_table
-    from hammerstein.commands.warm_up import compile_when_needed
+    from hammerstein.compiled import announce_compiling
     from hammerstein.files import write_atomic
 
     refuse_output(out, [Path(model), drive], PLAYED)
-    compile_when_needed(complain)
+    announce_compiling(complain)
     with watched() as onlooker:
         found = played(model, drive, sensor, onlooker)
         write_atomic(out, found.to_csv(onlooker.tell))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
-from hammerstein.commands.crew import PROCESSORS, Address, Jobs, Yes, announce, apart, compiling, workers
+from hammerstein.commands.crew import PROCESSORS, Address, Jobs, Yes, announce, apart, workers
 from hammerstein.commands.terminal import complain, tell
 from hammerstein.commands.watch import Watch
 
@@ -38,6 +38,7 @@ def sweep(
     Rows are written as they come: memory does not grow with their number. What was run is kept, and a sweep
     that was interrupted goes on there.
     """
+    from hammerstein.compiled import announce_compiling
     from hammerstein.experiment.study import sampled, study_of
     from hammerstein.runtime import store as kept_results
     from hammerstein.runtime.fanning import workers_of
@@ -57,11 +58,8 @@ def sweep(
         announce(told, seconds, yes)
         if store is not None:
             store = store.computed(getattr(asked, "elsewhere", ""))
-        with (
-            apart(asked, workers_of(asked) * seconds) as crew,
-            compiling(cluster, [scenario], crew),
-            Watch(1) as watch,
-        ):
+        announce_compiling(complain)
+        with apart(asked, workers_of(asked) * seconds) as crew, Watch(1) as watch:
             for one in sampled(scenario, str(path), crew, watch.progress, store):
                 failed += bool(one.error)
                 table.add(one)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,9 +16,6 @@ from hammerstein.errors import InputError
 from hammerstein.files import begun, ended, reason_of, remove_empty
 from hammerstein.plugins import load_plugins
 from hammerstein.scenario.assessment import ASSESSMENTS
-
-if TYPE_CHECKING:
-    from hammerstein.scenario import Scenario
 
 Say = Callable[[str], None]
 
@@ -52,14 +47,6 @@ def own_folder(target: Path, say: Say) -> None:
         files = [_write_record(room, axis) for axis in range(2)]
         _identify(files, room / "stage.json", lambda what: say(f"2 of 3: identifying its model: {what}"))
         _run(room, lambda what, done, of: say(f"3 of 3: running the scenario: {what}, {done} of {of}"))
-
-
-def own_scenario() -> Scenario:
-    """The scenario of that folder, while its own model is not there: on a packaged actuator."""
-    from hammerstein.scenario import scenario_of
-
-    values = tomllib.loads((STARTER / "circle.toml").read_text(encoding="utf-8"))
-    return scenario_of(values | {"actuator": DEFAULT})[1]
 
 
 def folder_of(assessment: str, target: Path) -> None:

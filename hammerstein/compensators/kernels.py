@@ -134,7 +134,7 @@ def from_rest(sample, frame, reference):  # type: ignore[no-untyped-def]
     return sound
 
 
-@compiled(reads="sample")
+@compiled()
 def step_gain(sample, frame, gain, limits):  # type: ignore[no-untyped-def]
     """Voltages as they are sent (m,) for one sample (p,), and whether all is finite.
 
@@ -147,7 +147,7 @@ def step_gain(sample, frame, gain, limits):  # type: ignore[no-untyped-def]
     return sent, to_sent(drive, frame, sent) and sound
 
 
-@compiled(reads="sample")
+@compiled()
 def step_inverse_multiplicative(  # type: ignore[no-untyped-def]
     sample, frame, axes, gain, pole, iterations, limits, r, slope, moment, count, end, x, d, below, memory
 ):
@@ -182,7 +182,7 @@ def step_inverse_multiplicative(  # type: ignore[no-untyped-def]
     return sent, plays, after, sound
 
 
-@compiled(reads="sample")
+@compiled()
 def step_decoupled(  # type: ignore[no-untyped-def]
     sample, frame, limits, r, guide, scale, n, lines, w, outputs, count, end, x, d, below, window, last, sign
 ):

@@ -9,7 +9,7 @@ from hammerstein.compiled import compiled
 at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
 
 
-@compiled(reads="v")
+@compiled()
 def respond_linear(start, column, value, x, v, first, end, y):  # type: ignore[no-untyped-def]
     """x[k+1], y[k] = [[A, B], [C, D]] (x[k], v[k]), the matrix given by its non-zero entries.
 

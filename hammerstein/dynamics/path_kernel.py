@@ -7,7 +7,7 @@ import numpy as np
 from hammerstein.compiled import compiled, helper
 
 
-@compiled(reads="v")
+@compiled()
 def respond_copies(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
     """x[k+1] = a x[k] + b v[k], y[k] = c x[k] + d v[k], each row of v through its own copy.
 

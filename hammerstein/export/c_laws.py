@@ -126,7 +126,7 @@ def c_inverse_of(law: StaticInverse[Any], start: Any) -> CPart:
 
 @c_inverse_of.register
 def _(law: ExactInverseLaw, start: Any) -> CPart:
-    """The walk over the pieces: the table of ``exact.pieces`` by its names."""
+    """The walk over the pieces: the table of ``exact.piece_kernels`` by its names."""
     m, bank, design = law.n_inputs, law.square.plays.bank, law.design_tables()
     segments = bank.r.shape[1] + 2
     held = design.here["y"][law.n_outputs :]

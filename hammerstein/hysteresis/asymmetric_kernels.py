@@ -8,7 +8,7 @@ from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.play_kernels import BLOCK, at
 
 
-@compiled(reads="u r ends slope intercept")
+@compiled()
 def add_dead_zones(  # type: ignore[no-untyped-def]
     u, r, held, ends, slope, intercept, y, outputs
 ):

@@ -46,7 +46,7 @@ def moved(z, du, load, unload):  # type: ignore[no-untyped-def]
     return z
 
 
-@compiled(reads="u direct hysteretic load unload")
+@compiled()
 def respond_bouc_wen(u, direct, hysteretic, load, unload, z, last, first, stop, y):  # type: ignore[no-untyped-def]
     """y_l = sum over k of d_lk u_k - a_lk z_lk.
 
@@ -65,7 +65,7 @@ def respond_bouc_wen(u, direct, hysteretic, load, unload, z, last, first, stop, 
                 y[o, t] += direct[o, k] * u[k, t] - hysteretic[o, k] * z[o, k]
 
 
-@compiled(reads="u load unload")
+@compiled()
 def lagging(u, load, unload, z, last, out):  # type: ignore[no-untyped-def]
     """Give out (N,) the z of one pair for the voltages u (N,), from z where the voltage was ``last``.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +11,6 @@ from numpy.typing import ArrayLike
 from hammerstein.arrays import Array, Complex
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.pair import Pair
-from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
@@ -75,24 +75,19 @@ def _share(x: Array) -> Array:
     return np.asarray(2.0 / np.pi * (np.arcsin(within) + within * np.sqrt(1.0 - within**2)))
 
 
-def nonlinearity_of(hysteresis: PrandtlIshlinskii, range_v: float) -> HysteresisNonlinearity:
-    """Give a block of one pair for python-control; see ``PrandtlIshlinskii.to_describing_function``."""
+def nonlinearity_of(pair: Pair, respond: Callable[[float], float], range_v: float) -> HysteresisNonlinearity:
+    """Give one pair behind a drive for python-control; see ``PrandtlIshlinskii.to_describing_function``.
+
+    respond : from the next voltage [V] to the position [um]; it remembers those before
+    """
     from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
 
-    if (hysteresis.n_outputs, hysteresis.n_inputs) != (1, 1):
-        axes = f"{hysteresis.n_inputs} inputs and {hysteresis.n_outputs} outputs"
-        raise InputError(
-            "describing function", f"is that of one pair; the block has {axes}: give one pair of it"
-        )
-    pair, state = hysteresis.pairs[0][0], hysteresis.rest()
     smallest, largest = float(pair.thresholds_v[0]), float(pair.thresholds_v[-1])
     if not range_v > smallest:
         raise InputError("range_v", f"is {range_v:g}: nothing moves up to {smallest:g} V")
 
     def move(u_v: float) -> float:
-        nonlocal state
-        v_um, state = hysteresis.step([min(max(u_v, -range_v), range_v)], state)
-        return float(v_um[0])
+        return respond(min(max(u_v, -range_v), range_v))
 
     def of_amplitude(amplitude_v: float) -> complex:
         return complex(describing_function(pair, amplitude_v, range_v))

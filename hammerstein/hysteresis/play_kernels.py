@@ -61,7 +61,7 @@ at = np.uint64
 BLOCK = 2048  # samples of all inputs and outputs that stay in the processor's cache together
 
 
-@compiled(reads="u r")
+@compiled()
 def play_bank(u, r, plays, first, stop, p):  # type: ignore[no-untyped-def]
     """Outputs of every play: u (N,), r (n,), plays (n,) updated, p (n, N) overwritten from first to stop."""
     for i in range(r.shape[0]):
@@ -186,7 +186,7 @@ def _base(u, direction, r, top, end, x, d):  # type: ignore[no-untyped-def]
     return s, k
 
 
-@compiled(reads="u r guide scale n lines w")
+@compiled()
 def respond_turning_points(  # type: ignore[no-untyped-def]
     u, r, guide, scale, n, lines, w, count, end, x, d, below, window, begin, finish, y, outputs
 ):
@@ -292,7 +292,7 @@ def _sum(u, start, stop):  # type: ignore[no-untyped-def]
     return total
 
 
-@compiled(reads="u r guide scale lines w")  # by itself, for the closed loop has it too
+@compiled()  # by itself, for the closed loop has it too
 def respond_block(  # type: ignore[no-untyped-def]
     u, start, stop, r, guide, scale, lines, w, top, end, x, d, tip, plays, window, kept, y, outputs
 ):

@@ -15,6 +15,7 @@ from hammerstein.arrays import Array, frozen
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.covariance import ThresholdCovariance, refuse_other_sizes
+from hammerstein.hysteresis.describing_function import nonlinearity_of
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, Normals, refuse_not_finite
 from hammerstein.hysteresis.pair import Pair, WeightCovariance, play, played
@@ -307,9 +308,19 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
         ------
         InputError : more than one input or output, or a range within which no operator moves
         """
-        from hammerstein.hysteresis.describing_function import nonlinearity_of
+        if (self.n_outputs, self.n_inputs) != (1, 1):
+            axes = f"{self.n_inputs} inputs and {self.n_outputs} outputs"
+            raise InputError(
+                "describing function", f"is that of one pair; the block has {axes}: give one pair of it"
+            )
+        state = self.rest()
 
-        return nonlinearity_of(self, range_v)
+        def respond(u_v: float) -> float:
+            nonlocal state
+            v_um, state = self.step([u_v], state)
+            return float(v_um[0])
+
+        return nonlinearity_of(self.pairs[0][0], respond, range_v)
 
 
 def _named_pair(r: Array, w: Array, output: int, input_: int) -> Pair:

@@ -56,7 +56,7 @@ def threshold(k, i, r, b, lam, rate):  # type: ignore[no-untyped-def]
     return r[k, i] + b[k, i] * size_of(k, lam, rate)
 
 
-@compiled(reads="u")
+@compiled()
 def respond_rate_dependent(  # type: ignore[no-untyped-def]
     u, sample_time, pole, n, r, b, lam, w, plays, last, rate, first, stop, y
 ):
@@ -80,7 +80,7 @@ def respond_rate_dependent(  # type: ignore[no-untyped-def]
                         y[o, t] += weight * p[t - begin]
 
 
-@compiled(reads="u")
+@compiled()
 def play_outputs(u, sample_time, pole, r, b, lam, plays, last, rate, p):  # type: ignore[no-untyped-def]
     """Outputs of each play of one input: p (n, N), overwritten; the rest as above with m = 1."""
     size = np.empty(u.shape[1])

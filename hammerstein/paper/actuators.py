@@ -29,12 +29,11 @@ from hammerstein.dynamics import (
     AxesDynamics,
     Axis,
     CreepMode,
-    StaticDynamics,
-    discretise,
     natural_frequency_hz,
 )
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii, play
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
+from hammerstein.paper.readings import actuator_of, block_behind
 
 COMMAND = "python -m hammerstein.paper.actuators"
 DENSE = 28  # thresholds of the dense actuator, uniform in voltage
@@ -46,9 +45,6 @@ READ = (
 )
 
 
-FREQUENCY_HZ = 50.0
-SMOOTHNESS = 1.0  # weight of a second difference of 1 um/V against an error of 1 um in one of 400 samples
-CYCLES = 12  # the resonances ring for four cycles; the last one is used
 # Slow modes as soft PZT has them (some per cent a decade); the paper gives no numbers, only that creep is
 # felt below 0.05 Hz.
 CREEP = tuple(CreepMode(gain=g, time_constant_s=t) for g, t in ((0.03, 3.0), (0.05, 30.0), (0.05, 300.0)))
@@ -67,48 +63,6 @@ def bandwidth_axes() -> AxesDynamics:
 def resonant_axes() -> AxesDynamics:
     """Axes whose resonance is at 430 and 470 Hz: the other reading of "bandwidth"."""
     return AxesDynamics(axes=tuple(Axis(resonance_hz=f, damping_ratio=0.15) for f in (430.0, 470.0)))
-
-
-def block_behind(printed: HammersteinModel, dynamics: AxesDynamics | StaticDynamics) -> PrandtlIshlinskii:
-    """Static block that gives the printed loop when it is measured through dynamics and sensor.
-
-    printed : the printed table, without dynamics
-    dynamics : the axes in front of which the block shall stand
-    """
-    instruments = printed.instruments
-    sample_time_s = instruments.drive.sample_time_s
-    period = round(1.0 / (FREQUENCY_HZ * sample_time_s))
-    time_s = np.arange(CYCLES * period) * sample_time_s
-    u = printed.amplitude_v * np.sin(2.0 * np.pi * FREQUENCY_HZ * time_s)
-    block = discretise(dynamics, sample_time_s, instruments.sensor.bandwidth_hz)
-    rows = []
-    assert isinstance(printed.hysteresis, PrandtlIshlinskii)
-    for o, row in enumerate(printed.hysteresis.pairs):
-        rows.append(tuple(_pair_behind(pair, u, block.respond, o, period) for pair in row))
-    return PrandtlIshlinskii(tuple(rows))
-
-
-def _pair_behind(pair: Pair, u: Array, respond, output: int, period: int) -> Pair:  # type: ignore[no-untyped-def]
-    plays = play(u, pair.thresholds_v)
-    outputs = 2
-    regressors = []
-    for operator in plays:
-        v = np.zeros((outputs, len(u)))
-        v[output] = operator
-        both, _ = respond(v)
-        regressors.append(both[outputs + output, -period:])
-    wanted = (pair.weights_um_per_v @ plays)[-period:]
-    return Pair(pair.thresholds_v, _smoothest(np.array(regressors), wanted))
-
-
-def _smoothest(regressors: Array, wanted: Array) -> Array:
-    """Weights (operator,) whose partial sums explain a loop and bend least."""
-    n = len(regressors)
-    to_weights = np.eye(n) - np.eye(n, k=-1)  # weights are the differences of the slopes
-    bends = np.diff(np.eye(n), 2, axis=0)
-    rows = np.vstack([regressors.T @ to_weights, SMOOTHNESS * bends])
-    slopes, *_ = np.linalg.lstsq(rows, np.concatenate([wanted, np.zeros(n - 2)]), rcond=None)
-    return np.asarray(to_weights @ slopes)
 
 
 def with_thresholds(block: PrandtlIshlinskii, thresholds_v: Array, amplitude_v: float) -> PrandtlIshlinskii:
@@ -173,8 +127,6 @@ def _read(
     words: str,
 ) -> Path:
     """An actuator that follows from a reading of the paper."""
-    from hammerstein.paper.readings import actuator_of
-
     provenance: JsonValue = {
         "source": "paper, equations 12 and 13, static block found behind dynamics and sensor",
         "bandwidth": words,

@@ -12,7 +12,6 @@ from pathlib import Path
 from hammerstein.escaping import cell, markdown_page
 from hammerstein.experiment.report import Report
 from hammerstein.model import HammersteinModel, packaged_actuators
-from hammerstein.paper.assessment import Paper
 from hammerstein.paper.judgements import ClaimJudgement, Simulated
 from hammerstein.reporting.page import place_of
 from hammerstein.runtime.storage.manifest import Manifest, Owner
@@ -29,8 +28,7 @@ def claimed(report: Report) -> list[ClaimJudgement]:
 
 def printed_at(report: Report) -> str:
     """The figure of the paper that a report simulates; empty if none."""
-    assessment = report.scenario.assessment
-    return assessment.figure if isinstance(assessment, Paper) else ""
+    return str(getattr(report.scenario.assessment, "figure", ""))
 
 
 def claims_csv(reports: Sequence[Report]) -> str:

@@ -29,9 +29,6 @@ FOR_RUNS = (
 )
 """What every run needs, without its report."""
 
-FOR_LAWS = ("hammerstein.experiment.measure", "hammerstein.experiment.set_up", "numba")
-"""What simulates, without what identifies."""
-
 LOADED_ONCE = (
     *FOR_RUNS,
     "hammerstein.commands.cli",

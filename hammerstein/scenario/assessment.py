@@ -20,7 +20,6 @@ from hammerstein.runtime.store import Store
 from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
-    from hammerstein.experiment.report import Report
     from hammerstein.scenario.scenario import Scenario
 
 
@@ -118,12 +117,12 @@ class Assessment(Strict, ABC):
         """Refuse folders that cannot take what ``write`` writes; InputError says why."""
 
     @classmethod
-    def write(cls, reports: Sequence[Report], out: Path, page: Path | None) -> tuple[Path, ...]:
+    def write(cls, reports: Sequence[Any], out: Path, page: Path | None) -> tuple[Path, ...]:
         """Write what stands over several reports that lie below ``out``; give files that were kept aside.
 
         Parameters
         ----------
-        reports : every report of a run, also those without judgements of this kind
+        reports : every ``experiment.report.Report`` of a run, also those without judgements of this kind
         out, page : folder of the reports, and of a page with all figures, if one is wanted
         """
         return ()

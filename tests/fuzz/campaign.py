@@ -85,12 +85,9 @@ def named(arguments: Any, outcome: tuple[int, str, str], *names: str) -> int:
 
 
 def warm_up() -> None:
-    """Compile the time loops, and load what every command needs."""
+    """Load what every command needs."""
     import hammerstein.experiment.simulated_identification
     import hammerstein.reporting.figures.write  # noqa: F401
-    from hammerstein.commands.warm_up import compile_all
-
-    compile_all(print)
 
 
 def scenario_case(content: Any, folder: Path) -> int:

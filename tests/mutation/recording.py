@@ -22,7 +22,7 @@ BESIDE = (
     "test_guide.py", "test_interrupted.py", "test_kept.py", "test_narrow_figures.py", "test_notebook.py",
     "test_nothing_lost.py", "test_packaging.py", "test_pages.py", "test_parallel.py", "test_plugins.py",
     "test_pytest_plugin.py", "test_readme.py", "test_rooms.py", "test_silence.py", "test_staging.py",
-    "test_start.py", "test_strangers.py", "test_terminal.py", "test_warm_up.py",
+    "test_start.py", "test_strangers.py", "test_terminal.py",
 )  # fmt: skip
 """Tests of files, pages, processes and terminals, half of the time of all: they reach numbers on their way to
 something else, so that they are not recorded unless they are named."""

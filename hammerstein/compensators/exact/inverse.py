@@ -17,7 +17,7 @@ from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.law import Law, S
 from hammerstein.compensators.base import Compensator
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import Asymmetric, Hysteresis, PrandtlIshlinskii, RateDependent, play
+from hammerstein.hysteresis import Asymmetric, Hysteresis, PrandtlIshlinskii, play
 from hammerstein.hysteresis.invertibility import Invertibility, completed, invertibility, require_inverse
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Volts
@@ -58,7 +58,7 @@ class Tables(NamedTuple):
 
 def tables(m: int, rows: int) -> Tables:
     """Empty tables of m inputs, with room for so many operators, segments, pieces or zones."""
-    from hammerstein.compensators.exact import pieces as at
+    from hammerstein.compensators.exact import piece_kernels as at
 
     return Tables(np.zeros((m, rows), at.of_rows(m)), np.zeros(m, at.of_inputs(m)))
 
@@ -192,7 +192,7 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         The stacks of segments are those of the forward model behind the smallest plays: for an actuator that
         was never driven one segment an input, nothing engaged. What has no output keeps its value.
         """
-        from hammerstein.compensators.exact import pieces as at
+        from hammerstein.compensators.exact import piece_kernels as at
 
         m, history = self.n_inputs, self.range.history()
         q = np.stack([play(u, [r])[0] for u, r in zip(history, self.smallest_v, strict=True)])
@@ -269,13 +269,6 @@ def has_exact_inverse(hysteresis: Hysteresis[Any]) -> bool:
 @exact_inverse_of.register(Asymmetric)
 def _(hysteresis: Hysteresis[Any], model: HammersteinModel, *options: Any) -> ExactInverseLaw:
     return ExactInverseLaw(model, *options)
-
-
-@exact_inverse_of.register
-def _(hysteresis: RateDependent, model: HammersteinModel, *options: Any) -> StaticInverse[Any]:
-    from hammerstein.compensators.exact.rate_dependent import RateDependentInverseLaw
-
-    return RateDependentInverseLaw(hysteresis, model, *options)
 
 
 def _difference(whole: float, part: float) -> float:

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hammerstein.compensators.exact.pieces import (
+from hammerstein.compensators.exact.piece_kernels import (
     BELOW,
     COUNT,
     END,
@@ -78,7 +78,7 @@ def respond_exact(reference, virtual, a, b, gain, x, w, here, first, stop, drive
             away = drift(reference, t, a, b, x, new, w, here)
 
 
-@compiled(reads="sample", error_model="numpy")
+@compiled(error_model="numpy")
 def step_exact(sample, frame, table, about, stack, hand):  # type: ignore[no-untyped-def]
     """Voltages as they are sent (m,), stack and hand after one sample (p,), and whether all is finite.
 

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks import Memory
 from hammerstein.blocks.driving import DriveRange, RangeLike
-from hammerstein.compensators.exact.inverse import STILL, Recovery, StaticInverse, Tables, tables
+from hammerstein.compensators.exact.inverse import (
+    STILL,
+    Recovery,
+    StaticInverse,
+    Tables,
+    exact_inverse_of,
+    tables,
+)
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import RateDependent, RateState
 from hammerstein.hysteresis.invertibility import invertibility, require_inverse
@@ -115,3 +123,8 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         for first, stop in spans(wanted.shape[1], work):
             respond_exact_rate(wanted, *back, left, w, here, *grid, *plays, *memory, first, stop, drive)
         return drive, RateInverseState(state, w["x"][:, 0].copy()), left
+
+
+@exact_inverse_of.register
+def _(hysteresis: RateDependent, model: HammersteinModel, *options: Any) -> StaticInverse[Any]:
+    return RateDependentInverseLaw(hysteresis, model, *options)

@@ -51,7 +51,7 @@ def run_inverse(a, b, c, taps, ahead, x, y, first, stop, v):  # type: ignore[no-
             x[s] = new[s]
 
 
-@compiled(reads="sample", error_model="numpy")
+@compiled(error_model="numpy")
 def step_path(  # type: ignore[no-untyped-def]
     sample, frame, filter_taps, inverse, recovery, table, about, raw, known, modes, away, stack, hand
 ):
