@@ -56,7 +56,6 @@ def compiled(**options: Any) -> Callable[[Loop], Loop]:
             with _kept_in(folder):
                 dispatcher = numba.njit(cache=folder is not None, **as_options)(loop)
         except RuntimeError:  # a folder within it belongs to somebody else
-            _warn_once(f"compiled loops cannot be kept in {folder}")
             folder, dispatcher = None, numba.njit(**as_options)(loop)
         dispatcher.compile = _OneAtATime(dispatcher.compile, folder, f"{loop.__module__}.{loop.__qualname__}")
         return dispatcher  # type: ignore[no-any-return]  # numba has no types
@@ -118,6 +117,8 @@ class _OneAtATime:
 
     def __call__(self, given: Any) -> Any:
         """Give the compiled loop for these types."""
+        if self.folder is None:
+            _warn_once("compiled loops cannot be kept: set NUMBA_CACHE_DIR to a folder that can be written")
         with _one_thread(), _locked(self.folder, self.name), uncollected():
             try:
                 return self.compile_it(given)
@@ -200,7 +201,6 @@ def _folder() -> Path | None:
                 if time.time() - other.stat().st_mtime > UNUSED_S:
                     shutil.rmtree(other)
         return folder
-    _warn_once("compiled loops cannot be kept: set NUMBA_CACHE_DIR to a folder that can be written")
     return None
 
 
@@ -222,7 +222,7 @@ def _digest() -> str:
     return digest.hexdigest()[:16]
 
 
-class _Watch(numba_events.Listener):  # type: ignore[misc]  # numba has no types
+class _Watch(numba_events.Listener):
     """Says once what is compiled and how long that took the last time; keeps how long it takes."""
 
     def __init__(self, say: Callable[[str], None]) -> None:

@@ -7,8 +7,9 @@ import re
 import subprocess
 import sys
 import tomllib
+import zipfile
 from importlib import metadata
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -33,30 +34,27 @@ def modules() -> list[Path]:
     return [path for path in PACKAGE.rglob("*.py") if "__pycache__" not in path.parts]
 
 
-def test_every_package_is_shipped(settings: dict[str, Any]) -> None:
-    folders = {path.parent.relative_to(ROOT) for path in modules()}
-    listed = settings["tool"]["setuptools"]
-    elsewhere = listed["package-dir"]  # scenarios and their numbers, which stand beside the package
-    assert {".".join(folder.parts) for folder in folders} == set(listed["packages"]) - set(elsewhere)
-    assert set(elsewhere) <= set(listed["packages"])
-    for name, folder in elsewhere.items():
-        assert [*(ROOT / folder).glob(listed["package-data"][name][0])]
-
-
-def test_every_data_file_is_shipped(settings: dict[str, Any]) -> None:
-    patterns = settings["tool"]["setuptools"]["package-data"]["hammerstein"]
-    files = [
-        PurePosixPath(path.relative_to(PACKAGE))
-        for path in PACKAGE.rglob("*")
-        if path.is_file() and path.suffix != ".py" and "__pycache__" not in path.parts
-    ]
-    assert PurePosixPath("py.typed") in files
-    assert [file for file in files if not any(file.match(pattern) for pattern in patterns)] == []
+def test_every_file_of_the_package_is_shipped_and_the_scenarios_with_their_numbers(tmp_path: Path) -> None:
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        shipped = {name for name in archive.namelist() if ".dist-info/" not in name}
+    files = [path for path in PACKAGE.rglob("*") if path.is_file() and "__pycache__" not in path.parts]
+    wanted = {path.relative_to(ROOT).as_posix() for path in files}
+    for folder, pattern in (("scenarios", "*.toml"), ("reports/baseline", "*.json")):
+        beside = [path.name for path in (ROOT / folder).glob(pattern)]
+        assert len(beside) > 20
+        wanted |= {f"hammerstein/paper/shipped/{Path(folder).name}/{name}" for name in beside}
+    assert {"hammerstein/py.typed", "hammerstein/__init__.pyi"} <= shipped
+    assert shipped == wanted
 
 
 def test_every_import_is_a_dependency(settings: dict[str, Any]) -> None:
     project = settings["project"]
-    extras = [project["optional-dependencies"][name] for name in ("cluster", "interactive", "parquet")]
+    extras = [
+        project["optional-dependencies"][name] for name in ("cluster", "interactive", "matlab", "parquet")
+    ]
     lines = [line for group in (project["dependencies"], *extras) for line in group]
     declared = {re.split(r"[^\w-]", line)[0].lower() for line in lines}
     used = {name for path in modules() for name in imported(ast.parse(path.read_text(encoding="utf-8")))}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import h5py
 import numpy as np
@@ -483,3 +484,14 @@ def test_jitter_is_no_gap(tmp_path):
     with pytest.raises(InputError, match="non-uniform time") as caught:
         read_records([path], inputs=["u"], outputs=["y"], time="t")
     assert "missing" not in str(caught.value)
+
+
+def test_a_matlab_file_of_version_7_3_without_its_library_is_told_what_to_install(tmp_path, monkeypatch):
+    path = tmp_path / "a.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["u"] = np.arange(5.0)
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(512) + path.read_bytes()[512:])
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    told = message(read, path, inputs=["u:1"], outputs=["u:2"])
+    assert "version 7.3" in told
+    assert "hammerstein-control[matlab]" in told

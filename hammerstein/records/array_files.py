@@ -21,6 +21,8 @@ from hammerstein.records.matlab_v5 import is_matlab_v4, is_matlab_v5, read_matla
 Variables = Mapping[str, Callable[[], Any]]
 """Name of each variable in a file, and how to load it; the only one of an ``.npy`` file has no name."""
 
+HDF5, HEADER_BYTES = b"\x89HDF\r\n\x1a\n", 512
+"""Sign of an HDF5 file, and size of MATLAB's header before it."""
 SUFFIXES = (".npy", ".npz", ".mat")
 MOST_OBJECTS = 100_000
 """Of an HDF5 file: more are no record."""
@@ -221,9 +223,9 @@ def _declared(path: Path, name: str) -> tuple[tuple[int, ...], int]:
 
 
 def _matlab(path: Path) -> Variables:
-    import h5py
-
-    return _matlab_hdf5(path) if h5py.is_hdf5(path) else _matlab_old(path)
+    with path.open("rb") as file:
+        begin = file.read(HEADER_BYTES + len(HDF5))
+    return _matlab_hdf5(path) if HDF5 in (begin[: len(HDF5)], begin[HEADER_BYTES:]) else _matlab_old(path)
 
 
 def _matlab_old(path: Path) -> Variables:
@@ -277,7 +279,13 @@ def _numbered(items: Any) -> list[tuple[str, Any]]:
 
 def _matlab_hdf5(path: Path) -> Variables:
     """Version 7.3: HDF5, with the axes of every array in reverse order."""
-    import h5py
+    try:
+        import h5py
+    except ImportError:
+        what = (
+            "is a MATLAB file of version 7.3: pip install 'hammerstein-control[matlab]', or save it with -v7"
+        )
+        raise InputError(str(path), what) from None
 
     places: dict[str, str] = {}
     seen: set[int] = set()
