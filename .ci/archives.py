@@ -17,10 +17,9 @@ def main(source: Path, dist: Path) -> None:
     settings = tomllib.loads((source / "pyproject.toml").read_text())
     version = settings["project"]["version"]
     beside = {  # files of the package that stand elsewhere in the source: their places in both
-        f"{name.replace('.', '/')}/{path.name}": path.relative_to(source).as_posix()
-        for name, folder in settings["tool"]["setuptools"]["package-dir"].items()
-        for pattern in settings["tool"]["setuptools"]["package-data"][name]
-        for path in (source / folder).glob(pattern)
+        f"{place}/{path.name}": path.relative_to(source).as_posix()
+        for folder, place in settings["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"].items()
+        for path in (source / folder).iterdir()
     }
     name = f"hammerstein_control-{version}"
     with zipfile.ZipFile(dist / f"{name}-py3-none-any.whl") as wheel:
