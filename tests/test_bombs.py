@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from hammerstein.blocks.instruments import intervals
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
 from hammerstein.records import array_files
@@ -139,3 +140,27 @@ def test_the_name_of_a_text_file_says_nothing_of_packing(tmp_path, capsys, name,
     assert end.value.code == (2 if packed else 0)
     assert "output cannot be written" not in told.err
     assert ("binary file" in told.err) == packed
+
+
+def test_a_whole_number_of_hundreds_of_digits_is_a_mistake_in_a_row(tmp_path, capsys):
+    path = tmp_path / "a.csv"
+    path.write_text("t,u,y\n0,1,2\n1,1" + "0" * 400 + ",3\n2,x,4\n3,4,5\n")
+    with pytest.raises(SystemExit) as end:
+        main(["loops", str(path), "--inputs", "u", "--outputs", "y", "--rate", "1000"])
+    assert end.value.code == 2
+    assert "rows 3 to 4" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("value", [10**400, [-(10**400), 1]])
+def test_so_is_one_in_place_of_a_voltage(value):
+    with pytest.raises(ValueError, match=r"V at each end|positive number"):
+        intervals(value)
+
+
+def test_nor_is_one_in_a_path(tmp_path, capsys):
+    path = tmp_path / "a.csv"
+    path.write_text("time_s,x,y\n0,0,0\n5e-5,x,1\n1e-4,1" + "0" * 400 + ",0\n")
+    with pytest.raises(SystemExit) as end:
+        main(["compensate", "duo_bimorph_static", str(path), "--out", str(tmp_path / "out.csv")])
+    assert end.value.code == 2
+    assert "row" in capsys.readouterr().err

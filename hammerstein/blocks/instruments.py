@@ -38,7 +38,7 @@ def _interval(given: Any) -> Interval:
     ends = given if isinstance(given, list | tuple) else [given]
     try:
         numbers = [float(end) for end in ends if not isinstance(end, bool)]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = []
     if not all(END_V.holds(number) for number in numbers):
         raise ValueError(f"{END_V.words()} V at each end")

@@ -5,6 +5,7 @@ The first part of the file tells its layout; pandas then reads the columns that 
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import re
 from collections import Counter
@@ -303,9 +304,11 @@ def _numbers(series: Any, dialect: Dialect) -> tuple[Array, dict[int, str]]:
 
     if series.dtype.kind in "iuf":
         return series.to_numpy(dtype=np.float64), {}
+    numbers = None
     if "decimal" in _numbers_of(dialect):
-        numbers = pd.to_numeric(series.astype(object), errors="coerce").to_numpy(dtype=np.float64)
-    else:
+        with contextlib.suppress(OverflowError):  # a whole number of hundreds of digits
+            numbers = pd.to_numeric(series.astype(object), errors="coerce").to_numpy(dtype=np.float64)
+    if numbers is None:
         found = [_number(str(text).strip(), dialect) for text in series]
         numbers = np.array([np.nan if value is None else value for value in found])
     spoiled = np.flatnonzero(np.isnan(numbers) & series.notna().to_numpy())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 import warnings
 from collections.abc import Sequence
@@ -47,7 +48,10 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
         )
     lines = enumerate(text.splitlines(), start=1)
     rows = [number for number, line in lines if line.strip() and not line.lstrip().startswith("#")][1:]
-    numbers = frame.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    try:
+        numbers = frame.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    except OverflowError:  # a whole number of hundreds of digits
+        numbers = frame.map(_float).to_numpy(dtype=float)
     bad = np.argwhere(~(np.abs(numbers) <= POSITION_UM.high))
     if len(bad):
         row, column = (int(i) for i in bad[0])
@@ -63,6 +67,14 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     names.remove(time)
     factors = [unit.factor if (unit := _unit(name)) else 1.0 for name in names]
     return times, np.array(factors)[:, None] * frame[names].to_numpy(dtype=float).T, names
+
+
+def _float(cell: object) -> float:
+    """Number of a cell; NaN where it holds none."""
+    try:
+        return float(str(cell))
+    except ValueError:
+        return math.nan
 
 
 def _time_in(names: Sequence[str]) -> str | None:

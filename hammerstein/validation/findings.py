@@ -100,7 +100,7 @@ def _mistake(where: str, findings: Sequence[dict[str, Any]], schema: Schema) -> 
     if kind == "union_tag_not_found":
         return Mistake(where, "is missing")
     if kind == "json_invalid":
-        return Mistake(where or "line", f"is not JSON: {first['ctx']['error']}; is it the right file?")
+        return Mistake(where, f"is not JSON: {first['ctx']['error']}; is it the right file?")
     if first["loc"] and first["loc"][-1] == "[key]":
         return Mistake(where, _unknown_name(first))
     texts = list(dict.fromkeys(_text(finding) for finding in findings))

@@ -1,4 +1,4 @@
-"""The long campaign: ``python -m tests.fuzz --scenarios 10000 --models 5000 --records 5000 --options 1000``.
+"""The long campaign: ``python -m tests.fuzz --hostile 20000 --scenarios 10000 --models 5000 --options 1000``.
 
 Every finding is printed once, and the files that brought it about are kept; the exit code tells whether there
 were any.
@@ -20,10 +20,10 @@ from typing import Any
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
-from . import campaign, options, strategies
+from . import campaign, hostile, options, strategies
 from .workers import SLOW_S, in_a_process
 
-KINDS = ("scenarios", "models", "records", "paths", "baselines", "files", "results", "options")
+KINDS = ("hostile", "scenarios", "models", "records", "paths", "baselines", "files", "results", "options")
 PIECE = 500
 """Cases of one process: what leaks is not carried on for ever."""
 Do = Callable[[Callable[[], int]], None]
@@ -97,7 +97,13 @@ def pieces(kind: str, folder: Path) -> Callable[[int, int, Do], None]:
     if kind in made:
         strategy, case = made[kind]
         return partial(_made, strategy(), case, folder)
-    mutated = {"records": _records, "paths": _paths, "baselines": _baselines, "files": _files}
+    mutated = {
+        "hostile": _hostile,
+        "records": _records,
+        "paths": _paths,
+        "baselines": _baselines,
+        "files": _files,
+    }
     return partial({**mutated, "results": _results}[kind], folder)
 
 
@@ -105,6 +111,12 @@ def _made(
     strategy: Any, case: Callable[[Any, Path], int], folder: Path, count: int, number: int, do: Do
 ) -> None:
     from_strategy(strategy, count, number, lambda content: do(lambda: case(content, folder)))
+
+
+def _hostile(folder: Path, count: int, number: int, do: Do) -> None:
+    seeds = hostile.Seeds(folder)
+    for i in range(count):
+        do(partial(hostile.case, random.Random(f"{number} {i}"), seeds, folder))
 
 
 def _records(folder: Path, count: int, number: int, do: Do) -> None:

@@ -118,6 +118,16 @@ def file_case(data: bytes, folder: Path, *others: str) -> int:
     return code
 
 
+def is_long(path: Path) -> bool:
+    """Whether a scenario file asks for more than is run here; what cannot be read is short."""
+    try:
+        scenario = load_scenario(path)
+        plan = plan_of_study(scenario, "case") if scenario.study is not None else plan_of(scenario)
+    except (HammersteinError, ArithmeticError):
+        return False
+    return plan.seconds > LONGEST_S or plan.bytes > LARGEST
+
+
 def _is_studied(scenario: Scenario) -> bool:
     """Whether it has a study of a few runs."""
     return scenario.study is not None and scenario.study.count() < 10

@@ -5,7 +5,7 @@ import random
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from . import options, strategies
+from . import hostile, options, strategies
 from .campaign import (
     baseline_case,
     good_baseline,
@@ -90,3 +90,12 @@ def test_damaged_baselines_and_models(folder):
     assert [baseline_case(mutated(own, draw), folder) for _ in range(8)].count(2) > 2
     for _ in range(15):
         model_file_case(mutated(actuator, draw), folder)
+
+
+def test_hostile_files(tmp_path):
+    """300 files whose names and values are hostile together, each read by a command."""
+    seeds, seen = hostile.Seeds(tmp_path), []
+    for number in range(300):
+        seen.append(hostile.case(random.Random(f"short {number}"), seeds, tmp_path))
+    assert {0, 2} <= set(seen)
+    assert seen.count(0) > 30
