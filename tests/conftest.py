@@ -12,9 +12,15 @@ hypothesis.settings.register_profile("untimed", deadline=None)  # a loop may hav
 hypothesis.settings.load_profile("untimed")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that runs what is slow by design, too."""
+    parser.addoption("--full", action="store_true", help="run what is slow by design, too")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Make a warning an error where a module of the tests raises it, not where a library does."""
     modules = sorted(path.stem for path in Path(__file__).parent.rglob("*.py"))
+    config.addinivalue_line("markers", "full: slow by design; runs with --full")
     config.addinivalue_line("markers", "long: runs only where HAMMERSTEIN_LONG is set")
     config.addinivalue_line("filterwarnings", f"error:::({'|'.join(modules)})$")
     if not entry_points(group="hammerstein.blocks", name="paper"):
@@ -27,8 +33,13 @@ def pytest_configure(config: pytest.Config) -> None:
 LONG = "takes long; HAMMERSTEIN_LONG=1 runs it, as the weekly workflow does"
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave out what takes long and repeats a shorter test in more ways, unless it is asked for."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what takes long, unless it is asked for."""
+    if not config.getoption("--full"):
+        for item in items:
+            browser = "page" in getattr(item, "fixturenames", ())
+            if browser or item.get_closest_marker("full"):
+                item.add_marker(pytest.mark.skip(reason="slow by design; --full runs it"))
     if not os.environ.get("HAMMERSTEIN_LONG"):
         for item in items:
             if item.get_closest_marker("long"):

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.full
+
 
 @pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of this kind are POSIX")

@@ -12,6 +12,8 @@ from export_cases import case
 from hammerstein.export.folder import files_of
 from hammerstein.export.measured import MeasuredCode
 
+pytestmark = pytest.mark.full
+
 BOARD = Path(__file__).parent / "cortex_m4"
 EXPORTS = (
     *("filtered", "decoupled_inverse", "started exact_inverse", "asymmetric exact_inverse"),

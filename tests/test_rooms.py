@@ -6,9 +6,12 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import hammerstein
+from hammerstein.commands.cli import app
 from hammerstein.model.model import packaged_actuators
 from hammerstein.reporting.folder import write_report
 
@@ -83,6 +86,51 @@ def test_a_run_to_its_report_enters_nine_rooms(calls):
     }
 
 
+MODULES_OF_A_RUN, MODULES_OF_IDENTIFY = 66, 110
+"""Ceilings of what is entered, to be lowered with the code: the goals are 40 and 45."""
+
+
+def entered(work):
+    """Files of the package that a function enters, once what it imports has been imported."""
+    found = set()
+
+    def note(frame, event, argument):
+        if event == "call" and frame.f_code.co_filename.startswith(f"{PACKAGE}/"):
+            found.add(frame.f_code.co_filename)
+
+    work()
+    sys.setprofile(note)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return found
+
+
+def test_a_run_to_its_report_enters_few_modules(calls):
+    modules = {called for _, called in calls} | {caller for caller, _ in calls}
+    assert 20 < len(modules) <= MODULES_OF_A_RUN
+
+
+def test_the_command_identify_enters_few_modules(tmp_path, monkeypatch):
+    monkeypatch.setenv("HAMMERSTEIN_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    model = hammerstein.HammersteinModel.load("duo_bimorph")
+    time_s, files = np.arange(4000) * 50e-6, ["0.csv", "1.csv"]
+    for k, name in enumerate(files):
+        u_v = np.zeros((2, len(time_s)))
+        u_v[k] = 8.0 * np.sin(2.0 * np.pi * 40.0 * time_s) * np.linspace(1.0, 0.5, len(time_s))
+        response = model.simulate(u_v, 50e-6, instruments=model.instruments, seed=k)
+        table = np.vstack([time_s, response.drive_v, response.reading_um]).T
+        np.savetxt(name, table, delimiter=",", header="t [s],Vx [V],Vy [V],x [um],y [um]", comments="")
+
+    def identify():
+        result = CliRunner().invoke(app, ["identify", *files, "--out", "model.json"])
+        assert result.exit_code == 0, f"{result.output}{result.exception}"
+
+    assert 20 < len(entered(identify)) <= MODULES_OF_IDENTIFY
+
+
 def imported_rooms(file):
     """Rooms of the package that a file imports from, wherever it does."""
     names = set()
@@ -117,20 +165,6 @@ def test_a_class_name_stands_for_one_thing():
                 places.setdefault(node.name, []).append(str(file.relative_to(PACKAGE)))
     assert len(places) > 200
     assert {name: files for name, files in places.items() if len(files) > 1} == {}
-
-
-def test_plain_words_are_used():
-    """A set-up is no bench, a block of a signal no stretch; a model improves and responds."""
-    other = re.compile(r"\b(bench|benches|stretch|stretches|earns|hears?|heard)\b", re.IGNORECASE)
-    kinds = (".py", ".pyi", ".md", ".jinja", ".toml", ".html", ".json")
-    files = [file for file in PACKAGE.rglob("*") if file.suffix in kinds]
-    assert len(files) > 350
-    found = {}
-    for file in [*files, PACKAGE.parent / "README.md"]:
-        if words := other.findall(file.read_text(encoding="utf-8").replace("_", " ")):
-            found[file.name] = words
-    assert found.pop("plots.py", []) == ["stretch"] * 5  # Bokeh's stretch_width
-    assert found == {}
 
 
 def test_the_core_knows_no_actuator():
