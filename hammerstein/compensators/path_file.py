@@ -18,16 +18,16 @@ from hammerstein.runtime.memory import free_bytes
 from hammerstein.signals.tables import chosen, read_signal
 
 
-class Cost(NamedTuple):
+class PathCost(NamedTuple):
     """Memory [bytes] and time [s] of one sample of two axes, measured with a million of them."""
 
     bytes: float
     seconds: float
 
 
-DRIVE_COST = Cost(450.0, 15e-6)
-CYCLE_COST = Cost(1300.0, 75e-6)
-PLAYED_COST = Cost(450.0, 15e-6)
+DRIVE_COST = PathCost(450.0, 15e-6)
+CYCLE_COST = PathCost(1300.0, 75e-6)
+PLAYED_COST = PathCost(450.0, 15e-6)
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class PathWork:
 
     samples: int
     sample_time_s: float
-    cost: Cost
+    cost: PathCost
 
     @property
     def bytes(self) -> float:
@@ -85,7 +85,7 @@ def read_path(
     model: HammersteinModel,
     sample_time_s: float,
     word: str = "reference",
-    cost: Cost = DRIVE_COST,
+    cost: PathCost = DRIVE_COST,
     onlooker: Onlooker = UNWATCHED,
 ) -> tuple[Array, Array, bool]:
     """Times (sample,), positions (output, sample) on the drive's grid, and whether they were resampled.
