@@ -135,12 +135,13 @@ def test_fmpy_simulates_it(unit):
     assert all(np.isfinite(result[name]).all() for name in result.dtype.names)
 
 
-def test_the_command_writes_a_unit_and_checks_it(tmp_path):
+def test_the_command_writes_a_unit_and_checks_it(tmp_path, capsys):
     out = tmp_path / "unit"
     with pytest.raises(SystemExit) as caught:
         main(["export", "duo_bimorph", "--law", "none", "--format", "fmu", "--out", str(out)])
     assert not caught.value.code
     assert (out / "duo_bimorph_none.fmu").is_file()
+    assert "duo_bimorph_none.fmu" in capsys.readouterr().out
     assert "fmu.c" in check_export(out)
     shutil.rmtree(out)
 

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from hammerstein.commands.cli import main
+from hammerstein.hysteresis import play
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
 
@@ -226,3 +227,22 @@ def test_a_record_without_a_loop_does_not_stop_the_others(records, tmp_path, cap
     said = capsys.readouterr()
     assert "short.csv: no loop found" in said.err
     assert "u_x" in said.out
+
+
+@pytest.mark.parametrize("case", ["swapped", "noise", "copy"])
+def test_loops_ask_the_doubts_of_identify(tmp_path, capsys, monkeypatch, case):
+    """A width of -12 %, a gain of 0.002, a copy of the voltage: each was a table with exit 0."""
+    monkeypatch.chdir(tmp_path)
+    u = 10.0 * np.sin(2.0 * np.pi * np.arange(1600) / 400)
+    x = 5.0 * play(u, [2.0])[0]
+    noise = np.random.default_rng(3).normal(size=u.size)
+    u, x = {"swapped": (x, u), "noise": (u, noise), "copy": (u, u)}[case]
+    pd.DataFrame({"u": u, "x": x}).to_csv("record.csv", index=False)
+    call = ("loops", "record.csv", "--inputs", "u", "--outputs", "x", "--rate", "20000", "--no-figures")
+    said = {"swapped": "leads u by 1", "noise": "no output of record.csv answers", "copy": "the same numbers"}
+    assert _call(*call) == 2
+    assert said[case] in capsys.readouterr().err
+    assert _call(*call, "--accept-order", "--accept-gain") == 0
+    capsys.readouterr()
+    assert _call("identify", *call[1:]) == 2
+    assert said[case] in capsys.readouterr().err

@@ -106,16 +106,16 @@ class RecordFiles:
     def gains(self, records: Sequence[Record]) -> list[Gain]:
         """Gains of the records; a person is asked about those that no actuator has, a script is refused."""
         from hammerstein.errors import InputError
-        from hammerstein.records.gains import doubtful_gains, pair_gains
+        from hammerstein.records.gains import doubtful_gains, doubtful_responses, pair_gains
 
         gains = pair_gains(records)
-        doubts = [] if self.accept_gain else doubtful_gains(gains)
+        doubts = [] if self.accept_gain else [*doubtful_responses(records), *doubtful_gains(gains)]
         if doubts:
             doubt = "; ".join(doubts)
             asked = sys.stdin.isatty() and sys.stderr.isatty()
             if not (asked and typer.confirm(f"{doubt}. Is that right?", err=True)):
                 source = records[0].source if len(records) == 1 else f"{len(records)} records"
-                remedy = "see --input-scale and --output-scale, or give --accept-gain if it is right"
+                remedy = "see --inputs, --outputs and their scales, or give --accept-gain if it is right"
                 raise InputError(source, f"{doubt}; {remedy}")
         return gains
 

@@ -44,12 +44,16 @@ def loops(
     recorded: RecordFiles,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the figure goes.")] = Path("reports"),
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
+    accept_order: Annotated[
+        bool, typer.Option("--accept-order", help="Take the columns as named, though an output leads.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Find the loops in measured records: height, width, area, closure, drift."""
     from hammerstein.commands.tables import gains_table
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
+    from hammerstein.records.leads import refuse_swapped
     from hammerstein.records.loops import loop_table, move_at_once, without_loops
     from hammerstein.reporting.figures.measured import LOOPS, LOOPS_FILES, loops_of_records
     from hammerstein.runtime.storage.manifest import refuse_name
@@ -61,6 +65,8 @@ def loops(
         refuse_name(recorded.files[0])
         prepare(folder, LOOPS, LOOPS_FILES)
     records = recorded.read(all_driven=False)
+    if not accept_order:
+        refuse_swapped(records)
     gains = recorded.gains(records)
     found = {record.source: loop_table(record) for record in records}
     empty = {record.source: without_loops(record) for record in records if not found[record.source]}

@@ -123,7 +123,8 @@ def write_export(request: Request, model: HammersteinModel, folder: Path) -> Wri
             stage.write(name, content)
         if request.form == "fmu":
             stage.write(f"{code.name}.fmu", fmu_of(code.name, files))
-    return WrittenCode(tuple(files), tuple(code.statements()), stage.kept)
+    written = (*files, f"{code.name}.fmu") if request.form == "fmu" else tuple(files)
+    return WrittenCode(written, tuple(code.statements()), stage.kept)
 
 
 def check_export(folder: Path) -> list[str]:

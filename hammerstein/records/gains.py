@@ -12,6 +12,8 @@ from hammerstein.records.driven import driven_inputs
 from hammerstein.records.record import Record
 
 USUAL_GAIN = 1e-3, 1e3
+ANSWERED = 0.02
+"""Part of an output's power that the voltages explain, below which it is noise or another signal."""
 """Gains of piezo actuators from shear plates to amplified stages, with room on both sides [um/V]."""
 
 
@@ -66,6 +68,44 @@ def pair_gains(records: Sequence[Record]) -> list[Gain]:
         for k in sorted(spans_um)
         for o, output in enumerate(first.outputs)
     ]
+
+
+def doubtful_responses(records: Sequence[Record]) -> list[str]:
+    """Sentences about records whose outputs are a copy of a voltage, or do not answer to any.
+
+    An output answers where the voltages, their squares and their rates explain a part of it.
+
+    Examples
+    --------
+    >>> u, noise = np.sin(np.arange(400.0) / 20.0), np.random.default_rng(1).normal(size=400)
+    >>> doubtful_responses([Record([u], [5.0 * u], 1e-3)]), doubtful_responses([Record([u], [noise], 1e-3)])
+    ([], ['no output of record answers to its voltages: they explain less than 2 % of each'])
+    """
+    found = []
+    for record in records:
+        copies = [
+            f"{output} of {record.source} holds the same numbers as {name}"
+            for name, u in zip(record.inputs, record.u_v, strict=True)
+            for output, y in zip(record.outputs, record.y_um, strict=True)
+            if np.ptp(y) > 0.0 and np.array_equal(u, y)
+        ]
+        found += copies
+        if not copies and _explained(record) < ANSWERED:
+            found.append(
+                f"no output of {record.source} answers to its voltages: they explain less than "
+                f"{100 * ANSWERED:g} % of each"
+            )
+    return found
+
+
+def _explained(record: Record) -> float:
+    """Largest part of the power of an output that voltages, their squares and their rates explain."""
+    u = record.u_v[list(driven_inputs(record))]
+    u = (u - u.mean(axis=1, keepdims=True)) / np.ptp(u, axis=1, keepdims=True)
+    x = np.vstack([u, u**2, np.gradient(u, axis=1), np.ones((1, u.shape[1]))]).T
+    left = record.y_um.T - x @ np.linalg.lstsq(x, record.y_um.T, rcond=None)[0]
+    power = np.maximum(record.y_um.var(axis=1), np.finfo(float).tiny)
+    return float(np.max(1.0 - left.var(axis=0) / power))
 
 
 def doubtful_gains(gains: Sequence[Gain]) -> list[str]:
