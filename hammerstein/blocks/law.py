@@ -196,14 +196,21 @@ class Learner(Designed):
         """Period (m, N) of voltages of the first trial, for a period (p, N) of the path."""
 
     @abstractmethod
-    def following(self, reference_um: Array, drive_v: Array, reading_um: Array) -> Array:
-        """Period (m, N) of the next trial.
+    def following(
+        self,
+        reference_um: Array,
+        drive_v: Array,
+        reading_um: Array,
+        before: tuple[Array, Array] | None = None,
+    ) -> Array:
+        """Period (m, N) of the next trial; the very one of the trial before where learning ends with that.
 
         Parameters
         ----------
         reference_um : (p, N) one period of the path
         drive_v : (m, N) the period that was played
         reading_um : (p, periods N) settled periods that the sensor read
+        before : drive and reading of the trial before, if there was one
         """
 
 

@@ -89,7 +89,9 @@ def write_cycle(asked: Period) -> None:
     _tell(asked, {"rms_um": errors}, said, "one period")
 
 
-def write_lesson(asked: Period, trial: tuple[Path, Path], unsure: str) -> None:
+def write_lesson(
+    asked: Period, trial: tuple[Path, Path], unsure: str, before: tuple[Path, Path] | None = None
+) -> None:
     """Write the next period of a periodic path, from a trial."""
     from hammerstein.compensators.learning.files import learn_from_files
     from hammerstein.compensators.learning.unsure import Unsure
@@ -108,6 +110,7 @@ def write_lesson(asked: Period, trial: tuple[Path, Path], unsure: str) -> None:
         Unsure(*deviations),
         asked.terms,
         asked.onlooker,
+        before,
     )
     about, errors, text = asked.table.form(found)
     write_atomic(asked.out, text)

@@ -213,6 +213,13 @@ def compensate(
         tuple[Path, Path] | None,
         typer.Option(metavar="DRIVE MEASURED", help="A trial: write the next drive of the periodic path."),
     ] = None,
+    before: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(
+            metavar="DRIVE MEASURED",
+            help="The trial before that of --learn: its drive is kept if the new trial is worse.",
+        ),
+    ] = None,
     unsure: Annotated[
         str | None,
         typer.Option(
@@ -234,10 +241,12 @@ def compensate(
 
     if unsure is not None and learn is None:
         raise InputError("--unsure", "says what --learn counts on; give --learn DRIVE MEASURED too")
+    if before is not None and learn is None:
+        raise InputError("--before", "is the trial before that of --learn; give --learn DRIVE MEASURED too")
     options = words.options()
     wanted = TableRequest(table, table_scale, table_points)
     wanted.check()
-    refuse_output(out, [Path(model), reference, *(learn or ())], wanted.content())
+    refuse_output(out, [Path(model), reference, *(learn or ()), *(before or ())], wanted.content())
     announce_compiling(complain)
     terms = reached.terms(sent)
     with told_by_options("compensate", words.own), watched() as onlooker:
@@ -245,7 +254,7 @@ def compensate(
         if learn is not None or cycle or table is not None:
             reached.refuse_with_period()
         if learn is not None:
-            write_lesson(period, learn, unsure or "0.05,0.01")
+            write_lesson(period, learn, unsure or "0.05,0.01", before)
             return
         if cycle or table is not None:
             write_cycle(period)

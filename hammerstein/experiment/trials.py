@@ -50,6 +50,8 @@ class Course:
         self._seed = list(seed)
         self._path = reference_um[:, first : first + period]
         self._drives: list[Array] = []
+        self._before: tuple[Array, Array] | None = None  # drive and reading of the trial before the last
+        self._ended = False  # a trial was worse than the one before, whose drive is kept from then on
         self._lock = threading.Lock()
 
     def trial(self, plant: Plant, number: int) -> Response:
@@ -63,8 +65,13 @@ class Course:
         done = len(self._drives)
         if not done:
             return self._law.first(self._path)
+        if self._ended:
+            return self._drives[-1]
         read = self._played(plant, done).reading_um[:, self._first :]
-        return self._law.following(self._path, self._drives[-1], read)
+        following = self._law.following(self._path, self._drives[-1], read, self._before)
+        self._ended = self._before is not None and following is self._before[0]
+        self._before = (self._drives[-1], read)
+        return following
 
     def _played(self, plant: Plant, number: int) -> Response:
         drive, samples = self._drives[number - 1], self._whole.shape[1]

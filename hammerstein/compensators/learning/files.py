@@ -10,7 +10,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import column
-from hammerstein.compensators.cycle import Cycle, design_of
+from hammerstein.compensators.cycle import Cycle, Design, design_of
 from hammerstein.compensators.drive_file import Terms
 from hammerstein.compensators.learning.lesson import MEASURED, Lesson, lesson
 from hammerstein.compensators.learning.unsure import Unsure
@@ -29,6 +29,7 @@ def learn_from_files(
     unsure: Unsure,
     terms: Terms,
     onlooker: Onlooker = UNWATCHED,
+    before: tuple[Path, Path] | None = None,
 ) -> tuple[Cycle, Lesson]:
     """Next period of voltages, and what the trial taught.
 
@@ -39,10 +40,19 @@ def learn_from_files(
         um, whole settled periods, zero where the actuator stood before
     unsure : how sure the model is
     onlooker : told the cost of the path before the work
+    before : the files of the trial before; its drive is kept if this trial was worse
 
     Raises InputError for files that do not belong together, and what ``cycle_of`` does.
     """
     design = design_of(model_path, path, law, options, terms, onlooker)
+    found, _ = _taught(design, trial, unsure)
+    if before is not None:
+        found = found.after(*_taught(design, before, unsure))
+    return design.cycle(found.drive_v, terms), found
+
+
+def _taught(design: Design, trial: tuple[Path, Path], unsure: Unsure) -> tuple[Lesson, Array]:
+    """What the files of a trial teach, and its drive (m, N)."""
     samples, time_s = design.reference_um.shape[1], design.model.instruments.drive.sample_time_s
     drive = _drive_of(trial[0], design.model, samples)
     _, measured, resampled = read_path(trial[1], design.model, time_s, "reading", CYCLE_COST)
@@ -55,7 +65,7 @@ def learn_from_files(
         if error.source != MEASURED:
             raise
         raise InputError(str(trial[1]), error.mistakes) from None
-    return design.cycle(found.drive_v, terms), found
+    return found, drive
 
 
 def _drive_of(path: Path, model: HammersteinModel, samples: int) -> Array:

@@ -38,10 +38,19 @@ class LearnedLaw(Learner):
         """Voltages of the inverse, see ``Learner.first``."""
         return centred(self.inverse, self.model, reference_um)
 
-    def following(self, reference_um: Array, drive_v: Array, reading_um: Array) -> Array:
-        """Voltages after a lesson, see ``Learner.following``."""
+    def following(
+        self,
+        reference_um: Array,
+        drive_v: Array,
+        reading_um: Array,
+        before: tuple[Array, Array] | None = None,
+    ) -> Array:
+        """Voltages after a lesson; those of the trial before where this one was worse beyond the noise."""
         bandwidth = self.model.instruments.sensor.bandwidth_hz
-        taught = lesson(self.model, self.inverse, reference_um, drive_v, reading_um, self.unsure, bandwidth)
+        known = (self.model, self.inverse, reference_um)
+        taught = lesson(*known, drive_v, reading_um, self.unsure, bandwidth)
+        if before is not None:
+            taught = taught.after(lesson(*known, *before, self.unsure, bandwidth), before[0])
         return taught.drive_v
 
     def statement(self) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from hammerstein.errors import InputError
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 
-SIGNIFICANT = 3.0  # standard deviations of the noise: what an error must exceed to be learnt
+SIGNIFICANT = 3.0  # standard deviations of white noise: what an error must exceed to be learnt
 LEAST_PERIODS = 3
 MEASURED = "measured"
 """What the readings of a trial are called in messages, as long as they are no file."""
@@ -27,19 +27,23 @@ class Lesson:
 
     drive_v : (m, N) the next period of voltages; that of the trial where nothing is left to learn
     error_um : (p, N) mean error of the trial, the sensor's lag taken out
-    noise_um : rms of the noise in the mean that was read
+    noise_um : rms of what does not repeat from period to period, in the mean that was read
     lifted : by how much that noise is larger in the error, for the sensor's lag is taken out of it, too
+    doubt_um : standard deviation of ``error_rms_um``, from the same noise
     learnt : lines of the spectrum that were corrected; slowest : what a trial leaves of an error at worst
     limit_hz : from where on the model is too unsure to learn; inf if nowhere
+    before : what the trial before taught, where it was given
     """
 
     drive_v: Array
     error_um: Array
     noise_um: float
     lifted: float
+    doubt_um: float
     learnt: int
     slowest: float
     limit_hz: float
+    before: Lesson | None = None
 
     @property
     def error_rms_um(self) -> float:
@@ -49,19 +53,40 @@ class Lesson:
     @property
     def finished(self) -> bool:
         """Whether what is left cannot be told from the sensor's noise."""
-        return self.learnt == 0
+        return self.learnt == 0 or self.worse
+
+    @property
+    def worse(self) -> bool:
+        """Whether this trial is worse than the one before, beyond the noise."""
+        return self.before is not None and self.worse_than(self.before)
+
+    def after(self, before: Lesson, drive_v: Array) -> Lesson:
+        """Give the lesson beside that of the trial before, whose drive (m, N) is kept if this is worse."""
+        return replace(self, before=before, drive_v=drive_v if self.worse_than(before) else self.drive_v)
+
+    def worse_than(self, before: Lesson) -> bool:
+        """Whether this trial is farther off than one before, by more than the noise of both."""
+        doubt = SIGNIFICANT * float(np.hypot(self.doubt_um, before.doubt_um))
+        return self.error_rms_um > before.error_rms_um + doubt
 
     def statement(self) -> str:
-        """Say what the error was, whether to go on, and why that converges."""
+        """Say what the error was, and whether to go on."""
         found = (
             f"Error of this trial {self.error_rms_um:.3g} um rms, noise of its mean {self.noise_um:.2g} um."
         )
+        if self.before is not None:
+            better = self.before.worse_than(self)
+            found += f" The trial before: {self.before.error_rms_um:.3g} um rms; this one is "
+            found += "better." if better else "worse." if self.worse else "alike within the noise."
+        if self.worse:
+            return f"{found} Stop: the drive of the trial before is kept."
         if self.finished:
             return f"{found} What is left is the sensor's noise: keep this drive."
         limit = "" if np.isinf(self.limit_hz) else f" Above {self.limit_hz:.4g} Hz the model is too unsure."
         return (
-            f"{found} Learnt at {self.learnt} lines of the spectrum. If the model is as sure as stated, a "
-            f"trial leaves at most {self.slowest:.2g} of an error there: it converges.{limit}"
+            f"{found} Learnt at {self.learnt} lines of the spectrum. An actuator within the stated "
+            f"deviations of its model leaves at most {self.slowest:.2g} of the error there after the next "
+            f"trial.{limit}"
         )
 
 
@@ -94,14 +119,16 @@ def lesson(
     InputError : no whole number of periods, or fewer than three
     """
     samples, time_s = reference_um.shape[1], model.instruments.drive.sample_time_s
-    mean, spread = _mean_period(measured_um, samples)
+    mean, deviation = _mean_period(measured_um, samples)
     frequency: Array = np.asarray(np.fft.rfftfreq(samples, time_s), dtype=np.float64)
     lag = 1.0 / (1.0 + 1j * frequency / sensor_bandwidth_hz)
     error = np.fft.rfft(reference_um, axis=1) - np.fft.rfft(mean, axis=1) / lag
-    noise = spread[:, None] * np.sqrt(samples) / np.abs(lag)
+    noise = deviation / np.abs(lag)
     delta = (unsure or Unsure()).relative(model, frequency, time_s).T
     share = Unsure.share(delta)
-    above_noise = (np.abs(error) > SIGNIFICANT * noise) & (share > 0.0)
+    above_noise = (np.abs(error) > _least_error(deviation, measured_um.shape[1] // samples) / np.abs(lag)) & (
+        share > 0.0
+    )
     drive = drive_v
     if above_noise.any():
         now, _ = played(model, law.range, drive_v, time_s)
@@ -109,25 +136,61 @@ def lesson(
         drive = centred(law, model, now + change)
     slowest = float((1.0 - share[above_noise] * (1.0 - delta[above_noise])).max(initial=0.0))
     unsure_at = frequency[(share == 0.0).any(axis=0)]
+    read = _rms_of(deviation, samples)
     return Lesson(
         drive,
         np.fft.irfft(error, samples, axis=1),
-        rms(spread),
-        _lifted(samples, time_s, sensor_bandwidth_hz),
+        read,
+        _rms_of(noise, samples) / read if read else 1.0,
+        _doubt(error, noise, samples),
         int(above_noise.sum()),
         slowest,
         float(unsure_at.min(initial=np.inf)),
     )
 
 
-def _lifted(samples: int, sample_time_s: float, sensor_bandwidth_hz: float) -> float:
-    """By how much white noise grows where a first-order lag is taken out of it."""
-    frequency = np.fft.fftfreq(samples, sample_time_s)
-    return float(np.sqrt(np.mean(1.0 + (frequency / sensor_bandwidth_hz) ** 2)))
+def _least_error(deviation: Array, periods: int) -> Array:
+    """Size of a line that noise alone reaches as seldom as white noise reaches three deviations.
+
+    The deviation of a line is known from few periods, so its ratio to the mean follows an F distribution; no
+    line is quieter than the white noise under the spectrum, estimated from the median of all.
+    """
+    seldom, free = SIGNIFICANT**2, periods - 1
+    factor = np.sqrt(free * np.expm1(seldom / free))
+    white = np.sqrt(np.median(deviation**2, axis=1, keepdims=True) / (1.0 - 1.0 / (3.0 * free)))
+    return np.asarray(np.maximum(factor * deviation, SIGNIFICANT * white))
+
+
+def _rms_of(lines: Array, samples: int) -> float:
+    """Rms over time and outputs of signals with lines (p, line) of a real spectrum of so many samples."""
+    return float(np.sqrt(np.sum(_counted(lines, samples) * np.abs(lines) ** 2) / (len(lines) * samples**2)))
+
+
+def _doubt(error: Array, noise: Array, samples: int) -> float:
+    """Standard deviation of the rms of an error (p, line), whose lines have complex noise of that size.
+
+    The mean square of the error is a sum over lines of |E + n|^2, each of variance 2 |E|^2 s^2 + s^4.
+    """
+    weight = _counted(error, samples) / (len(error) * samples**2)
+    known = np.maximum(np.abs(error) ** 2 - noise**2, 0.0)
+    variance = float(np.sum(weight**2 * (2.0 * known * noise**2 + noise**4)))
+    square = float(np.sum(weight * known))
+    return (
+        float(np.sqrt(variance) / (2.0 * np.sqrt(square))) if square > np.sqrt(variance) else variance**0.25
+    )
+
+
+def _counted(lines: Array, samples: int) -> Array:
+    """How often each line of a real spectrum counts in the energy: all but the first and the last twice."""
+    count = np.full(lines.shape[1], 2.0)
+    count[0] = 1.0
+    if samples % 2 == 0:
+        count[-1] = 1.0
+    return count
 
 
 def _mean_period(measured_um: Array, samples: int) -> tuple[Array, Array]:
-    """Mean period (p, N), and the standard deviation of its noise (p,)."""
+    """Mean period (p, N), and the standard deviations (p, line) of the lines of its spectrum."""
     periods = measured_um.shape[1] // samples
     if measured_um.shape[1] % samples or periods < LEAST_PERIODS:
         raise InputError(
@@ -137,5 +200,6 @@ def _mean_period(measured_um: Array, samples: int) -> tuple[Array, Array]:
         )
     each = measured_um.reshape(len(measured_um), periods, samples)
     mean = each.mean(axis=1)
-    variance = ((each - mean[:, None]) ** 2).sum(axis=(1, 2)) / ((periods - 1) * samples)
+    lines = np.fft.rfft(each - mean[:, None], axis=2)
+    variance = (np.abs(lines) ** 2).sum(axis=1) / (periods - 1)
     return mean, np.asarray(np.sqrt(variance / periods))
