@@ -28,6 +28,7 @@ from hammerstein.identification.kinds import several_rates
 from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
+from hammerstein.identification.rates import rates_of_input
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
@@ -222,7 +223,7 @@ def test_the_delay_of_the_micromanipulator_is_chosen_from_its_records(micromanip
     _, fit = identify(records, Settings(hysteresis="asymmetric"), validation=held)
     assert fit.fit["static_hysteresis"].nrmse_percent[0] <= 0.50
     assert fit.validation["static_hysteresis"].nrmse_percent[0] <= 0.70
-    assert fit.delay_samples in (2, 3)
+    assert fit.delay_samples in (3, 4)  # folds of the fitted record alone say so
     assert fit.invertible
 
 
@@ -299,3 +300,23 @@ def test_a_resonance_that_is_left_out_says_nothing_of_creep():
     fit = _sure(task, fit_axis(task, x), asked=False)
     assert fit.axis.resonance_hz is None
     assert fit.unsure is None
+
+
+@pytest.mark.parametrize("seconds", [2.0, 2.25, 3.0, 3.1])
+def test_one_rate_is_one_rate_however_long_the_record(seconds):
+    """Records of 2 s passed and those of 3 s were refused: parts of a record cut its cycles anywhere."""
+    t = T * np.arange(round(seconds / T))
+    record = Record([10.0 * np.sin(2.0 * np.pi * 1.0 * t)], [t], T)
+    assert rates_of_input([record]) == (False,)
+
+
+def test_creep_goes_on_the_way_of_the_displacement():
+    """Behind plays a mode of -0.156 explained what a record's unknown past had left."""
+    t = T * np.arange(10_000)
+    u = np.where(t < 0.5, 5.0, 5.0 * np.cos(20.0 * np.pi * (t - 0.5)))[None]
+    y = static_um("asymmetric", u) + 8.0 * np.exp(-t / 0.1)
+    task = AxisTask(
+        (Record(u, y, T),), (Start("rest"),), (R,), 0, AxisShape(False, True, 1), 0.0, KnownSensor()
+    )
+    fit = fit_axis(task, np.array([np.log(1e-3), 0.02, np.log(0.1)]))
+    assert 0.0 <= fit.axis.creep[0].gain <= 1.0

@@ -29,6 +29,7 @@ from hammerstein.identification.linear.axis_search import (
 )
 from hammerstein.identification.linear.axis_steps import Point, refine, rms_behind
 from hammerstein.identification.linear.axis_task import (
+    LARGEST_CREEP,
     AxisShape,
     AxisTask,
     axis_of,
@@ -42,8 +43,6 @@ from hammerstein.identification.verdict import axis_identified, creep_identified
 
 MOST_CREEP = 3
 """Slow modes of an axis that ``auto`` may come to."""
-LARGEST_CREEP = 1.0
-"""Largest gain of a slow mode, in parts of the fast displacement."""
 TOLD = 1e-9
 """Power of a combination of columns, in parts of the largest, from which the records tell it."""
 REFINED = 2
@@ -158,9 +157,22 @@ def _sure(one: AxisTask, fit: AxisFit, asked: bool) -> AxisFit:
         one = replace(one, shape=replace(shape, creep_modes=shape.creep_modes - 1))
         fit = fit_axis(one, np.delete(x, [at, at + 1]))
     if fit.axis.resonance_hz is not None and not axis_identified(fit):
-        shape, x = parameters_of(fit.axis)
-        return fit_axis(replace(one, shape=replace(shape, resonance=False)), x[2:])
+        return _with_lag_instead(one, fit)
     return fit if fit is whole or not _physical(whole.axis) else replace(fit, unsure=whole)
+
+
+def _with_lag_instead(one: AxisTask, fit: AxisFit) -> AxisFit:
+    """The axis with a low-pass in place of its resonance, or without either where that is not told."""
+    shape, x = parameters_of(fit.axis)
+    without = replace(shape, resonance=False)
+    plain = fit_axis(replace(one, shape=without), x[2:])
+    if shape.lag:
+        return plain
+    found = _with(replace(one, shape=without), without, x[2:], "lag")
+    if found is None:
+        return plain
+    lagging = fit_axis(replace(one, shape=found[0]), found[1].x)
+    return lagging if axis_identified(lagging) and lagging.rms_um < (1.0 - FELT) * plain.rms_um else plain
 
 
 def _physical(axis: Axis) -> bool:

@@ -90,7 +90,7 @@ def with_hysteresis(task: Task, built: Built) -> tuple[Task, Built]:
     if settings.dynamics != "auto" or several_rates(task.records):
         tried += [_with_axes(task, thresholds_v, tried[0].block)] if settings.dynamics != "none" else []
     trials = trials_of(task, tried)
-    nearest = chosen(trials[:late])  # of delays that are as good, the shortest
+    nearest = chosen([replace(trial, parameters=i) for i, trial in enumerate(trials[:late])])  # the shortest
     kept = [nearest, *range(late, len(tried))]
     found = tried[kept[chosen([trials[i] for i in kept])]]
     task = replace(task, starts=found.starts, delay_samples=found.behind.delay_samples)

@@ -8,6 +8,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics
+from hammerstein.identification.choices import PLAYS
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
@@ -25,8 +26,6 @@ OF_A_CREEPING_MODEL = (
     ". The model creeps, and leaves a part of it, which may be what this kind of model lacks: hammerstein "
     "compare tries the others"
 )
-SLOW_CYCLES = 5.0
-"""Cycles in the longest record up to which something is slow."""
 
 
 def leftover_statements(
@@ -47,13 +46,13 @@ def leftover_statements(
     span = ranges(records, starts)
     found = []
     for o in np.flatnonzero((rms > FAR * noise) & (rms > LEAST_PART * span)):
-        hz, slow = _strongest(records, [error[o] for error in left])
+        hz = _strongest(records, [error[o] for error in left])
         above = float(f"{rms[o] / noise[o]:.2g}") if noise[o] > 0.0 else 0.0  # two digits, and no exponent
         times = f"{above:g} times the noise" if above else "far above the noise"
         found.append(
             f"What the model leaves of {records[0].outputs[o]} ({rms[o]:.3g} um rms) is {times} "
             f"({noise[o]:.2g} um), most of it near {hz:.3g} Hz: something in the records is not in the "
-            f"model. Try {_proposal(settings, slow)}."
+            f"model. Try {_proposal(settings)}."
         )
     return found
 
@@ -84,18 +83,19 @@ def _drift_is_left(
     return True
 
 
-def _strongest(records: Sequence[Record], left: Sequence[Array]) -> tuple[float, bool]:
-    """Frequency at which most is left [Hz], and whether it is slow for its record."""
-    best = (0.0, 0.0, True)
+def _strongest(records: Sequence[Record], left: Sequence[Array]) -> float:
+    """Frequency at which most is left [Hz]."""
+    best = (0.0, 0.0)
     for record, error in zip(records, left, strict=True):
         power = np.abs(np.fft.rfft(np.hanning(len(error)) * error)) ** 2 / len(error)
         line = int(np.argmax(power[1:])) + 1
         hz = line / (len(error) * record.sample_time_s)
-        best = max(best, (float(power[line]), hz, line <= SLOW_CYCLES))
-    return best[1], best[2]
+        best = max(best, (float(power[line]), hz))
+    return best[1]
 
 
-def _proposal(settings: Settings, slow: bool) -> str:
+def _proposal(settings: Settings) -> str:
+    """What was not tried, of what keeps itself only where it lowers the error."""
     tried = []
     if settings.dynamics in ("none", "lag"):
         tried.append("--dynamics auto")
@@ -103,13 +103,11 @@ def _proposal(settings: Settings, slow: bool) -> str:
         tried.append("--operators auto --partition auto")
     elif settings.operators != "auto":
         tried.append("more --operators")
-    if slow:
-        tried.append("--creep-modes 2, or records without drift")
     if settings.dynamics == "second_order":
         tried.append("--dynamics auto, which adds a low-pass")
     if not tried:
-        if settings.hysteresis == "prandtl_ishlinskii":
-            tried.append("--hysteresis asymmetric, or every kind side by side with compare")
+        if settings.hysteresis == PLAYS:
+            tried.append("hammerstein compare, which tries every kind on these records")
         tried.append(
             "records with fewer effects at once (slower, one axis at a time): saturation and coupled "
             "resonances are not in this kind of model"

@@ -31,6 +31,8 @@ SERIES = 16
 """Terms of the exponential series, for a matrix with a norm of at most a half: the next one is rounding."""
 MIXED = 3
 """Columns of an input beside that of its slopes."""
+LARGEST_CREEP = 1.0
+"""Largest gain of a slow mode, in parts of the fast displacement, on whose way it goes."""
 STEP = 1e-6
 """Change of a parameter for its derivative: the parameters are logarithms and relative gains."""
 
@@ -229,8 +231,8 @@ class AxisTask:
             lower, upper = [math.log(0.2 / span), math.log(1e-4)], [math.log(0.45 / step), math.log(10.0)]
         if shape.lag:
             lower, upper = [*lower, math.log(0.05 * step)], [*upper, math.log(0.1 * span)]
-        lower += shape.creep_modes * [-1.0, math.log(10.0 * step)]
-        upper += shape.creep_modes * [10.0, math.log(10.0 * span)]
+        lower += shape.creep_modes * [0.0, math.log(10.0 * step)]
+        upper += shape.creep_modes * [LARGEST_CREEP, math.log(10.0 * span)]
         return np.array(lower), np.array(upper)
 
     def path(self, x: Array, sample_time_s: float) -> LinearBlock:

@@ -8,18 +8,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.identification.static.normal_equations import coefficients
 from hammerstein.identification.static.static_block import StaticFit
-from hammerstein.identification.static.threshold_exchange import exchanged, finer
+from hammerstein.identification.static.threshold_exchange import LEAST_GAP, exchanged, finer
 from hammerstein.identification.static.threshold_search import (
-    LEAST_GAP,
     Grids,
     ThresholdTask,
     place_at,
     search_near,
+    split,
 )
 
 MOST_ROUNDS = 6
 """Most times that exchanges and steps follow each other."""
+STEEPEST = 5.0
+"""Slope, in parts of the largest mean slope of its output, beyond which its threshold is left out."""
 WORTHWHILE = 1e-3
 """What a round must gain of the criterion, about the part of the squared error that it takes away."""
 
@@ -62,7 +65,38 @@ def fit_thresholds(task: ThresholdTask, grids: Sequence[Array], rounds: int = MO
         here = there if gain > 0.0 else here
         if gain < WORTHWHILE:
             break
-    return tuple(merged(grid, LEAST_GAP * top) for grid, top in zip(here.grids, reach, strict=True))
+    return _of_measured_slopes(
+        task, tuple(merged(grid, LEAST_GAP * top) for grid, top in zip(here.grids, reach, strict=True))
+    )
+
+
+def _of_measured_slopes(task: ThresholdTask, grids: Grids) -> Grids:
+    """Thresholds without those whose slope is far steeper than what was measured, the worst one first.
+
+    Just below the largest half swing a play moves at the very tips alone, where any weight explains a reading
+    or two, and beyond the recorded swing the model would run away with it.
+    """
+    reach = task.reach_v
+    while True:
+        moments = task.moments(grids, with_derivatives=False)
+        steepness = np.zeros(sum(map(len, grids)))
+        for moment in moments:
+            slopes = split(coefficients(moment.gram, moment.cross[:, 0]), grids)
+            gains = [
+                float(np.diff(own, prepend=0.0) @ (top - r)) / top if r.size else 0.0
+                for own, r, top in zip(slopes, grids, reach, strict=True)
+            ]
+            largest = max(map(abs, gains), default=0.0)
+            steep = np.abs(np.concatenate(slopes)) / max(largest, np.finfo(float).tiny)
+            steepness = np.maximum(steepness, steep)
+        if not steepness.max(initial=0.0) > STEEPEST:
+            return grids
+        worst = int(np.argmax(steepness))
+        kept = np.delete(np.concatenate(grids), worst)
+        ends = np.cumsum([len(grid) for grid in grids])
+        owner = int(np.searchsorted(ends, worst, side="right"))
+        sizes = [len(grid) - (k == owner) for k, grid in enumerate(grids)]
+        grids = tuple(np.split(kept, np.cumsum(sizes)[:-1]))
 
 
 def merged(grid: Array, least_gap_v: float) -> Array:

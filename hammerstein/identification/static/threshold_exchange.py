@@ -26,6 +26,8 @@ LEAST_FINER, MOST_FINER = 3, 8
 """Places tried between neighbouring thresholds: so many that there are about 96 in all, but 3 to 8."""
 WORTHWHILE = 1e-3
 """Part of the error that an exchange must gain."""
+LEAST_GAP = 1e-3
+"""Least distance of the last threshold from the largest half swing, in parts of it."""
 LEAST_OWN = 1e-11
 """Part of a play's power that must not be explained by the chosen ones: less is rounding."""
 
@@ -57,7 +59,7 @@ def finer(grid: Array, reach_v: float) -> Array:
     parts = int(np.clip(round(FINE_COLUMNS / grid.size), LEAST_FINER, MOST_FINER))
     ends = np.concatenate([[0.0], grid, [reach_v]])
     between = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(parts) / parts)
-    return np.unique(between)
+    return np.unique(between[(between <= (1.0 - LEAST_GAP) * reach_v) | np.isin(between, grid)])
 
 
 def exchanged(

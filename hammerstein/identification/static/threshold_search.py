@@ -27,13 +27,11 @@ from hammerstein.identification.static.damped_search import Damping, damped_chan
 from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import half_swing, static_moments
-from hammerstein.identification.static.threshold_exchange import price
+from hammerstein.identification.static.threshold_exchange import LEAST_GAP, price
 from hammerstein.records.record import Record
 
 Grids = tuple[Array, ...]
 
-LEAST_GAP = 1e-3
-"""Least distance of the last threshold from the largest half swing, in parts of it."""
 LARGEST_STEP = 0.4
 """Part of the distance to its neighbour that a threshold moves at most in one step: the order stays."""
 MOST_STEPS = 60
