@@ -64,15 +64,13 @@ def outside(wire, first, stop, low, high):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def digitise(drawn, noise, largest, step, reading):  # type: ignore[no-untyped-def]
-    """Turn positions (p, N) [um] into readings, overwritten: noise, range and step.
+def digitise(drawn, noise, largest, step, first, reading):  # type: ignore[no-untyped-def]
+    """Turn positions into readings: noise, range and step.
 
-    drawn : (N, p) standard normal numbers; noise : rms [um]; largest : reading of either sign [um]
-    step : of the reading [um]
+    drawn : (p, n) standard normal numbers; noise : rms [um]; largest : reading of either sign [um]
+    step : of the reading [um]; reading : (p, N) positions [um], n of them overwritten from sample first on
     """
     for o in range(reading.shape[0]):
-        for i in range(reading.shape[1]):
-            value = reading[o, at(i)]
-            if noise != 0.0:
-                value += noise * drawn[at(i), o]
-            reading[o, at(i)] = converted(value, -largest, largest, step)
+        given, row = drawn[o], reading[o, first : first + drawn.shape[1]]
+        for i in range(len(row)):
+            row[at(i)] = converted(row[at(i)] + noise * given[at(i)], -largest, largest, step)

@@ -153,12 +153,12 @@ class Sensor(Strict):
         """Turn such positions (output, sample) into their readings, from one sample up to another."""
         from hammerstein.blocks.instrument_kernels import digitise
 
-        drawn = np.zeros((0, um.shape[0]))
+        drawn = np.zeros((um.shape[0], NOISE_BLOCK))
         for begin in range(first, stop, NOISE_BLOCK):
-            end = min(begin + NOISE_BLOCK, stop)
+            here = drawn[:, : min(NOISE_BLOCK, stop - begin)]
             if self.noise_um != 0.0:
-                drawn = generator.standard_normal((end - begin, um.shape[0]))
-            digitise(drawn, self.noise_um, self.range_um, self.resolution_um, um[:, begin:end])
+                here[:] = generator.standard_normal(here.shape[::-1]).T  # drawn sample by sample
+            digitise(here, self.noise_um, self.range_um, self.resolution_um, begin, um)
 
     def clipped(self, reading_um: Array) -> int:
         """Samples of the readings (output, sample) at which the range cut one of them, or may have."""
