@@ -28,7 +28,7 @@ def accepted(actuator: str) -> dict[str, float]:
     [
         ("duo_bimorph", ["-3 dB", "0.12", "True", "1", "False"]),
         ("duo_bimorph_resonant", ["resonance", "0.15", "True", "1", "False"]),
-        ("duo_bimorph_paper", ["+3 dB", "0.01", "False", "4", "False"]),
+        ("duo_bimorph_paper", ["+3 dB", "0.01", "False", "1", "False"]),
         ("duo_bimorph_static_read", ["none", "0.0", "True", "1", "False"]),
     ],
 )
@@ -53,10 +53,19 @@ def test_every_claim_that_is_counted_can_fail() -> None:
         assert met == {True, False}, claim.id
 
 
-def test_the_packaged_reading_meets_as_many_claims_as_any_other() -> None:
+def test_the_packaged_reading_meets_as_many_claims_as_any_other_of_the_printed_law() -> None:
+    """With dynamics, one pass a sample, identified at 10 V, as the paper says; seeds move one claim in ten."""
     lines = list(csv.DictReader(SCAN.read_text(encoding="utf-8").splitlines()))
-    dynamic = [line for line in lines if line["bandwidth"] != "none"]
-    packaged = [
-        line for line in dynamic if list(line.values())[:5] == ["+3 dB", "0.01", "False", "4", "False"]
-    ]
-    assert packaged[0]["met"] == max((line["met"] for line in dynamic), key=int)
+    printed = [v for v in lines if v["bandwidth"] != "none" and v["passes"] == "1"]
+    printed = [line for line in printed if line["identified_at_path"] == "False"]
+    (packaged,) = [v for v in printed if list(v.values())[:3] == ["+3 dB", "0.01", "False"]]
+    assert packaged["met"] == max((line["met"] for line in printed), key=int)
+
+
+def test_the_readings_page_names_ties() -> None:
+    text = (SCAN.parent / "README.md").read_text(encoding="utf-8")
+    lines = list(csv.DictReader(SCAN.read_text(encoding="utf-8").splitlines()))
+    best = max(int(line["met"]) for line in lines)
+    tied = [line for line in lines if int(line["met"]) == best]
+    assert f"hold under {len(tied)} readings:" in text
+    assert text.count("\n* ") == len(tied)

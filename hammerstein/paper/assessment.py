@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from hammerstein.errors import HammersteinError
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.paper.claims import Claim
 from hammerstein.paper.judgements import CLAIMED, Change, ClaimJudgement, Simulated, judgements
 from hammerstein.plugins import register
-from hammerstein.quantities import FileName, Passes
+from hammerstein.quantities import FileName, Trial
 from hammerstein.runtime.store import Store
 from hammerstein.scenario.assessment import Assessment
 
@@ -28,12 +29,11 @@ PAPER = (
 
 
 class AlsoOn(BaseModel):
-    """Another actuator that the claims are asked of, with so many passes of the paper's law in a sample."""
+    """Another actuator that the claims are asked of, by the same scenario."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     actuator: FileName = Field(description="packaged actuator or model file")
-    passes: Passes | None = Field(default=None, description="those of the scenario, if not given")
 
 
 @register
@@ -50,11 +50,15 @@ class Paper(Assessment):
     also_on: tuple[AlsoOn, ...] = Field(
         default=(), description="other actuators that the claims are asked of, for comparison"
     )
+    seeds: Trial = Field(default=1, description="seeds of noise that every claim is asked of")
+    finer: tuple[Trial, ...] = Field(
+        default=(), description="parts of a sample time that every claim is asked of, too, such as [2, 4]"
+    )
 
     @property
     def runs(self) -> int:
-        """One on every other actuator."""
-        return len(self.also_on)
+        """Every repeat on every actuator, and one on every other actuator."""
+        return (1 + len(self.also_on)) * (self.seeds + len(self.finer)) - 1
 
     def names(self) -> tuple[str, ...]:
         """Name of every claim."""
@@ -81,14 +85,29 @@ class Paper(Assessment):
         self, scenario: Scenario, name: str, model: HammersteinModel, rows: Sequence[Row], store: Store | None
     ) -> tuple[ClaimJudgement, ...]:
         """Judge every claim on every actuator, with the cause where the scenario's own does not agree."""
-        from hammerstein.paper.causes import changes_of, rows_needed, with_passes
+        from hammerstein.paper.causes import changes_of, rows_needed
 
-        known = {model.name: rows}
+        known = {model.name: [rows, *self._repeated(scenario, name, model, store)]}
         for other in self.also_on if self.claims else ():
             found = HammersteinModel.load(other.actuator)
-            told = (None if other.passes is None else with_passes(scenario, other.passes)) or scenario
-            known[found.name] = rows_needed(told, self.claims, name, found, store)
+            first = rows_needed(scenario, self.claims, name, found, store)
+            known[found.name] = [first, *self._repeated(scenario, name, found, store)]
         return judgements(self.claims, known, lambda claim: tuple(changes_of(scenario, model, claim, store)))
+
+    def _repeated(
+        self, scenario: Scenario, name: str, model: HammersteinModel, store: Store | None
+    ) -> Iterator[Sequence[Row]]:
+        """Rows with other seeds, and with finer sample times; none where the law cannot run so."""
+        from hammerstein.paper.causes import finer, rows_needed
+
+        seeds = (scenario.seed + k for k in range(1, self.seeds))
+        changed = [scenario.model_copy(update={"seed": seed}) for seed in seeds]
+        changed += [finer(scenario, model, parts) for parts in self.finer]
+        for repeat in changed if self.claims else ():
+            try:
+                yield rows_needed(repeat, self.claims, name, model, store)
+            except HammersteinError:
+                yield ()
 
     def judgement_of(self, content: Mapping[str, Any]) -> ClaimJudgement:
         """A judgement from the fields that were kept of it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 from hammerstein.blocks.instruments import Drive, Instruments
@@ -28,54 +29,120 @@ LOW_HZ = 10.0
 
 @dataclass(frozen=True)
 class Variation:
-    """One factor changed, in identification and run alike.
+    """One factor of the chain changed, or two, in identification and run alike.
 
-    words : what was done; scenario : how it is done; None where it changes nothing
+    factors : what was changed; words : what was done, such as ``with an ideal sensor``
+    scenario, model : what is run then
     """
 
-    factor: FactorName
+    factors: tuple[FactorName, ...]
     words: str
-    scenario: Scenario | None
+    scenario: Scenario
     model: HammersteinModel
+
+    @property
+    def factor(self) -> str:
+        """Name of the change."""
+        return " + ".join(self.factors)
+
+
+Effect = Callable[[Scenario, HammersteinModel, Claim], Variation | None]
 
 
 def changes_of(
     scenario: Scenario, model: HammersteinModel, claim: Claim, store: Store | None = None
 ) -> Iterator[Change]:
-    """What the figure of a claim becomes with each factor changed alone; NaN where it cannot be simulated."""
-    for variation in variations(_of_claim(scenario, claim), model, claim):
-        if variation.scenario is not None and (claim.factors is None or variation.factor in claim.factors):
-            yield Change(variation.factor, variation.words, _value(variation, claim, store))
+    """What the figure of a claim becomes with each factor changed alone; NaN where it cannot be simulated.
+
+    Where no single factor brings agreement, every pair is tried, too.
+    """
+    own, enough = _of_claim(scenario, claim), False
+    for variation in variations(own, model, claim):
+        value = _value(variation, claim, store)
+        enough |= claim.agreement.holds(value, claim.paper)
+        yield Change(variation.factor, variation.words, value)
+    for variation in () if enough else pairs(own, model, claim):
+        yield Change(variation.factor, variation.words, _value(variation, claim, store))
 
 
 def variations(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Iterator[Variation]:
-    """Every factor that applies."""
-    ideal = {"sensor": Instruments.ideal().sensor}
-    instruments = scenario.instruments.model_copy(update=ideal)
-    sensorless = scenario.model_copy(update={"instruments": instruments})
-    yield Variation("sensor", "with an ideal sensor", sensorless, model)
-    yield Variation("dynamics", "without dynamics", scenario, model.static())
-    passes = with_passes(scenario, PASSES)
-    yield Variation("passes", f"with {PASSES} passes a sample", passes, model)
+    """Every factor that applies, changed alone."""
+    for effect in _effects(claim):
+        if (found := effect(scenario, model, claim)) is not None:
+            yield found
+
+
+def pairs(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Iterator[Variation]:
+    """Every two factors that apply, changed together."""
+    for first, second in combinations(_effects(claim), 2):
+        once = first(scenario, model, claim)
+        twice = None if once is None else second(once.scenario, once.model, claim)
+        if once is not None and twice is not None:
+            words = f"{once.words} and {twice.words}"
+            yield Variation((*once.factors, *twice.factors), words, twice.scenario, twice.model)
+
+
+def _effects(claim: Claim) -> list[Effect]:
+    return [effect for name, effect in EFFECTS.items() if claim.factors is None or name in claim.factors]
+
+
+def _sensor(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
+    instruments = scenario.instruments.model_copy(update={"sensor": Instruments.ideal().sensor})
+    changed = scenario.model_copy(update={"instruments": instruments})
+    return Variation(("sensor",), "with an ideal sensor", changed, model)
+
+
+def _dynamics(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
+    return Variation(("dynamics",), "without dynamics", scenario, model.static())
+
+
+def _passes(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
+    changed = with_passes(scenario, PASSES)
+    words = f"with {PASSES} passes a sample"
+    return None if changed is None else Variation(("passes",), words, changed, model)
+
+
+def _sample_time(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
+    changed = finer(scenario, model, FINER)
+    words = f"with a sample time of {1e6 * (changed.instruments.drive.sample_time_s or 0.0):g} us"
+    return Variation(("sample_time",), words, changed, model)
+
+
+def _amplitude(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
+    volts = _amplitude_of_path(scenario, model, claim)
+    changed = _identified(scenario, "amplitude_v", volts) if volts < model.amplitude_v else None
+    words = f"identified at {volts:.2g} V"
+    return None if changed is None else Variation(("identification_amplitude",), words, changed, model)
+
+
+def _frequency(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
+    """A claim that compares frequencies, or follows one from where it was found, is not asked this."""
+    if claim.quantity.found_hz is not None or len(set(_frequencies(scenario))) != 1:
+        return None
+    changed = _identified(scenario, "frequency_hz", LOW_HZ)
+    words = f"identified at {LOW_HZ:g} Hz"
+    return None if changed is None else Variation(("identification_frequency",), words, changed, model)
+
+
+EFFECTS: dict[FactorName, Effect] = {
+    "sensor": _sensor,
+    "dynamics": _dynamics,
+    "passes": _passes,
+    "sample_time": _sample_time,
+    "identification_amplitude": _amplitude,
+    "identification_frequency": _frequency,
+}
+
+
+def finer(scenario: Scenario, model: HammersteinModel, parts: int) -> Scenario:
+    """The scenario with the converter's sample time divided."""
     own = {
         **model.instruments.drive.model_dump(),
         **scenario.instruments.drive.model_dump(exclude_unset=True),
     }
-    step = own["sample_time_s"] / FINER
-    drive = Drive.model_validate(own | {"sample_time_s": step})
-    finer = scenario.instruments.model_copy(update={"drive": drive})
-    words = f"with a sample time of {1e6 * step:g} us"
-    yield Variation("sample_time", words, scenario.model_copy(update={"instruments": finer}), model)
-    volts = _amplitude_of_path(scenario, model, claim)
-    if volts < model.amplitude_v:
-        words = f"identified at {volts:.2g} V"
-        smaller = _identified(scenario, "amplitude_v", volts)
-        yield Variation("identification_amplitude", words, smaller, model)
-    # a claim that compares frequencies, or follows one from where it was found, is not asked what they cost
-    if claim.quantity.found_hz is None and len(set(_frequencies(scenario))) == 1:
-        words = f"identified at {LOW_HZ:g} Hz"
-        lower = _identified(scenario, "frequency_hz", LOW_HZ)
-        yield Variation("identification_frequency", words, lower, model)
+    drive = Drive.model_validate(own | {"sample_time_s": own["sample_time_s"] / parts})
+    instruments = scenario.instruments.model_copy(update={"drive": drive})
+    return scenario.model_copy(update={"instruments": instruments})
 
 
 def rows_needed(
@@ -97,7 +164,6 @@ def rows_needed(
 
 
 def _value(variation: Variation, claim: Claim, store: Store | None) -> float:
-    assert variation.scenario is not None
     try:
         return claim.value(rows_needed(variation.scenario, [claim], claim.id, variation.model, store))
     except HammersteinError:

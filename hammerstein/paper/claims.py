@@ -40,7 +40,7 @@ class Quantity(BaseModel):
 
     ``metric`` of the rows that are selected, reduced by ``of``: in ``spread`` the largest is divided by the
     smallest; ``octaves_below`` and ``octaves_above`` count the octaves from ``found_hz`` to where it first
-    is more than ``times`` what it is there, or to the end of the sweep.
+    is more than ``times`` what it is there. A sweep that ends before that gives no number.
     """
 
     model_config = _STRICT
@@ -98,7 +98,8 @@ class Quantity(BaseModel):
 def held(figures: Iterable[tuple[float, float]], times: float) -> float:
     """Octaves from the first frequency to where a figure is first more than ``times`` what it is there.
 
-    Between two frequencies the figure is a power of the frequency. NaN where it is not known at zero octaves.
+    Between two frequencies the figure is a power of the frequency. NaN where it is not known at zero octaves,
+    or where the sweep ends first.
 
     figures : octaves from the first frequency, negative on the other side, and the figure there
     """
@@ -112,7 +113,7 @@ def held(figures: Iterable[tuple[float, float]], times: float) -> float:
     for (start, before), (stop, after) in pairwise(path):
         if after > most:
             return start + (stop - start) * math.log(most / before) / math.log(after / before)
-    return path[-1][0]
+    return math.nan
 
 
 class Agreement(BaseModel):
@@ -136,15 +137,6 @@ class Agreement(BaseModel):
         below = self.at_most is None or value <= self.at_most
         return near and below and (self.at_least is None or value >= self.at_least) and not math.isnan(value)
 
-    def gap(self, value: float, paper: float | None) -> float:
-        """How far a value is from agreeing; 0 where it agrees."""
-        if math.isnan(value):
-            return math.inf
-        over = 0.0 if self.at_most is None else value - self.at_most
-        under = 0.0 if self.at_least is None else self.at_least - value
-        near = 0.0 if self.within is None or paper is None else abs(value - paper) - self.within * abs(paper)
-        return max(0.0, over, under, near)
-
     def words(self) -> str:
         """Say it as a person would."""
         if self.within is None and self.at_most is not None and self.at_least is not None:
@@ -164,6 +156,7 @@ class Claim(BaseModel):
 
     id: Annotated[str, Field(min_length=1)] = Field(description="short name")
     statement: Annotated[str, Field(min_length=1)] = Field(description="what the paper says")
+    quote: str = Field(default="", description="its sentence, word by word; needed with a figure")
     paper: Figure | None = Field(default=None, description="the paper's figure, if it prints one")
     unit: str = Field(default="", description="unit of the figures")
     quantity: Quantity = Field(description="what is simulated for it")
@@ -186,6 +179,8 @@ class Claim(BaseModel):
     def _has_a_figure_to_be_near(self) -> Self:
         if self.agreement.within is not None and not self.paper:
             raise ValueError("agreement.within needs the paper's figure")
+        if self.paper is not None and not self.quote:
+            raise ValueError("the paper's figure needs the sentence that prints it, in quote")
         return self
 
     def value(self, rows: Sequence[Row]) -> float:

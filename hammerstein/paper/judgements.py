@@ -13,50 +13,102 @@ from hammerstein.scenario.assessment import Judgement
 
 CLAIMED = "value"  # the number of a claim
 CAUSES: dict[FactorName, str] = {
-    "sensor": "the sensor, in identification and judgement",
+    "sensor": "the sensor",
     "dynamics": "the dynamics",
     "passes": "the law's one pass a sample",
     "sample_time": "the sample time",
     "identification_amplitude": "the amplitude of identification",
     "identification_frequency": "the frequency of identification",
 }
-NO_CAUSE = 0.9  # of the distance from agreement; a factor that leaves more of it explains nothing
+WANDERS = 1.5  # a ratio whose ends differ by more has a divisor near the noise
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """The figure of a claim on one simulated actuator."""
+    """The figure of a claim on one simulated actuator.
+
+    value : of the run itself, not finite where the sweep ends before the figure is reached
+    agrees : None where the verdict depends on the seed or the sample time, or there is no figure
+    low, high : ends over all seeds and sample times; shown : the figure with the digits that hold
+    """
 
     actuator: str
     value: float
-    agrees: bool
+    agrees: bool | None
+    low: float
+    high: float
+    shown: str
+
+    @classmethod
+    def of(cls, actuator: str, claim: Claim, runs: Sequence[Sequence[Row]]) -> Simulated:
+        """Judge a claim by the rows of all runs on an actuator; the first is the run itself."""
+        values = [claim.value(rows) for rows in runs]
+        verdicts = {None if math.isnan(v) else claim.agreement.holds(v, claim.paper) for v in values}
+        known = [value for value in values if math.isfinite(value)] or [math.nan]
+        low, high = min(known), max(known)
+        agrees = verdicts.pop() if len(verdicts) == 1 else None
+        return cls(actuator, values[0], agrees, low, high, _shown(claim, low, high, len(values)))
 
     def text(self) -> str:
-        """The value in three digits."""
-        return f"{self.value:.3g}"
+        """The figure with the digits that hold."""
+        return self.shown
+
+    @property
+    def word(self) -> str:
+        """Verdict as pages say it."""
+        return "undecided" if self.agrees is None else "met" if self.agrees else "not met"
 
     def as_dict(self) -> dict[str, object]:
         """Give plain JSON; a value that does not exist is left out."""
-        return {k: v for k, v in asdict(self).items() if k != "value" or math.isfinite(self.value)}
+        return {k: v for k, v in asdict(self).items() if not isinstance(v, float) or math.isfinite(v)}
+
+
+def _shown(claim: Claim, low: float, high: float, runs: int) -> str:
+    """Digits that hold; of a ratio that wanders and must only be large, its lower end."""
+    if math.isnan(low):
+        return "beyond the sweep"
+    if runs == 1:
+        return f"{low:.3g}"
+    ends = tuple(f"{float(f'{end:.2g}'):g}" for end in (low, high))
+    if ends[0] == ends[1]:
+        return ends[0]
+    wanders = high > WANDERS * low > 0.0 and claim.over is not None and claim.agreement.at_most is None
+    return f"more than {_floor(low)}" if wanders else " to ".join(ends)
+
+
+def _floor(value: float) -> str:
+    """One digit, rounded down.
+
+    >>> _floor(299.0), _floor(5.54)
+    ('200', '5')
+    """
+    unit = 10.0 ** math.floor(math.log10(value))
+    return f"{math.floor(value / unit) * unit:g}"
 
 
 @dataclass(frozen=True)
 class Change:
-    """What a claim's figure becomes when one factor of the chain is changed and nothing else.
+    """What a claim's figure becomes when one factor of the chain is changed, or two, and nothing else.
 
-    factor : its name; words : what was done, such as ``with an ideal sensor``; value : the figure then
+    factor : names; words : what was done, such as ``with an ideal sensor``; value : the figure then
     """
 
-    factor: FactorName
+    factor: str
     words: str
     value: float
+
+    @property
+    def cause(self) -> str:
+        """The factors as words."""
+        return " and ".join(words for name, words in CAUSES.items() if name in self.factor.split(" + "))
 
 
 @dataclass(frozen=True)
 class ClaimJudgement(Judgement):
     """A claim and its figure on the simulated actuators; the first is the scenario's own.
 
-    reason : why that one does not agree, with numbers; cause : the factor alone, empty if there is none
+    reason : why that one does not agree, in one short sentence; details : what every change gives
+    cause : the only factor, or pair of factors, that brings agreement; empty if there is none or several
     """
 
     statement: str
@@ -68,6 +120,8 @@ class ClaimJudgement(Judgement):
     calibrated: bool = False
     changes: tuple[Change, ...] = ()
     cause: str = ""
+    details: str = ""
+    quote: str = ""
 
     @property
     def ratio(self) -> float | None:
@@ -75,9 +129,14 @@ class ClaimJudgement(Judgement):
         return self.simulated[0].value / self.paper if self.paper else None
 
     @property
+    def word(self) -> str:
+        """Verdict on the scenario's own actuator."""
+        return self.simulated[0].word
+
+    @property
     def agrees(self) -> bool:
         """Whether the scenario's own actuator agrees."""
-        return self.simulated[0].agrees
+        return self.simulated[0].agrees is True
 
     @property
     def printed(self) -> str:
@@ -90,6 +149,7 @@ class ClaimJudgement(Judgement):
             "claim": self.id,
             "statement": self.statement,
             "reason": self.reason,
+            "details": self.details,
             "paper": self.printed,
             "simulated": ", ".join(f"{one.actuator} {one.text()}" for one in self.simulated),
             "ratio": "" if self.ratio is None else f"{self.ratio:.2f}",
@@ -113,7 +173,7 @@ class ClaimJudgement(Judgement):
 
 def judgements(
     claims: Sequence[Claim],
-    rows_by_actuator: Mapping[str, Sequence[Row]],
+    runs_by_actuator: Mapping[str, Sequence[Sequence[Row]]],
     changes_of: Callable[[Claim], Sequence[Change]] = lambda claim: (),
 ) -> tuple[ClaimJudgement, ...]:
     """Judge every claim by the rows of every actuator; the first actuator is the scenario's own.
@@ -121,45 +181,56 @@ def judgements(
     Parameters
     ----------
     claims : what is claimed
-    rows_by_actuator : rows of each actuator
+    runs_by_actuator : rows of each actuator, of the run itself and of its repeats
     changes_of : what the figure of a claim that is not met becomes, one factor changed at a time
 
     Raises InputError where a claim selects no row.
     """
-    found = []
-    for claim in claims:
-        simulated = []
-        for actuator, rows in rows_by_actuator.items():
-            value = claim.value(rows)
-            simulated.append(Simulated(actuator, value, claim.agreement.holds(value, claim.paper)))
-        if math.isnan(simulated[0].value):
-            raise InputError(f"claim {claim.id}", "selects no row that has this metric; look into rms.csv")
-        changes = () if simulated[0].agrees or claim.calibrated else tuple(changes_of(claim))
-        said, cause = [_cut(claim, next(iter(rows_by_actuator.values())))], ""
-        if not simulated[0].agrees:
-            cause, why = _cause(claim, simulated[0].value, changes)
-            said += [why, claim.note]
-        found.append(
-            ClaimJudgement(
-                claim.id,
-                claim.statement,
-                claim.paper,
-                claim.unit,
-                claim.agreement.words(),
-                tuple(simulated),
-                _sentences(said),
-                claim.calibrated,
-                changes,
-                cause,
-            )
-        )
-    return tuple(found)
+    return tuple(_judged(claim, runs_by_actuator, changes_of) for claim in claims)
+
+
+def _judged(
+    claim: Claim,
+    runs_by_actuator: Mapping[str, Sequence[Sequence[Row]]],
+    changes_of: Callable[[Claim], Sequence[Change]],
+) -> ClaimJudgement:
+    rows = next(iter(runs_by_actuator.values()))[0]
+    if not any(claim.selects(row) for row in rows):
+        raise InputError(f"claim {claim.id}", "selects no row that has this metric; look into rms.csv")
+    simulated = tuple(Simulated.of(name, claim, runs) for name, runs in runs_by_actuator.items())
+    own = simulated[0]
+    unmet = own.agrees is False
+    changes = tuple(changes_of(claim)) if unmet and not claim.calibrated else ()
+    cause, reason = _cause(claim, changes) if unmet else ("", _open(own))
+    details = [_cut(claim, rows), _listed(changes), claim.note if own.agrees is not True else ""]
+    return ClaimJudgement(
+        claim.id,
+        claim.statement,
+        claim.paper,
+        claim.unit,
+        claim.agreement.words(),
+        simulated,
+        reason,
+        claim.calibrated,
+        changes,
+        cause,
+        _sentences(details),
+        claim.quote,
+    )
+
+
+def _open(own: Simulated) -> str:
+    """Why there is no verdict; empty where there is one."""
+    if own.agrees is not None:
+        return ""
+    if math.isnan(own.low):
+        return "The sweep ends before the figure is reached."
+    return "The verdict changes with the sample time or the seed."
 
 
 def _sentences(said: Sequence[str]) -> str:
-    """Join what there is; the first begins small, as in a cell of a table."""
-    first, *others = [text for text in said if text] or [""]
-    return ". ".join([first, *(text[0].upper() + text[1:] for text in others)])
+    """Join what there is; each begins large."""
+    return ". ".join(text[0].upper() + text[1:] for text in said if text)
 
 
 def _cut(claim: Claim, rows: Sequence[Row]) -> str:
@@ -168,21 +239,27 @@ def _cut(claim: Claim, rows: Sequence[Row]) -> str:
     return f"the reference exceeds the range: the drive cut {cut:g} samples" if cut else ""
 
 
-def _cause(claim: Claim, value: float, changes: Sequence[Change]) -> tuple[str, str]:
-    """The factor that brings the figure nearest to agreement, of several the one that moves it most.
+def _listed(changes: Sequence[Change]) -> str:
+    """What every change gives."""
+    return "; ".join(
+        f"{change.words} {change.value:.3g}" for change in changes if math.isfinite(change.value)
+    )
 
-    Gives its name, empty where none explains it, and what every factor makes of the figure.
+
+def _cause(claim: Claim, changes: Sequence[Change]) -> tuple[str, str]:
+    """The change that alone brings agreement, and a sentence of at most fifteen words about it.
+
+    A single factor goes before pairs. Of several that suffice none is the cause.
     """
-    known = [change for change in changes if math.isfinite(change.value)]
-    if not known:
+    enough = [c for c in changes if claim.agreement.holds(c.value, claim.paper)]
+    singles = [c for c in enough if " + " not in c.factor]
+    found = singles or enough
+    if len(found) == 1:
+        cause = found[0].cause
+        return cause, f"{cause[0].upper()}{cause[1:]}: {found[0].value:.3g} {found[0].words}."
+    what = "change" if singles else "pair of changes"
+    if found:
+        return "", f"Not unique: more than one {what} brings agreement."
+    if not changes:
         return "", ""
-    gaps = {change: claim.agreement.gap(change.value, claim.paper) for change in known}
-    first, *others = sorted(known, key=lambda change: (gaps[change], -abs(change.value - value)))
-    own = claim.agreement.gap(value, claim.paper)
-    rest = "; ".join(f"{change.words} {change.value:.3g}" for change in others)
-    if gaps[first] > NO_CAUSE * own:
-        return "", f"no single factor: {value:.3g}; {first.words} {first.value:.3g}; {rest}".rstrip("; ")
-    cause = CAUSES[first.factor]
-    enough = "" if gaps[first] == 0.0 else ", not enough alone"
-    text = f"{cause}{enough}: {value:.3g}, {first.words} {first.value:.3g}"
-    return cause, f"{text} (one at a time: {rest})" if rest else text
+    return "", "No change of one or two factors brings agreement."

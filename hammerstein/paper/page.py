@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from hammerstein.runtime.storage.staging import Stage, staged
 
 CLAIMS = Owner("claims", sign=("claims.csv", "id,scenario,statement,paper,unit,"))
 PAGE = Owner("page", sign=("README.md", "# The paper, simulated"))
+MOST_PICTURES = 20  # one a report; the other figures are in the reports
 
 
 def claimed(report: Report) -> list[ClaimJudgement]:
@@ -44,7 +44,9 @@ def claims_csv(reports: Sequence[Report]) -> str:
             "calibrated": judgement.calibrated,
             "actuator": one.actuator,
             "simulated": one.value,
-            "agrees": one.agrees,
+            "lowest": one.low,
+            "highest": one.high,
+            "verdict": one.word,
             "reason": judgement.reason,
         }
         for report in reports
@@ -80,7 +82,7 @@ def write_page(reports: Sequence[Report], out: Path, page: Path) -> tuple[Path, 
     """
     chosen = sorted(reports, key=_in_order)
     with staged(page, PAGE) as stage:
-        figures = {report.name: _copied(report, out, stage) for report in chosen}
+        figures = {r.name: _copied(r, out, stage) for r in chosen[:MOST_PICTURES]}
         stage.write(PAGE.sign[0], _rendered(chosen, figures))
     return stage.kept
 
@@ -93,13 +95,16 @@ def _in_order(report: Report) -> tuple[bool, list[int], str]:
 
 
 def _copied(report: Report, out: Path, stage: Stage) -> list[str]:
-    """Copy the figures of a report beside the page; give their names."""
+    """Copy the key figure of a report beside the page; give its name.
+
+    It shows the reading, as the paper does; beyond the paper the true position, where there is such a figure.
+    """
     folder = out / report.name
     drawn = [name for name in Manifest.read(folder).files if name.endswith(".png")]
-    figures = sorted(drawn, key=place_of)
-    for figure in figures:
+    ordered = sorted(drawn, key=lambda name: (not printed_at(report) and "_true" not in name, place_of(name)))
+    for figure in ordered[:1]:
         stage.write(f"{report.name}-{figure}", (folder / figure).read_bytes())
-    return [f"{report.name}-{figure}" for figure in figures]
+    return [f"{report.name}-{figure}" for figure in ordered[:1]]
 
 
 def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
@@ -112,37 +117,35 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
         reports=reports,
         figures=figures,
         places={report.name: printed_at(report) for report in reports},
-        judgements={report.name: claimed(report) for report in reports},
         readings=[Met.of(name, counted) for name in actuators],
         tables=[_table(group, actuators) for group in (counted, [j for j in judgements if j.calibrated])],
-        unmet=_by_cause([j for j in counted if not any(one.agrees for one in j.simulated)]),
+        quoted=[judgement for judgement in judgements if judgement.quote],
+        unmet=[j for j in counted if not j.agrees],
         total=len(counted),
     )
 
 
-def _by_cause(judgements: Sequence[ClaimJudgement]) -> dict[str, list[str]]:
-    """Claims by the cause that was measured for each on its scenario's own actuator."""
-    found: dict[str, list[str]] = {}
-    for judgement in judgements:
-        found.setdefault(judgement.cause or "no single factor", []).append(judgement.id)
-    return found
-
-
 @dataclass(frozen=True)
 class Met:
-    """Claims that hold under one reading, and what it is."""
+    """Claims asked of one actuator, by their verdict, and the reading of the paper that it is."""
 
     actuator: str
     words: str
     met: tuple[str, ...]
-    asked: int
+    unmet: tuple[str, ...]
+    open: tuple[str, ...]
 
     @classmethod
     def of(cls, actuator: str, judgements: Sequence[ClaimJudgement]) -> Met:
-        """Count the claims of one actuator."""
+        """Sort the claims of one actuator."""
         asked = [(j.id, one.agrees) for j in judgements for one in j.simulated if one.actuator == actuator]
-        met = tuple(name for name, agrees in asked if agrees)
-        return cls(actuator, _reading(actuator), met, len(asked))
+        sorted_ = (tuple(name for name, agrees in asked if agrees is kind) for kind in (True, False, None))
+        return cls(actuator, _reading(actuator), *sorted_)
+
+    def text(self) -> str:
+        """How many hold, of how many."""
+        asked = len(self.met) + len(self.unmet) + len(self.open)
+        return f"{len(self.met)} of {asked} met, {len(self.open)} undecided"
 
 
 def _reading(actuator: str) -> str:
@@ -154,7 +157,7 @@ def _reading(actuator: str) -> str:
 
 
 def _table(judgements: Sequence[ClaimJudgement], actuators: Sequence[str]) -> list[tuple[str, ...]]:
-    """Cells of each claim: the figure of every actuator, in brackets where it does not agree."""
+    """Cells of each claim: the figure of every actuator, with ``no`` or ``?`` where it is not met."""
     rows = []
     for judgement in judgements:
         found = {one.actuator: one for one in judgement.simulated}
@@ -164,6 +167,6 @@ def _table(judgements: Sequence[ClaimJudgement], actuators: Sequence[str]) -> li
 
 
 def _cell(one: Simulated | None) -> str:
-    if one is None or not math.isfinite(one.value):
+    if one is None:
         return ""
-    return one.text() if one.agrees else f"({one.text()})"
+    return one.text() + {True: "", False: ", no", None: ", ?"}[one.agrees]
