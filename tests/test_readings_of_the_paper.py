@@ -54,7 +54,7 @@ def test_every_claim_that_is_counted_can_fail() -> None:
 
 
 def test_the_packaged_reading_meets_as_many_claims_as_any_other_of_the_printed_law() -> None:
-    """With dynamics, one pass a sample, identified at 10 V, as the paper says; seeds move one claim in ten."""
+    """With dynamics, one pass a sample, identified at 10 V, as the paper says."""
     lines = list(csv.DictReader(SCAN.read_text(encoding="utf-8").splitlines()))
     printed = [v for v in lines if v["bandwidth"] != "none" and v["passes"] == "1"]
     printed = [line for line in printed if line["identified_at_path"] == "False"]
