@@ -189,7 +189,10 @@ def test_answer_says_what_was_cut_and_what_had_not_settled() -> None:
     cut = report_of(drive=SINE_V, instruments={"drive": {"range_v": 8.0}})
     assert "The drive's range cut the voltage in 2 of 2 runs." in answer(cut)
     hurried = report_of(drive=SINE_V, actuator="duo_bimorph", measure={"settle_cycles": 0, "settle_s": 0.0})
-    assert "In 2 of 2 runs the loop had not settled." in answer(hurried)
+    said = answer(hurried)
+    assert "In 2 of 2 runs the loop had not settled (" in said
+    assert "axis x and " in said  # which ones
+    assert "their figures still change from cycle to cycle" in said
     assert "settled" not in answer(report_of(drive=SINE_V, measure={"measured_cycles": 1}))
 
 
@@ -369,6 +372,7 @@ def test_claims_of_the_paper_are_a_table() -> None:
         "id": "C1",
         "statement": "The loop of x is 2 x 58 um high",
         "paper": 116.0,
+        "quote": "2 x 58 um",
         "unit": "um",
         "quantity": {"metric": "height_um", "excited_axis": "x", "measured_axis": "x"},
         "agreement": {"within": 0.02},

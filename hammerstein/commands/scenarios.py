@@ -142,22 +142,24 @@ def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None) -> lis
 def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: Path, as_json: bool) -> None:
     """Print the results, and where the reports are."""
     from hammerstein.commands.tables import judgement_tables, result_table
+    from hammerstein.reporting.html.overview import digest
     from hammerstein.reporting.summary import doubts
 
     if as_json:
         errors = [str(outcome.error) for outcome in outcomes if outcome.error]
         tell_json({"reports": [json.loads(report.to_json()) for report in reports], "errors": errors})
         return
-    if reports:
+    if len(reports) == 1:
         show(result_table(reports))
-    for table in judgement_tables(reports):
-        show(table)
+        for table in judgement_tables(reports):
+            show(table)
     for report in reports:
         for doubt in doubts(report):
             complain(f"{report.name}: {doubt}")
     if reports:
         tell(f"{len(reports)} of {len(outcomes)} reports written in {out}")
-        tell(f"look at {_first_page(reports, out)}")
+        for line in digest(reports, out) if len(reports) > 1 else [f"look at {_first_page(reports, out)}"]:
+            tell(line)
 
 
 def _first_page(reports: Sequence[Report], out: Path) -> Path:

@@ -116,6 +116,14 @@ class Paper(Assessment):
         return ClaimJudgement(**{**content, "simulated": simulated, "changes": changes})
 
     @classmethod
+    def tally(cls, reports: Sequence[Report]) -> list[str]:
+        """A line each reading of the paper: how many of the counted claims hold."""
+        from hammerstein.paper.page import readings_of
+
+        found = readings_of(reports)
+        return [f"{r.actuator}{f' ({r.words})' if r.words else ''}: {r.text()}" for r in found]
+
+    @classmethod
     def shipped(cls) -> Mapping[str, Path]:
         """Every scenario of this project, and its baseline."""
         return _shipped("shipped/scenarios", "*.toml", "scenarios", "") | _shipped(

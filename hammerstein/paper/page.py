@@ -117,12 +117,20 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
         reports=reports,
         figures=figures,
         places={report.name: printed_at(report) for report in reports},
-        readings=[Met.of(name, counted) for name in actuators],
+        readings=readings_of(reports),
         tables=[_table(group, actuators) for group in (counted, [j for j in judgements if j.calibrated])],
         quoted=[judgement for judgement in judgements if judgement.quote],
         unmet=[j for j in counted if not j.agrees],
         total=len(counted),
     )
+
+
+def readings_of(reports: Sequence[Report]) -> list[Met]:
+    """The counted claims of all reports, by the actuator that they were asked of."""
+    counted = [j for report in reports for j in claimed(report) if not j.calibrated]
+    return [
+        Met.of(name, counted) for name in dict.fromkeys(one.actuator for j in counted for one in j.simulated)
+    ]
 
 
 @dataclass(frozen=True)

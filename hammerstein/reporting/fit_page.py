@@ -13,7 +13,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.escaping import Markdown, markdown_page
 from hammerstein.experiment.selection import percent
-from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii, slopes_of
+from hammerstein.hysteresis import BoucWen, Hysteresis, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.choice import CLOSE
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.model import HammersteinModel
@@ -58,6 +58,7 @@ def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> 
     """
     parts = [
         Markdown("# Fit report of {}").format(model.name),
+        Markdown("\n").join(Markdown("* {}").format(line) for line in summary(model, fit)),
         headline(model, fit),
         fit.verdict,
         fit_body(model, fit),
@@ -65,6 +66,44 @@ def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> 
         Markdown("Every number with full precision is in `fit.json`.\n"),
     ]
     return Markdown("\n\n").join(parts)
+
+
+def summary(model: HammersteinModel, fit: Fit) -> list[str]:
+    """Whether the model is usable and for what, three numbers, and the next command."""
+    worst = max(fit.judged[fit.kind].nrmse_percent)
+    records = "validation records" if fit.validation else "the fitted records, no validation record"
+    numbers = [f"Error: {percent(worst / 100.0)} of the range, rms of the worst output ({records})."]
+    if "linear" in fit.judged and fit.kind != "linear":
+        linear = max(fit.judged["linear"].nrmse_percent)
+        numbers.append(f"A linear gain alone: {percent(linear / 100.0)}.")
+    resonances = [axis.axis.resonance_hz for axis in fit.axes if axis.axis.resonance_hz is not None]
+    fastest = min(fit.records, key=lambda record: record.sample_time_s).rate_hz
+    numbers.append(
+        f"Lowest resonance: {min(resonances):.4g} Hz." if resonances else f"Sampling rate: {fastest:.4g} Hz."
+    )
+    return [_usable(fit), *numbers, _next(model, fit)]
+
+
+def _usable(fit: Fit) -> str:
+    """What the model is good for."""
+    if not fit.invertible:
+        return "Usable for simulation only: the model has no inverse."
+    if fit.flags:
+        return "Usable with care: the model cannot represent all that the records hold (see below)."
+    if not fit.validation:
+        return "Usable for simulation and compensation; untested on other records."
+    return "Usable for simulation and compensation."
+
+
+def _next(model: HammersteinModel, fit: Fit) -> str:
+    """The command to go on with."""
+    if not fit.invertible:
+        return f"Next: {fit.invertibility}"
+    if not fit.validation:
+        return "Next: identify again with a record that is not fitted: --validate RECORD."
+    kept = isinstance(model.hysteresis, BoucWen)
+    law = "inverse_multiplicative" if kept else "exact_inverse" if fit.is_static else "hammerstein_inverse"
+    return f"Next: hammerstein compensate MODEL.json PATH.csv --law {law} --out drive.csv"
 
 
 def headline(model: HammersteinModel, fit: Fit) -> str:

@@ -23,6 +23,7 @@ from hammerstein.metrics import METRICS, Row
 from hammerstein.signals import OneFrequency
 
 MOST_CLAUSES = 4  # conditions that are told one by one; more are told as ranges of frequency
+MOST_NAMED = 3  # runs that had not settled; of more their number is told
 MOST_LABELS = 4  # compensators or models that are told in one clause
 NOT_SETTLED = "has not settled"  # the words of a statement of the report
 SENSOR_CUT = "the sensor's range cut"  # those of another
@@ -308,6 +309,11 @@ def _loops(report: Report) -> Iterator[str]:
         yield f"At {condition.words()} {'; '.join(texts)}."
 
 
+def _more(left: Sequence[str]) -> list[str]:
+    """How many are not named."""
+    return [f"{len(left)} more"] if left else []
+
+
 def doubts(report: Report) -> list[str]:
     """Statements of a report for which its figures may be worth nothing."""
     return [text for text in report.statements if FLAGGED in text or GUESSED in text]
@@ -325,7 +331,7 @@ def _conduct(report: Report) -> Iterator[str]:
     runs = {(r.compensator if compared else "", r.excited_axis, Condition.of(r)): r for r in report.rows}
     cut = sum(bool(row.saturated_samples) for row in runs.values())
     clipped = sum(SENSOR_CUT in statement for statement in report.statements)
-    unsettled = sum(NOT_SETTLED in statement for statement in report.statements)
+    unsettled = [text.partition(": ")[0] for text in report.statements if NOT_SETTLED in text]
     yield (
         f"The drive's range cut the voltage in {cut} of {len(runs)} runs."
         if cut
@@ -335,6 +341,10 @@ def _conduct(report: Report) -> Iterator[str]:
         yield f"The sensor's range cut the reading in {clipped} of {len(runs)} runs."
     signal = report.scenario.signal
     if unsettled:
-        yield f"In {unsettled} of {len(runs)} runs the loop had not settled."
+        named = listed([*unsettled[:MOST_NAMED], *_more(unsettled[MOST_NAMED:])])
+        yield (
+            f"In {len(unsettled)} of {len(runs)} runs the loop had not settled ({named}): their figures "
+            "still change from cycle to cycle; give them more settling."
+        )
     elif isinstance(signal, OneFrequency) and signal.repeats and report.scenario.measure.measured_cycles > 1:
         yield "Every run had settled."

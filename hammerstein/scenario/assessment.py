@@ -108,6 +108,12 @@ class Assessment(Strict, ABC):
         """A judgement from the fields that were kept of it."""
 
     @classmethod
+    def tally(cls, reports: Sequence[Report]) -> list[str]:
+        """What was found over several reports, a line each: here how many judgements agree."""
+        judged = [judgement for report in reports for judgement in report.judgements]
+        return [f"{sum(judgement.agrees for judgement in judged)} of {len(judged)} met"]
+
+    @classmethod
     def shipped(cls) -> Mapping[str, Path]:
         """Scenarios that it brings, and numbers accepted for them: from names in a new folder to files."""
         return {}

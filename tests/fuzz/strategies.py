@@ -222,7 +222,7 @@ def good_scenarios() -> list[dict[str, Any]]:
     found.append({"question": "?", "reference": sine, "sweep": {"frequency_hz": [40.0, 50.0]},
                   "compensators": [{"label": "a", **laws[0], "only_at_hz": [40.0]}],
                   "assessment": {"kind": "paper", "figure": "Fig. 1", "claims": [
-                      {"id": "c", "statement": "s", "paper": 1.0, "factor": 2.0, "quantity": {
+                      {"id": "c", "statement": "s", "paper": 1.0, "quote": "q", "factor": 2.0, "quantity": {
                           "metric": "rms_um", "from_hz": 10.0, "to_hz": 60.0, "of": "spread"},
                           "agreement": {"within": 0.1, "at_most": 5.0}}]}})  # fmt: skip
     for actuator in ("asymmetric_stack", "rate_dependent_stack"):

@@ -7,7 +7,7 @@ from pathlib import PurePath
 
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.model import HammersteinModel
-from hammerstein.reporting.fit_page import CAPTIONS, fit_body, fit_json, headline
+from hammerstein.reporting.fit_page import CAPTIONS, fit_body, fit_json, headline, summary
 from hammerstein.reporting.html.markup import MOST_DRAWING_BYTES, link_to, page_of, rendered
 from hammerstein.reporting.html.vector import Drawn, pictures
 
@@ -36,7 +36,7 @@ def fit_html(model: HammersteinModel, fit: Fit, files: Mapping[str, bytes]) -> s
         "account.html.jinja",
         what="Fit report",
         title=f"How far to trust {model.name}",
-        answer=[headline(model, fit), fit.verdict],
+        answer=[*summary(model, fit), headline(model, fit), fit.verdict],
         facts=[KIND_NAMES[fit.kind], f"records: {', '.join(records)}"],
         figures=[
             Drawn(name, title, CAPTIONS.get(name, ""), drawing)

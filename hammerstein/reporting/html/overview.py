@@ -1,21 +1,24 @@
-"""One page over a run of many scenarios: a card each, with its key figure and its worst numbers."""
+"""What stands over a run of many scenarios: a page with a card each, and a digest for the terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
 from hammerstein.experiment.report import Report
-from hammerstein.experiment.selection import is_direct, labels_of, number
+from hammerstein.experiment.selection import Condition, is_direct, labels_of, number
 from hammerstein.reporting.html.markup import rendered
 from hammerstein.reporting.page import place_of
 from hammerstein.runtime.storage.manifest import Manifest, Owner
 from hammerstein.runtime.storage.staging import staged
+from hammerstein.scenario.assessment import Assessment
 
 OVERVIEW = Owner("overview", sign=("index.html", '<meta name="generator" content="hammerstein overview">'))
 MOST_SHOWN = 3
+MOST_LINES = 7  # of what an assessment found, on the terminal
 
 
 @dataclass(frozen=True)
@@ -34,8 +37,16 @@ class Card:
     told: str
     worst: tuple[tuple[str, str], ...]
     more: int
-    met: int
-    asked: int
+    verdicts: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """Cards under one heading; lines say what an assessment found over all of them."""
+
+    title: str
+    lines: tuple[str, ...]
+    cards: tuple[Card, ...]
 
 
 def write_overview(reports: Sequence[Report], out: Path) -> tuple[Path, ...]:
@@ -44,9 +55,49 @@ def write_overview(reports: Sequence[Report], out: Path) -> tuple[Path, ...]:
     Gives the place of one that a person had changed and that was kept; InputError if it cannot be written.
     """
     with staged(out, OVERVIEW) as stage:
-        cards = [_card(report, out) for report in reports]
-        stage.write(OVERVIEW.sign[0], rendered("overview.html.jinja", cards=cards))
+        page = rendered("overview.html.jinja", sections=_sections(reports, out), total=len(reports))
+        stage.write(OVERVIEW.sign[0], page)
     return stage.kept
+
+
+def digest(reports: Sequence[Report], out: Path) -> list[str]:
+    """At most fifteen lines on many reports: what to open, three headlines, where claims are judged."""
+    lines = [f"open first: {out / OVERVIEW.sign[0]}"]
+    for report in [r for r in _telling(reports) if not r.judgements][:MOST_SHOWN]:
+        (label, value), told = _worst(report)[0], _told(report)
+        lines.append(f"{report.name}: {told[0].lower()}{told[1:]}: {value} um with {label}")
+    for kind, asked in _assessed(reports).items():
+        found = [f"  {line}" for line in kind.tally(asked)]
+        lines += [f"{kind.title}, judged in each report and on the overview:", *found[:MOST_LINES]]
+    return lines
+
+
+def _telling(reports: Sequence[Report]) -> list[Report]:
+    """Reports that have a headline, one of each kind of signal first."""
+    telling = [report for report in reports if report.scenario.compensators and _worst(report)]
+    first = {report.scenario.signal.kind: report for report in reversed(telling)}.values()
+    return sorted(telling, key=lambda report: (report not in first, report.name))
+
+
+def _assessed(reports: Sequence[Report]) -> dict[type[Assessment], list[Report]]:
+    """Reports with judgements, by the kind of their assessment."""
+    found: dict[type[Assessment], list[Report]] = {}
+    for report in reports:
+        if report.scenario.assessment is not None and report.judgements:
+            found.setdefault(type(report.scenario.assessment), []).append(report)
+    return found
+
+
+def _sections(reports: Sequence[Report], out: Path) -> Iterator[Section]:
+    """Examples first; what was assessed has a section of its own below."""
+    assessed = _assessed(reports)
+    judged = {id(report) for group in assessed.values() for report in group}
+    examples = tuple(_card(report, out) for report in reports if id(report) not in judged)
+    if examples:
+        yield Section("Examples" if assessed else "", (), examples)
+    for kind, group in assessed.items():
+        cards = tuple(_card(report, out) for report in group)
+        yield Section(kind.title, tuple(kind.tally(group)), cards)
 
 
 def _card(report: Report, out: Path) -> Card:
@@ -61,14 +112,35 @@ def _card(report: Report, out: Path) -> Card:
         told=_told(report),
         worst=tuple(worst[:MOST_SHOWN]),
         more=max(0, len(worst) - MOST_SHOWN),
-        met=sum(judgement.agrees for judgement in report.judgements),
-        asked=len(report.judgements),
+        verdicts=_verdicts(report),
+    )
+
+
+def _verdicts(report: Report) -> str:
+    """How many judgements there are of each word, such as ``3 met, 1 not met``."""
+    counts = Counter(judgement.word for judgement in report.judgements)
+    return ", ".join(f"{count} {word}" for word, count in counts.items())
+
+
+def _conditions(report: Report) -> str:
+    """Signal, amplitude and frequency, such as ``circle, 50 um, 50 to 200 Hz``."""
+    conditions = [Condition.of(row) for row in report.rows]
+    sizes = [c.amplitude for c in conditions if c.amplitude is not None]
+    parts = [report.scenario.signal.kind, _span(sizes, conditions[0].unit if sizes else "")]
+    return ", ".join(part for part in [*parts, _span([c.frequency_hz for c in conditions], "Hz")] if part)
+
+
+def _span(values: Sequence[float], unit: str) -> str:
+    """Lowest and highest value; empty where there are none but zeros."""
+    known = sorted({value for value in values if value})
+    return (
+        f"{' to '.join(f'{v:g}' for v in dict.fromkeys([*known[:1], *known[-1:]]))} {unit}" if known else ""
     )
 
 
 def _told(report: Report) -> str:
     """What the numbers of a card are."""
-    words, uncertainty = "Worst error", report.scenario.uncertainty
+    words, uncertainty = f"Worst error, {_conditions(report)}", report.scenario.uncertainty
     if last := _last_trial(report):
         words += f" in trial {last}"
     if report.bands and uncertainty is not None:

@@ -1,0 +1,83 @@
+"""The first screen: the digest of many reports, the overview, the first lines of a fit report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import made_up
+import numpy as np
+import pytest
+from made_up_cases import stage_records
+from record_cases import plain
+
+from hammerstein.experiment.report import Report
+from hammerstein.experiment.run import run
+from hammerstein.identification.identify import identify
+from hammerstein.reporting.fit_page import fit_page
+from hammerstein.reporting.html.overview import digest, write_overview
+
+CIRCLE = {"kind": "circle", "radius_um": 20, "frequency_hz": 50}
+SINE = {"kind": "sine", "amplitude_um": 20, "frequency_hz": 80}
+
+
+def _content(reference: dict[str, object]) -> dict[str, object]:
+    return {
+        "question": "?",
+        "actuator": "duo_bimorph_static",
+        "reference": reference,
+        "compensators": [{"label": "exact", "law": "exact_inverse", "model": "duo_bimorph_static"}],
+    }
+
+
+@pytest.fixture(scope="module")
+def reports() -> list[Report]:
+    claim = {
+        "id": "C",
+        "statement": "follows",
+        "quantity": {"metric": "rms_um", "measured_axis": "x"},
+        "agreement": {"at_most": 1e-9},
+    }
+    judged = _content(CIRCLE) | {"assessment": {"kind": "paper", "claims": [claim]}}
+    examples = [run(_content(signal), f"one{i}") for i, signal in enumerate([CIRCLE, CIRCLE, CIRCLE, SINE])]
+    return [*examples, *[run(judged, f"claim{i}") for i in range(20)]]
+
+
+def test_many_reports_end_in_fifteen_lines(reports: list[Report], tmp_path: Path) -> None:
+    lines = digest(reports, tmp_path)
+    assert len(lines) <= 15
+    assert lines[0] == f"open first: {tmp_path / 'index.html'}"
+    told = [line for line in lines if " um with " in line]
+    assert len(told) == 3
+    assert all("20 um" in line and "Hz" in line for line in told)
+    assert any("sine, 20 um, 80 Hz" in line for line in told)  # not three of one kind
+    assert "  duo_bimorph_static: 0 of 20 met, 0 undecided" in lines
+    assert not any("not met" in line for line in lines)
+
+
+def test_claims_have_a_section_of_their_own_below_the_examples(reports: list[Report], tmp_path: Path) -> None:
+    write_overview(reports, tmp_path)
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    examples, _, paper = page.partition(">Claims of the paper<")
+    assert "one0/report.html" in examples
+    assert "claim0/report.html" in paper
+    assert "claim" not in examples.partition("<main")[2].replace("claims met", "claim")
+    assert "circle, 20 um, 50 Hz" in examples
+    assert 'class="bad"' not in page
+
+
+def test_a_fit_report_begins_with_what_it_is_good_for_and_ends_with_thresholds() -> None:
+    made = made_up.stage(0, noise_um=0.01, plays=6, rate_hz=5e3)
+    fitted, held = stage_records(made, np.random.default_rng(1), cycles=4, hz=5.0)
+    settings = plain(operators=6, partition="fitted")
+    model, fit = identify(fitted, settings, validation=[held])
+    first = fit_page(model, fit).split("\n\n")[1].splitlines()
+    assert first[0].startswith("* Usable")
+    assert first[1].startswith("* Error: ")
+    assert "validation records" in first[1]
+    assert first[-1].startswith("* Next: hammerstein compensate")
+    assert 4 <= len(first) <= 5
+    headings = [line for line in fit_page(model, fit).splitlines() if line.startswith("## ")]
+    assert headings[-1] == "## Thresholds"
+    alone = fit_page(*identify(fitted, settings)).split("\n\n")[1]
+    assert "untested on other records" in alone
+    assert "--validate" in alone
