@@ -149,12 +149,12 @@ class ClaimJudgement(Judgement):
             "claim": self.id,
             "statement": self.statement,
             "reason": self.reason,
-            "details": self.details,
             "paper": self.printed,
             "simulated": ", ".join(f"{one.actuator} {one.text()}" for one in self.simulated),
             "ratio": "" if self.ratio is None else f"{self.ratio:.2f}",
             "wanted": self.wanted,
             "judgement": self.word,
+            "details": self.details,
         }
 
     def numbers(self) -> Iterator[tuple[Mapping[str, str], Mapping[str, float]]]:
