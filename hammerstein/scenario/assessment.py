@@ -108,7 +108,7 @@ class Assessment(Strict, ABC):
         """A judgement from the fields that were kept of it."""
 
     @classmethod
-    def tally(cls, reports: Sequence[Report]) -> list[str]:
+    def tally(cls, reports: Sequence[Any]) -> list[str]:
         """What was found over several reports, a line each: here how many judgements agree."""
         judged = [judgement for report in reports for judgement in report.judgements]
         return [f"{sum(judgement.agrees for judgement in judged)} of {len(judged)} met"]
