@@ -9,7 +9,7 @@ from made_up_cases import record, stage_records, try_actuator
 from record_cases import plain
 
 from hammerstein.dynamics import AxesDynamics, Axis, discretise
-from hammerstein.identification.choice import Trial, chosen, judged_squares
+from hammerstein.identification.choice import Trial, chosen, fold_squares
 from hammerstein.identification.identify import identify
 from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
@@ -134,9 +134,9 @@ def test_an_unstable_model_never_wins():
     from hammerstein.dynamics import StateSpaceDynamics
 
     grows = StateSpaceDynamics(A=((1.1,),), B=((1.0,),), C=((0.0,),), D=((1.0,),), sample_time_s=1e-3)
-    squares = judged_squares(Candidate(model.hysteresis, grows), [one], [Start("rest")])
+    squares = fold_squares(Candidate(model.hysteresis, grows), [one], [Start("rest")])
     assert np.isinf(squares).all()
-    fine = judged_squares(Candidate(model.hysteresis, model.dynamics), [one], [Start("rest")])
+    fine = fold_squares(Candidate(model.hysteresis, model.dynamics), [one], [Start("rest")])
     assert chosen([Trial("fine", 5, fine), Trial("grows", 2, squares)]) == 0
 
 
