@@ -9,7 +9,6 @@ import re
 import stat
 import tempfile
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 from hammerstein.errors import InputError
@@ -19,10 +18,6 @@ DEEPEST = 100
 """Brackets in brackets that a file may have; readers that call themselves end somewhere beyond."""
 _BRACKETS = re.compile(r"[\[\]{}]")
 _QUOTED = re.compile(r'"(?:[^"\\\n]++|\\.)*+"?|\'[^\'\n]*+\'?')
-SIGNED_BYTES = 1_000_000
-"""How far into a file its sign is searched."""
-NOTHING = b" \t\r\n{}[]"
-"""A file of these alone holds nothing that could be lost."""
 UNFINISHED = ".hammerstein-part"
 _UNFINISHED: dict[Path, Callable[[], None]] = {}
 
@@ -85,7 +80,7 @@ def write_atomic(path: Path, content: str | bytes, private: bool = False) -> Non
     data = content.encode("utf-8") if isinstance(content, str) else content
     temporary = None
     try:
-        _refuse_no_file(str(path), path)
+        refuse_no_file(str(path), path)
         path.parent.mkdir(parents=True, exist_ok=True)
         prefix = f".{path.name[:100]}."
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=UNFINISHED)
@@ -105,11 +100,6 @@ def write_atomic(path: Path, content: str | bytes, private: bool = False) -> Non
             ended(temporary)
 
 
-def write_through(path: Path, data: bytes) -> None:
-    """Write a file, down to the disk; OSError if it cannot be written."""
-    _write(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666), data)
-
-
 def _write(handle: int, data: bytes, through: bool = True) -> None:
     with os.fdopen(handle, "wb") as file:
         file.write(data)
@@ -118,43 +108,8 @@ def _write(handle: int, data: bytes, through: bool = True) -> None:
             os.fsync(file.fileno())
 
 
-@dataclass(frozen=True)
-class Content:
-    """What a kind of file holds: its name in a message, and a text near the start of each of them."""
-
-    what: str
-    sign: str
-
-
-def refuse_overwriting(option: str, path: Path, content: Content) -> None:
-    """Refuse to replace a file that is of another kind than what is to be written, before the work.
-
-    Parameters
-    ----------
-    option : what named the file, such as ``--out``
-    path : where it is to go
-    content : what will be written
-
-    Raises
-    ------
-    InputError : the name is that of a link, a folder, a device, or of a file that holds something else
-    """
-    _refuse_no_file(option, path)
-    try:
-        if not path.exists():
-            return
-        with path.open("rb") as file:
-            start = file.read(SIGNED_BYTES)
-    except OSError as error:
-        raise InputError(option, f"{path} cannot be read ({reason_of(error)}); choose another name") from None
-    if start.strip(NOTHING) and content.sign.encode() not in start:
-        raise InputError(
-            option,
-            f"{path} is no {content.what} and would be overwritten; move it away, or choose another name",
-        )
-
-
-def _refuse_no_file(source: str, path: Path) -> None:
+def refuse_no_file(source: str, path: Path) -> None:
+    """Refuse the name of a link, a folder or a device where a file goes; InputError."""
     if path.is_symlink():
         raise InputError(
             source, f"{path} is a link to {os.path.realpath(path)}; give that file, or another name"

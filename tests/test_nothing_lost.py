@@ -68,7 +68,7 @@ def test_a_file_that_is_not_ours_is_never_overwritten(folder, capsys):
     assert call("run", "small.toml", "--out", ".", "--no-figures") == 2
     error = capsys.readouterr().err
     assert "report.md" in error
-    assert "not written by hammerstein" in error
+    assert "this command did not write" in error
     assert contents(folder) == before
 
 
@@ -153,13 +153,20 @@ def test_figures_of_an_earlier_run_go_and_edited_ones_stay(folder):
     assert not (report / "traces").exists()
 
 
-def test_a_report_from_before_the_manifest_is_replaced_and_nothing_else_is_touched(folder):
+def test_a_report_without_a_manifest_is_replaced_where_that_is_wanted_and_nothing_else_is_touched(
+    folder, capsys
+):
     assert call("run", "small.toml") == 0
     report = folder / "reports/small"
     (report / ".hammerstein.json").unlink(missing_ok=True)
     (report / "old-figure.png").write_text("of an earlier version, or a photograph")
     (report / "report.md").write_text("of an earlier version")
-    assert call("run", "small.toml") == 0
+    before = contents(report)
+    assert call("run", "small.toml") == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert contents(report) == before
+    assert call("run", "small.toml", "--overwrite") == 0
+    assert not (report / "report.md.edited").exists()
     assert b"How large" in (report / "report.md").read_bytes()
     assert (report / "old-figure.png").exists()
 
@@ -173,7 +180,8 @@ def test_a_manifest_cannot_name_a_file_elsewhere(folder, capsys):
     digest = hashlib.sha256(b"mine").hexdigest()
     content["files"] = {"../../precious.txt": entry | {"sha256": digest}}
     manifest.write_text(json.dumps(content))
-    assert call("run", "small.toml", "--no-figures") == 0
+    assert call("run", "small.toml", "--no-figures") == 2
+    assert call("run", "small.toml", "--no-figures", "--overwrite") == 0
     assert (folder / "precious.txt").read_text() == "mine"
 
 
@@ -312,3 +320,142 @@ def test_a_baseline_never_overwrites_a_file_that_is_none(folder, capsys):
     assert call("check", "small.toml", "--baseline", ".", "--update-baseline") == 2
     assert "no baseline" in capsys.readouterr().out
     assert (folder / "small.json").read_text() == '{"name": "my settings"}'
+
+
+PATH = "time_s,x,y\n0,0,0\n0.01,1,0\n0.02,2,1\n0.03,1,1\n"
+COMPENSATE = ("compensate", "duo_bimorph_static", "path.csv", "--law", "exact_inverse")
+RECORD = ("--inputs", "u", "--outputs", "x", "--time", "t", "--dynamics", "none", "--no-figures")
+STUDY = SMALL + '[study]\nhow = "product"\nvalues = { "drive.amplitude_v" = [5, 10] }\n'
+
+
+@pytest.fixture
+def outputs(folder):
+    """Inputs of every command that writes one file."""
+    import numpy as np
+    import pandas as pd
+
+    t = np.arange(2000) / 20e3
+    u = 10.0 * np.sin(2 * np.pi * 50.0 * t)
+    pd.DataFrame({"t": t, "u": u, "x": 2.0 * u + np.random.default_rng(1).normal(0.0, 0.01, len(u))}).to_csv(
+        folder / "r.csv", index=False
+    )
+    (folder / "path.csv").write_text(PATH)
+    (folder / "study.toml").write_text(STUDY)
+    (folder / "volts.csv").write_text("time_s,x,y\n0,0,0\n0.01,1,0\n0.02,2,1\n")
+    assert call("check", "small.toml", "--update-baseline") == 0
+    return folder
+
+
+WRITERS = [
+    pytest.param(COMPENSATE, "--out", "time_s,drive_x_v,measured_um\n0,1,2\n", id="compensate"),
+    pytest.param(
+        (*COMPENSATE, "--table", "csv", "--table-scale", "1"),
+        "--out",
+        "# Number in the table, by hand\n1\n",
+        id="wave table",
+    ),
+    pytest.param(
+        ("play", "duo_bimorph_static", "volts.csv"), "--out", "time_s,played_x_v\n# each by hand\n", id="play"
+    ),
+    pytest.param(("identify", "r.csv", *RECORD), "--out", '{"format": "hammerstein-model/1"}', id="identify"),
+    pytest.param(("sweep", "study.toml"), "--out", "sample,voltage,position\n1,2,3\n", id="sweep"),
+    pytest.param(("check", "small.toml"), "--junit", '<a name="hammerstein check"/>', id="junit"),
+    pytest.param(
+        ("check", "small.toml"), "--markdown", "# Scenarios against their baselines\nmine", id="summary"
+    ),
+    pytest.param(
+        ("check", "small.toml"), "--html", '<meta content="hammerstein check">mine', id="check page"
+    ),
+]
+
+
+@pytest.mark.parametrize(("command", "option", "mine"), WRITERS)
+def test_a_file_is_replaced_only_as_it_was_written(outputs, capsys, command, option, mine):
+    """What looks like ours is refused, what was edited is kept, and --overwrite replaces both."""
+    out = outputs / "out.csv"
+    out.write_text(mine)
+    before = contents(outputs)
+    assert call(*command, option, "out.csv") == 2
+    assert "out.csv is a file that this command did not write" in capsys.readouterr().err
+    assert contents(outputs) == before
+    assert call(*command, option, "out.csv", "--overwrite") == 0
+    written = out.read_bytes()
+    assert written != mine.encode()
+    assert call(*command, option, "out.csv") == 0
+    assert out.read_bytes() == written
+    out.write_bytes(written + b"my remark\n")
+    capsys.readouterr()
+    assert call(*command, option, "out.csv") == 0
+    assert out.read_bytes() == written
+    assert (outputs / "out.csv.edited").read_bytes() == written + b"my remark\n"
+    assert "out.csv.edited" in capsys.readouterr().err
+    out.write_bytes(b"edited")
+    assert call(*command, option, "out.csv", "--overwrite") == 0
+    assert out.read_bytes() == written
+    assert not list(outputs.glob("*.edited-2"))
+    assert not hidden(outputs)
+
+
+@pytest.mark.parametrize(("command", "option", "mine"), WRITERS)
+def test_no_link_is_followed_on_the_way_to_a_file(outputs, tmp_path, capsys, command, option, mine):
+    """Neither one with the name of a part, nor one in the folder where parts are made."""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "out.csv").write_text("mine")
+    for name in (".out.csv.hammerstein-part", ".out.csv.lock"):
+        (outputs / name).symlink_to(elsewhere / "out.csv")
+    (outputs / ".hammerstein-new").mkdir()
+    (outputs / ".hammerstein-new/new").symlink_to(elsewhere)
+    (outputs / ".hammerstein-new/journal.part").symlink_to(elsewhere / "out.csv")
+    call(*command, option, "out.csv")
+    assert contents(elsewhere) == {"out.csv": b"mine"}
+
+
+def test_a_journal_of_a_stranger_moves_nothing_outside_its_folder(folder, tmp_path, capsys):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    report = folder / "reports/small"
+    (report / ".hammerstein-new/new/sub").mkdir(parents=True)
+    (report / ".hammerstein-new/new/sub/keys").write_text("theirs")
+    (report / "sub").symlink_to(elsewhere)
+    coming = {"sub/keys": hashlib.sha256(b"theirs").hexdigest()}
+    (report / ".hammerstein-new/journal.json").write_text(json.dumps({"leaving": {}, "coming": coming}))
+    assert call("run", "small.toml", "--no-figures") == 2
+    assert "through a link" in capsys.readouterr().err
+    assert contents(elsewhere) == {}
+
+
+def test_a_baseline_edited_by_hand_is_kept(folder, capsys):
+    check = ("check", "small.toml", "--update-baseline")
+    assert call(*check) == 0
+    baseline = folder / "reports/baseline/small.json"
+    written = baseline.read_text()
+    edited = written.replace('_um": ', '_um": 1', 1)
+    assert edited != written
+    baseline.write_text(edited)
+    capsys.readouterr()
+    assert call(*check) == 0
+    assert baseline.read_text() == written
+    assert (folder / "reports/baseline/small.json.edited").read_text() == edited
+    assert "small.json.edited" in capsys.readouterr().out
+    baseline.write_text(edited)
+    assert call(*check, "--overwrite") == 0
+    assert len(list(baseline.parent.iterdir())) == 2
+
+
+def test_an_empty_file_is_written(outputs):
+    (outputs / "out.csv").touch()
+    assert call(*COMPENSATE, "--out", "out.csv") == 0
+    assert not list(outputs.glob("*.edited"))
+
+
+def test_files_of_one_command_lie_side_by_side(outputs):
+    for name in ("a.csv", "b.csv"):
+        assert call(*COMPENSATE, "--out", name) == 0
+    assert (outputs / "a.csv").read_bytes() == (outputs / "b.csv").read_bytes()
+
+
+@pytest.mark.parametrize("name", [".hammerstein.json", "a\nb.csv"])
+def test_a_name_that_no_file_may_have_is_refused(outputs, capsys, name):
+    assert call(*COMPENSATE, "--out", name) == 2
+    assert "cannot be the name of the file" in capsys.readouterr().err

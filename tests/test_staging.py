@@ -15,7 +15,7 @@ from hammerstein.runtime.storage import lock as folder_lock
 from hammerstein.runtime.storage.manifest import MANIFEST, Owner
 from hammerstein.runtime.storage.staging import ROOM, prepare, staged
 
-OWNER = Owner("report", sign=("a.txt", "nothing"))
+OWNER = Owner("report")
 STEPS = 12  # at least; the rest is how the system's own library removes a folder
 FORKS = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 OLD = {"a.txt": "old a", "b.txt": "old b", "traces/c.txt": "old c"}
@@ -150,7 +150,7 @@ import sys, time
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import staged
 from pathlib import Path
-with staged(Path(sys.argv[1]), Owner("x", ("a", "b"))) as stage:
+with staged(Path(sys.argv[1]), Owner("x")) as stage:
     stage.write("half.txt", "half")
     print("ready", flush=True)
     time.sleep(60)

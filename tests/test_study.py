@@ -2,7 +2,11 @@
 
 import errno
 import itertools
+import os
 import re
+import signal
+import subprocess
+import sys
 import tracemalloc
 
 import numpy as np
@@ -341,3 +345,54 @@ def test_a_sweep_of_hours_asks_who_watches(tmp_path, capsys, monkeypatch):
     assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv") == 2
     assert "start it with --yes" in capsys.readouterr().err
     assert not (tmp_path / "o.csv").exists()
+
+
+SECOND = """
+import os, signal, sys
+from hammerstein.commands.cli import main
+from hammerstein.experiment import study
+def killed(*_): os.kill(os.getpid(), signal.SIGKILL)
+if sys.argv.pop(1) == "killed":
+    study.rows_alone = killed
+main(sys.argv[1:])
+"""
+
+
+def beside(how, *arguments):
+    """Another process that sweeps: its exit code, and what it says."""
+    command = [sys.executable, "-c", SECOND, how, "sweep", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
+    return done.returncode, done.stderr
+
+
+def test_two_sweeps_never_mix_in_one_file(tmp_path, monkeypatch):
+    monkeypatch.setenv("HAMMERSTEIN_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "s.toml").write_text(TEXT)
+    (tmp_path / "few.toml").write_text(TEXT.replace("= 8", "= 2"))
+    others, real = [], study.rows_alone
+
+    def interfered(*arguments):
+        if not others:
+            others.append(beside("whole", tmp_path / "few.toml", "--out", tmp_path / "o.csv"))
+            others.append(beside("whole", tmp_path / "few.toml", "--out", tmp_path / "p.csv"))
+        return real(*arguments)
+
+    monkeypatch.setattr(study, "rows_alone", interfered)
+    assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--jobs", "1") == 0
+    (refused, said), (fine, _) = others
+    assert refused == 2
+    assert f"{tmp_path / 'o.csv'} is written by another sweep" in said
+    assert fine == 0
+    for name, runs in (("o.csv", 8), ("p.csv", 2)):
+        assert sorted(pd.read_csv(tmp_path / name)["sample"].unique()) == list(range(1, runs + 1))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("name", ["o.csv", "o.parquet"])
+def test_a_killed_sweep_leaves_nothing(tmp_path, monkeypatch, name):
+    monkeypatch.setenv("HAMMERSTEIN_CACHE", str(tmp_path / "cache"))
+    place = tmp_path / "work"
+    place.mkdir()
+    (tmp_path / "s.toml").write_text(TEXT)
+    assert beside("killed", tmp_path / "s.toml", "--out", place / name)[0] == -signal.SIGKILL
+    assert list(place.iterdir()) == []

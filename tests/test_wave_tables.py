@@ -167,11 +167,11 @@ def test_a_table_is_written_again_over_itself_and_over_nothing_else(tmp_path, ca
     assert _call(*asked) == 0
     assert out.read_text() == first
     assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", out) == 2
-    assert "is no drive file" in capsys.readouterr().err
+    assert "table.txt is a file that this command did not write" in capsys.readouterr().err
     drive = tmp_path / "drive.csv"
     assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", drive) == 0
     assert _call(*asked[:-1], drive) == 2
-    assert "is no wave table" in capsys.readouterr().err
+    assert "drive.csv is a file that this command did not write" in capsys.readouterr().err
 
 
 def test_the_command_refuses_half_a_request(tmp_path, capsys):

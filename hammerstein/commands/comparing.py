@@ -10,7 +10,7 @@ import typer
 
 from hammerstein.commands.crew import PROCESSORS
 from hammerstein.commands.grouped import grouped
-from hammerstein.commands.record_options import AsJson, HeldBack, Identified, RecordFiles
+from hammerstein.commands.record_options import AsJson, HeldBack, Identified, Overwrite, RecordFiles
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Spinner
 
@@ -28,6 +28,7 @@ def compare(
         int, typer.Option(min=1, help="Identifications side by side.", show_default="the processors")
     ] = PROCESSORS,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Fit every kind of hysteresis and the linear models to the same records, and recommend one."""
@@ -41,7 +42,7 @@ def compare(
     settings = identified.settings()
     held.refuse_fitted(recorded.files)
     refuse_unwritable("--out", out)
-    prepare(out, COMPARISON, ALWAYS)
+    prepare(out, COMPARISON, ALWAYS, overwrite)
     announce_compiling(complain)
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
@@ -53,7 +54,7 @@ def compare(
             spinner.tell(f"{what} ({done} of {total} fitted)" if done < total else what)
 
         found = compared(records, settings, validation=validation, jobs=jobs, progress=watch)
-    for place in write_comparison(found, out, figures):
+    for place in write_comparison(found, out, figures, overwrite):
         complain(kept_aside(place))
     if as_json:
         tell_json(json.loads(found.to_json()), indent=1, sort_keys=True)

@@ -11,8 +11,6 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from hammerstein.commands.playing import PLAYED
-from hammerstein.compensators.drive_file import CONTENT as DRIVE
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited
 from hammerstein.records.array_files import SUFFIXES
@@ -24,6 +22,8 @@ T = TypeVar("T", bound=BaseModel)
 MOST_COLUMNS = 40
 PAGES = (".html", ".htm", ".md")
 MOST_STATEMENTS = 5
+OWN_TABLES = {"drive_": "drive file", "played_": "file of played voltages"}
+"""How a column of each begins."""
 
 
 @dataclass(frozen=True)
@@ -96,10 +96,9 @@ def contents_of(path: Path) -> Contents:
 
 def _kind_of_table(names: Sequence[str]) -> str:
     """What a table is by its columns: of ours, or of a stranger."""
-    for content in (DRIVE, PLAYED):
-        first, _, second = content.sign.partition(",")
-        if first in names and any(name.startswith(second) for name in names):
-            return content.what
+    for begins, kind in OWN_TABLES.items():
+        if "time_s" in names and any(name.startswith(begins) for name in names):
+            return kind
     return "table of numbers"
 
 

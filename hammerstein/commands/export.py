@@ -9,6 +9,7 @@ import typer
 
 from hammerstein.commands.grouped import grouped
 from hammerstein.commands.law_options import LawWords, Sent
+from hammerstein.commands.record_options import Overwrite
 from hammerstein.commands.terminal import complain, tell, tell_json, tell_statements
 
 FORMATS = ("c", "fmu")
@@ -32,6 +33,7 @@ def export(
     words: LawWords,
     sent: Sent,
     float32: Annotated[bool, typer.Option("--float32", help="Compute in single precision.")] = False,
+    overwrite: Overwrite = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Turn a law, or the model itself, into code that runs without Python."""
@@ -56,7 +58,7 @@ def export(
     }
     assert model is not None  # the condition above
     with told_by_options("compensate", words.own):
-        _write(model, law, out, sample_time, request, as_json)
+        _write(model, law, out, sample_time, request, overwrite, as_json)
 
 
 def _check(folder: Path, as_json: bool) -> None:
@@ -72,7 +74,13 @@ def _check(folder: Path, as_json: bool) -> None:
 
 
 def _write(
-    model: str, law: str, out: Path | None, sample_time: float | None, given: dict[str, Any], as_json: bool
+    model: str,
+    law: str,
+    out: Path | None,
+    sample_time: float | None,
+    given: dict[str, Any],
+    overwrite: bool,
+    as_json: bool,
 ) -> None:
     from hammerstein.commands.tables import kept_aside
     from hammerstein.compiled import announce_compiling
@@ -85,10 +93,10 @@ def _write(
     if out is None:
         raise InputError("--out", "name the folder for the code")
     refuse_unwritable("--out", out)
-    prepare(out, EXPORT, ALWAYS)
+    prepare(out, EXPORT, ALWAYS, overwrite)
     request, loaded = request_of(model, law, sample_time, **given)
     announce_compiling(complain)
-    written = write_export(request, loaded, out)
+    written = write_export(request, loaded, out, overwrite)
     for place in written.kept:
         complain(kept_aside(place))
     if as_json:

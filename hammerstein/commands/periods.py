@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hammerstein.commands.law_options import volts
+from hammerstein.commands.refusals import write_output
 from hammerstein.commands.terminal import tell, tell_json, tell_statements
 
 if TYPE_CHECKING:
     from hammerstein.compensators.cycle import Cycle
     from hammerstein.compensators.drive_file import Terms
     from hammerstein.compensators.path_file import Onlooker
-    from hammerstein.files import Content
+    from hammerstein.runtime.storage.manifest import Owner
 
 
 class TableRequest(NamedTuple):
@@ -36,11 +37,12 @@ class TableRequest(NamedTuple):
         if scale is not None and (scale[0] == 0.0 or not all(map(math.isfinite, scale))):
             raise InputError("--table-scale", "is FACTOR or FACTOR,OFFSET: finite, the factor not 0")
 
-    def content(self) -> Content:
-        """What the file will hold."""
-        from hammerstein.compensators import drive_file, wave_table
+    def owner(self) -> Owner:
+        """Who writes the file."""
+        from hammerstein.compensators.drive_file import DRIVE
+        from hammerstein.compensators.wave_table import WAVE_TABLE
 
-        return drive_file.CONTENT if self.device is None else wave_table.CONTENT
+        return DRIVE if self.device is None else WAVE_TABLE
 
     def factors(self) -> tuple[float, float] | None:
         """Factor and offset from volts to the numbers of the table."""
@@ -76,16 +78,20 @@ class Period(NamedTuple):
     table: TableRequest
     as_json: bool
     onlooker: Onlooker
+    overwrite: bool
+
+    def write(self, text: str) -> None:
+        """Write the file."""
+        write_output(self.out, text, self.table.owner(), self.overwrite)
 
 
 def write_cycle(asked: Period) -> None:
     """Write one settled period, as a drive file or as a wave table."""
     from hammerstein.compensators.cycle import cycle_of
-    from hammerstein.files import write_atomic
 
     found = cycle_of(asked.model, asked.path, asked.law, asked.options, asked.terms, asked.onlooker)
     said, errors, text = asked.table.form(found)
-    write_atomic(asked.out, text)
+    asked.write(text)
     _tell(asked, {"rms_um": errors}, said, "one period")
 
 
@@ -96,7 +102,6 @@ def write_lesson(
     from hammerstein.compensators.learning.files import learn_from_files
     from hammerstein.compensators.learning.unsure import Unsure
     from hammerstein.errors import InputError
-    from hammerstein.files import write_atomic
 
     deviations = volts("--unsure", unsure) or ()
     if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):
@@ -113,7 +118,7 @@ def write_lesson(
         before,
     )
     about, errors, text = asked.table.form(found)
-    write_atomic(asked.out, text)
+    asked.write(text)
     figures = {"error_rms_um": taught.error_rms_um, "noise_um": taught.noise_um, "rms_um": errors}
     said = [taught.statement(), *about]
     _tell(asked, {"finished": taught.finished, **figures}, said, "next period")

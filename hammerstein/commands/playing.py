@@ -12,12 +12,12 @@ from hammerstein.arrays import Array
 from hammerstein.compensators.drive_csv import Tell, drive_csv
 from hammerstein.compensators.path_file import PLAYED_COST, UNWATCHED, Onlooker, PathWork
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.files import Content
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response
+from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.signals.tables import chosen, read_signal
 
-PLAYED = Content("file of played voltages", sign="time_s,played_")
+PLAYED = Owner("play", single=True)
 EVENLY = 1e-3
 """Part of a sample time by which the time of a row may be off."""
 

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from hammerstein.records.gains import Gain
     from hammerstein.records.record import Record
 
+Overwrite = Annotated[
+    bool,
+    typer.Option("--overwrite", help="Replace files of others, and edited ones."),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 

@@ -12,8 +12,8 @@ import typer
 
 from hammerstein.commands.grouped import grouped
 from hammerstein.commands.law_options import LawWords, Reached, Sent
-from hammerstein.commands.record_options import AsJson, HeldBack, Identified, RecordFiles
-from hammerstein.commands.refusals import refuse_output, told_by_options
+from hammerstein.commands.record_options import AsJson, HeldBack, Identified, Overwrite, RecordFiles
+from hammerstein.commands.refusals import refuse_output, told_by_options, write_output
 from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_statements
 from hammerstein.commands.watch import Spinner
 
@@ -47,6 +47,7 @@ def loops(
     accept_order: Annotated[
         bool, typer.Option("--accept-order", help="Take the columns as named, though an output leads.")
     ] = False,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Find the loops in measured records: height, width, area, closure, drift."""
@@ -63,7 +64,7 @@ def loops(
     if figures:
         refuse_unwritable("--out", out)
         refuse_name(recorded.files[0])
-        prepare(folder, LOOPS, LOOPS_FILES)
+        prepare(folder, LOOPS, LOOPS_FILES, overwrite)
     records = recorded.read(all_driven=False)
     if not accept_order:
         refuse_swapped(records)
@@ -87,7 +88,7 @@ def loops(
         from hammerstein.reporting.figures import save_figures
 
         figure = loops_of_records(records, [found[record.source] for record in records])
-        for path in save_figures({"loops": figure} if figure else {}, folder, LOOPS):
+        for path in save_figures({"loops": figure} if figure else {}, folder, LOOPS, overwrite):
             (complain if as_json else tell)(str(path))
 
 
@@ -131,6 +132,7 @@ def identify(
         typer.Option(metavar="DIR", help="Where the fit report goes; beside the model if not given."),
     ] = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Identify a model from measured records, and say how far it can be trusted."""
@@ -139,18 +141,17 @@ def identify(
     from hammerstein.escaping import one_line
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.identify import identify as identify_model
-    from hammerstein.model import CONTENT
     from hammerstein.quantities import LONGEST_NAME
-    from hammerstein.reporting.fit_folder import ALWAYS, FIT, write_fit
+    from hammerstein.reporting.fit_folder import ALWAYS, FIT, MODEL, write_fit
     from hammerstein.reporting.fit_page import fit_json
     from hammerstein.runtime.storage.staging import prepare
 
     settings = identified.settings(hysteresis=hysteresis, dead_zones=dead_zones)
-    refuse_output(out, [*recorded.files, *(held.validate or [])], CONTENT)
+    refuse_output(out, [*recorded.files, *(held.validate or [])], MODEL, overwrite)
     held.refuse_fitted(recorded.files)
     folder = report or out.parent / f"{out.stem}_fit"
     refuse_unwritable("--report", folder)
-    prepare(folder, FIT, ALWAYS)
+    prepare(folder, FIT, ALWAYS, overwrite)
     announce_compiling(complain)
     records, validation = recorded.read(), held.read(recorded)
     gains = recorded.gains(records)
@@ -162,7 +163,7 @@ def identify(
             name=one_line(out.stem)[:LONGEST_NAME],
             progress=spinner.tell,
         )
-    for place in write_fit(model, fit, out, folder, figures):
+    for place in write_fit(model, fit, out, folder, figures, overwrite):
         complain(kept_aside(place))
     if as_json:
         tell_json(json.loads(fit_json(model, fit)), indent=1, sort_keys=True)
@@ -228,6 +229,7 @@ def compensate(
         ),
     ] = None,
     reached: Reached,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Turn a reference into the voltages to send, with the predicted response."""
@@ -237,7 +239,6 @@ def compensate(
     from hammerstein.compensators.drive_file import compensate as compensated
     from hammerstein.compiled import announce_compiling
     from hammerstein.errors import InputError
-    from hammerstein.files import write_atomic
 
     if unsure is not None and learn is None:
         raise InputError("--unsure", "says what --learn counts on; give --learn DRIVE MEASURED too")
@@ -246,11 +247,11 @@ def compensate(
     options = words.options()
     wanted = TableRequest(table, table_scale, table_points)
     wanted.check()
-    refuse_output(out, [Path(model), reference, *(learn or ()), *(before or ())], wanted.content())
+    refuse_output(out, [Path(model), reference, *(learn or ()), *(before or ())], wanted.owner(), overwrite)
     announce_compiling(complain)
     terms = reached.terms(sent)
     with told_by_options("compensate", words.own), watched() as onlooker:
-        period = Period(model, reference, law, options, terms, out, wanted, as_json, onlooker)
+        period = Period(model, reference, law, options, terms, out, wanted, as_json, onlooker, overwrite)
         if learn is not None or cycle or table is not None:
             reached.refuse_with_period()
         if learn is not None:
@@ -260,7 +261,7 @@ def compensate(
             write_cycle(period)
             return
         found = compensated(model, reference, law, options, terms, onlooker)
-        write_atomic(out, found.to_csv(onlooker.tell))
+        write_output(out, found.to_csv(onlooker.tell), wanted.owner(), overwrite)
     if as_json:
         tell_json({"drive": str(out), **found.summary()})
         return

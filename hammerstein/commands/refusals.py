@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 if TYPE_CHECKING:
-    from hammerstein.files import Content
+    from hammerstein.runtime.storage.manifest import Owner
 
 _ALONE = ("start", "range", "axes")
 """Options whose own values make a message of their own."""
@@ -22,15 +22,24 @@ _OPTIONS = {
 }
 
 
-def refuse_output(out: Path, inputs: list[Path], content: Content) -> None:
-    """Refuse an output that cannot be written, holds something else, or is one of the files that are read."""
+def refuse_output(out: Path, inputs: list[Path], owner: Owner, overwrite: bool) -> None:
+    """Refuse an output that cannot be written, is somebody's file, or one of the files that are read."""
     from hammerstein.errors import InputError
-    from hammerstein.files import refuse_overwriting, refuse_unwritable
+    from hammerstein.runtime.storage.staging import prepare_file
 
-    refuse_unwritable("--out", out.parent)
     if any(path.resolve() == out.resolve() for path in inputs):
         raise InputError("--out", f"{out} is one of the files that are read; choose another name")
-    refuse_overwriting("--out", out, content)
+    prepare_file("--out", out, owner, overwrite)
+
+
+def write_output(out: Path, content: str | BinaryIO, owner: Owner, overwrite: bool) -> None:
+    """Write one file; say where the one went that a person had changed."""
+    from hammerstein.commands.tables import kept_aside
+    from hammerstein.commands.terminal import complain
+    from hammerstein.runtime.storage.staging import write_file
+
+    for place in write_file(out, content, owner, overwrite):
+        complain(kept_aside(place))
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from hammerstein.commands.crew import PROCESSORS, Address, Jobs, Yes, announce, apart, workers
-from hammerstein.commands.record_options import AsJson
+from hammerstein.commands.record_options import AsJson, Overwrite
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Watch
 from hammerstein.runtime.cache import folder_of_runs
@@ -50,6 +50,7 @@ def run(
         bool, typer.Option("--dry-run", help="Print what would be run, with memory and time; run nothing.")
     ] = False,
     yes: Yes = False,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Run scenarios and write a report for each: numbers, a page, figures.
@@ -61,7 +62,7 @@ def run(
     from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.folder import Writer
     from hammerstein.reporting.html.interactive import refuse_without_library
-    from hammerstein.reporting.html.overview import OVERVIEW
+    from hammerstein.reporting.html.overview import OVERVIEW, PAGE
     from hammerstein.runtime import store as kept_results
     from hammerstein.runtime.storage.staging import prepare
 
@@ -80,17 +81,17 @@ def run(
     if useless:
         complain(useless)
     kind = "mat" if traces == "mat" else "csv" if traces == "csv" else None
-    writer = Writer(out, figures, cast("TraceFormat | None", kind), interactive, store)
+    writer = Writer(out, figures, cast("TraceFormat | None", kind), interactive, store, overwrite)
     writer.prepare(scenarios)
     if len(scenarios) > 1:
-        prepare(out, OVERVIEW, [OVERVIEW.sign[0]])
+        prepare(out, OVERVIEW, [PAGE], overwrite)
     for assessed in _assessed(scenarios.values(), page):
-        assessed.prepare(out, page)
+        assessed.prepare(out, page, overwrite)
     outcomes = _run_what_changed(scenarios, writer, jobs, cluster, yes)
     for trouble in dict.fromkeys(outcome.unkept for outcome in outcomes if outcome.unkept):
         complain(trouble)
     outcomes.sort(key=lambda outcome: outcome.name)
-    reports = _summed_up(outcomes, out, page)
+    reports = _summed_up(outcomes, out, page, overwrite)
     _tell_reports(outcomes, reports, out, as_json)
     if open_ and reports:
         _open(_first_page(reports, out))
@@ -119,7 +120,7 @@ def _show_plan(paths: Sequence[Path], jobs: int) -> None:
     show(plan_table({name: plan_of(one, jobs) for name, one in load_all(paths).items()}, jobs))
 
 
-def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None) -> list[Report]:
+def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None, overwrite: bool) -> list[Report]:
     """Write what stands over several reports: what was asked of them, the overview."""
     from hammerstein.commands.tables import kept_aside
     from hammerstein.reporting.html.overview import write_overview
@@ -132,8 +133,8 @@ def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None) -> lis
             complain("what stands over all reports is not written, as not every scenario has one")
     else:
         for kind in kinds:
-            kept += kind.write(reports, out, page)
-    kept += write_overview(reports, out) if len(reports) > 1 else ()
+            kept += kind.write(reports, out, page, overwrite)
+    kept += write_overview(reports, out, overwrite) if len(reports) > 1 else ()
     for place in kept:
         complain(kept_aside(place))
     return reports
@@ -258,21 +259,22 @@ def check(
     jobs: Jobs = PROCESSORS,
     cluster: Address = None,
     yes: Yes = False,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Run scenarios again and compare every number with its baseline."""
+    from hammerstein.commands.refusals import write_output
     from hammerstein.compiled import announce_compiling
     from hammerstein.experiment.batch import load_all
-    from hammerstein.files import refuse_overwriting, refuse_unwritable, write_atomic
     from hammerstein.regression.check import check_files
     from hammerstein.regression.result import JUNIT, SUMMARY
-    from hammerstein.reporting.html.check_page import CONTENT, check_page
+    from hammerstein.reporting.html.check_page import CHECK_PAGE, check_page
+    from hammerstein.runtime.storage.staging import prepare_file
 
-    outputs = (("--junit", junit, JUNIT), ("--markdown", markdown, SUMMARY), ("--html", html, CONTENT))
-    for option, file, content in outputs:
+    outputs = (("--junit", junit, JUNIT), ("--markdown", markdown, SUMMARY), ("--html", html, CHECK_PAGE))
+    for option, file, owner in outputs:
         if file is not None:
-            refuse_unwritable(option, file.parent)
-            refuse_overwriting(option, file, content)
+            prepare_file(option, file, owner, overwrite)
     scenarios = load_all(paths)
     announce_compiling(complain)
     with (
@@ -280,13 +282,15 @@ def check(
         _planned(scenarios, asked, yes) as crew,
         Watch(len(scenarios)) as watch,
     ):
-        result = check_files(paths, baseline, update_baseline, crew, watch.progress, watch.finished)
+        result = check_files(
+            paths, baseline, update_baseline, crew, watch.progress, watch.finished, overwrite
+        )
     if junit is not None:
-        write_atomic(junit, result.junit())
+        write_output(junit, result.junit(), JUNIT, overwrite)
     if markdown is not None:
-        write_atomic(markdown, result.markdown())
+        write_output(markdown, result.markdown(), SUMMARY, overwrite)
     if html is not None:
-        write_atomic(html, check_page(result))
+        write_output(html, check_page(result), CHECK_PAGE, overwrite)
     if as_json:
         tell_json(result.as_dict())
     else:
@@ -299,6 +303,7 @@ def plot(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the figures go.")] = Path("reports"),
     jobs: Jobs = PROCESSORS,
     yes: Yes = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Draw the figures of one scenario, and nothing else."""
     from hammerstein.compiled import announce_compiling
@@ -315,9 +320,9 @@ def plot(
     refuse_unwritable("--out", out)
     ((name, scenario),) = load_all([path]).items()
     _planned({name: scenario}, jobs, yes)
-    prepare(out / name, FIGURES, ())
+    prepare(out / name, FIGURES, (), overwrite)
     announce_compiling(complain)
     with Watch(1) as watch:
         report = run_scenario(scenario, name, jobs, watch.progress)
-    for figure in write_figures(report, out / name):
+    for figure in write_figures(report, out / name, overwrite):
         tell(str(figure))

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from hammerstein.commands.record_options import AsJson
+from hammerstein.commands.record_options import AsJson, Overwrite
 from hammerstein.commands.terminal import complain, show as show_table, tell, tell_json
 
 
@@ -109,21 +109,21 @@ def play(
     sensor: Annotated[
         bool, typer.Option("--sensor", help="Through the model's converter and sensor, noise included.")
     ] = False,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Play voltages on a model and write what comes out: the counterpart of compensate."""
     from hammerstein.commands.path_watch import watched
     from hammerstein.commands.playing import PLAYED, played
-    from hammerstein.commands.refusals import refuse_output
+    from hammerstein.commands.refusals import refuse_output, write_output
     from hammerstein.commands.tables import played_table
     from hammerstein.compiled import announce_compiling
-    from hammerstein.files import write_atomic
 
-    refuse_output(out, [Path(model), drive], PLAYED)
+    refuse_output(out, [Path(model), drive], PLAYED, overwrite)
     announce_compiling(complain)
     with watched() as onlooker:
         found = played(model, drive, sensor, onlooker)
-        write_atomic(out, found.to_csv(onlooker.tell))
+        write_output(out, found.to_csv(onlooker.tell), PLAYED, overwrite)
     if as_json:
         tell_json({"played": str(out), **found.summary()})
         return

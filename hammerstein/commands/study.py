@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import hashlib
+import io
+import os
+import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Protocol
 
 import typer
 
 from hammerstein.commands.crew import PROCESSORS, Address, Jobs, Yes, announce, apart, workers
+from hammerstein.commands.record_options import Overwrite
 from hammerstein.commands.terminal import complain, tell
 from hammerstein.commands.watch import Watch
+from hammerstein.runtime.storage.manifest import Owner
 
 if TYPE_CHECKING:
     from hammerstein.experiment.study import Sampled
     from hammerstein.scenario import Scenario
 
 PARQUET = (".parquet", ".pq")
+SWEEP = Owner("sweep", single=True)
 LINES_AT_ONCE = 1000  # of a Parquet file
 
 
@@ -28,6 +35,7 @@ def sweep(
     jobs: Jobs = PROCESSORS,
     cluster: Address = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Pass by what earlier runs kept.")] = False,
+    overwrite: Overwrite = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print how many runs there are, and the time; run nothing.")
     ] = False,
@@ -43,7 +51,7 @@ def sweep(
     from hammerstein.runtime import store as kept_results
     from hammerstein.runtime.fanning import workers_of
 
-    table_file = _place_of(out, dry_run)
+    table_file = _place_of(out, overwrite, dry_run)
     scenario = _scenario_of(path)
     study = study_of(scenario, str(path))
     if table_file is None:
@@ -53,7 +61,7 @@ def sweep(
     if useless:
         complain(useless)
     failed = 0
-    with workers(jobs, cluster) as asked, _written(table_file) as table:
+    with workers(jobs, cluster) as asked, _written(table_file, overwrite) as table:
         told, seconds = _announced(scenario, path, workers_of(asked))
         announce(told, seconds, yes)
         if store is not None:
@@ -70,18 +78,16 @@ def sweep(
     tell(f"{study.count()} runs written in {table_file}")
 
 
-def _place_of(out: Path | None, dry_run: bool) -> Path | None:
+def _place_of(out: Path | None, overwrite: bool, dry_run: bool) -> Path | None:
     """Where the rows go: a place that can be written to; None where nothing is written."""
     from hammerstein.errors import InputError
-    from hammerstein.files import Content, refuse_overwriting, refuse_unwritable
+    from hammerstein.runtime.storage.staging import prepare_file
 
     if dry_run:
         return None
     if out is None:
         raise InputError("--out", "is missing; give the file that the rows go to, as .csv or .parquet")
-    refuse_unwritable("--out", out.parent)
-    begins = "PAR1" if out.suffix in PARQUET else "sample,"
-    refuse_overwriting("--out", out, Content("table of a sweep", begins))
+    prepare_file("--out", out, SWEEP, overwrite)
     return out
 
 
@@ -114,26 +120,47 @@ class _Table(Protocol):
 
 
 @contextlib.contextmanager
-def _written(out: Path) -> Iterator[_Table]:
-    """A table that takes its name when it is whole."""
-    from hammerstein.errors import InputError
-    from hammerstein.files import UNFINISHED, begun, ended, reason_of
+def _written(out: Path, overwrite: bool) -> Iterator[_Table]:
+    """A table that takes its name when it is whole; until then its file has none, and ends with the process.
 
-    part = out.with_name(f".{out.name}{UNFINISHED}")
-    begun(part, part.unlink)
+    Raises InputError where another sweep is writing it.
+    """
+    from hammerstein.commands.refusals import write_output
+    from hammerstein.errors import InputError
+    from hammerstein.files import reason_of
+
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        table = _Parquet(part) if out.suffix in PARQUET else _Csv(part)
-        with contextlib.closing(table):
-            yield table
-        part.replace(out)
+        with _alone(out), tempfile.TemporaryFile(dir=out.parent) as file:
+            table = _Parquet(file) if out.suffix in PARQUET else _Csv(file)
+            with contextlib.closing(table):
+                yield table
+            file.seek(0)
+            write_output(out, file, SWEEP, overwrite)
     except OSError as error:
         what = f"cannot be written ({reason_of(error)}); choose another place"
         raise InputError(str(out), what) from None
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
-        ended(part)
+
+
+@contextlib.contextmanager
+def _alone(out: Path) -> Iterator[None]:
+    """Let no other sweep of this user write the same file; InputError where one does.
+
+    The lock lies in the user's cache folder, where a killed sweep leaves nothing beside the file. Where there
+    is no such folder, the one that ends last has its rows in the file.
+    """
+    from hammerstein.runtime.cache import folder
+    from hammerstein.runtime.storage.lock import locked
+
+    with contextlib.ExitStack() as held:
+        if (place := folder()) is not None:
+            name = hashlib.sha256(os.fsencode(out.resolve())).hexdigest()
+            with contextlib.suppress(OSError):
+                (place / "locks").mkdir(mode=0o700, parents=True, exist_ok=True)
+                held.enter_context(
+                    locked(place / "locks" / name, 0.0, ("--out", f"{out} is written by another sweep"))
+                )
+        yield
 
 
 def _lines(one: Sampled) -> Iterator[dict[str, Any]]:
@@ -149,8 +176,8 @@ def _lines(one: Sampled) -> Iterator[dict[str, Any]]:
 
 
 class _Csv:
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("w", newline="", encoding="utf-8")
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = io.TextIOWrapper(file, newline="", encoding="utf-8")
         self._writer: Any = None
 
     def add(self, one: Sampled) -> None:
@@ -163,11 +190,11 @@ class _Csv:
             self._writer.writerow({k: cell(v) if isinstance(v, str) else v for k, v in line.items()})
 
     def close(self) -> None:
-        self._file.close()
+        self._file.detach()  # what is left is written; the file itself stays open
 
 
 class _Parquet:
-    def __init__(self, path: Path) -> None:
+    def __init__(self, file: BinaryIO) -> None:
         from hammerstein.errors import InputError
 
         try:
@@ -176,7 +203,7 @@ class _Parquet:
         except ImportError:
             what = "Parquet needs pyarrow: pip install 'hammerstein-control[parquet]', or write .csv"
             raise InputError("--out", what) from None
-        self._arrow, self._parquet, self._path = pyarrow, parquet, path
+        self._arrow, self._parquet, self._file = pyarrow, parquet, file
         self._lines: list[dict[str, Any]] = []
         self._writer: Any = None
 
@@ -193,7 +220,7 @@ class _Parquet:
         types = {"sample": arrow.int64()} | dict.fromkeys(texts, arrow.string())
         schema = arrow.schema([(name, types.get(name, arrow.float64())) for name in self._lines[0]])
         if self._writer is None:
-            self._writer = self._parquet.ParquetWriter(self._path, schema)
+            self._writer = self._parquet.ParquetWriter(self._file, schema)
         self._writer.write_table(arrow.Table.from_pylist(self._lines, schema))
         self._lines = []
 

@@ -15,6 +15,7 @@ from hammerstein.actuators import DEFAULT
 from hammerstein.errors import InputError
 from hammerstein.files import begun, ended, reason_of, remove_empty
 from hammerstein.plugins import load_plugins
+from hammerstein.runtime.storage.manifest import MANIFEST, Manifest
 from hammerstein.scenario.assessment import ASSESSMENTS
 
 Say = Callable[[str], None]
@@ -92,7 +93,9 @@ def _made(target: Path) -> Iterator[Path]:
 
 
 def _move(room: Path, target: Path) -> None:
-    files = [path.relative_to(room) for path in sorted(room.rglob("*")) if path.is_file()]
+    manifest = room / MANIFEST
+    found = (path for path in sorted(room.rglob("*")) if path.is_file() and path != manifest)
+    files = [path.relative_to(room) for path in found]
     refuse_existing(target, files)
     moved: list[Path] = []
     folders = sorted({place for file in files for place in (target / file).parents}, reverse=True)
@@ -103,10 +106,13 @@ def _move(room: Path, target: Path) -> None:
             place.parent.mkdir(parents=True, exist_ok=True)
             os.rename(room / file, place)
             moved.append(place)
-    except OSError as error:
+        Manifest.read(target).joined(Manifest.read(room)).save()
+    except (OSError, InputError) as error:
         for place in moved:
             place.unlink()
         remove_empty(made)
+        if isinstance(error, InputError):
+            raise
         what = f"cannot be written ({reason_of(error)}); choose another folder"
         raise InputError(str(target), what) from None
 

@@ -21,10 +21,10 @@ from hammerstein.compensators.prediction import Prediction
 from hammerstein.compensators.reach import Reach, Shortfall, reach
 from hammerstein.compensators.remedies import Missed
 from hammerstein.errors import IdentificationError, InputError, SimulationError
-from hammerstein.files import Content
 from hammerstein.model import HammersteinModel
+from hammerstein.runtime.storage.manifest import Owner
 
-CONTENT = Content("drive file", sign="time_s,drive_")
+DRIVE = Owner("drive", single=True)
 
 HEADING = "Voltages to send, as they are: absolute, in V. Times in s, positions in um."
 

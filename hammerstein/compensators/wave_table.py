@@ -22,11 +22,10 @@ from hammerstein.blocks.axis_names import column
 from hammerstein.compensators.cycle import Cycle, held_least
 from hammerstein.errors import InputError
 from hammerstein.escaping import clean
-from hammerstein.files import Content
 from hammerstein.metrics import rms
+from hammerstein.runtime.storage.manifest import Owner
 
-SIGN = "Number in the table"
-CONTENT = Content("wave table", sign=SIGN)
+WAVE_TABLE = Owner("wave table", single=True)
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ class WaveTable:
         device = DEVICES[self.device]
         said = [
             f"{device.what[0].upper()}{device.what[1:]}: {self.points} points of {self.point_s:.6g} s, "
-            f"one column an input. {SIGN} = {self.scale[0]:g} x V + {self.scale[1]:g}.",
+            f"one column an input. Number in the table = {self.scale[0]:g} x V + {self.scale[1]:g}.",
             f"Error of the played path, rms: {own:.4g} um with every sample, {held:.4g} um with points held "
             f"for {self.point_s:.6g} s, {written:.4g} um as it is written."
             + (" It was resampled so that the second is least." if self.hold > 1 else ""),

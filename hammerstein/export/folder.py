@@ -28,7 +28,7 @@ from hammerstein.runtime.storage.staging import staged
 from hammerstein.validation import Strict, mistakes_of
 
 MODEL_FILE, REQUEST_FILE = "model.json", "export.json"
-EXPORT = Owner("export", sign=(REQUEST_FILE, '"hammerstein-export/1"'))
+EXPORT = Owner("export")
 ALWAYS = (REQUEST_FILE, MODEL_FILE, "README.md", "Makefile", "golden.csv", "selftest.c")
 SEARCHED = 100_000
 
@@ -114,11 +114,13 @@ class WrittenCode:
     kept: tuple[Path, ...]
 
 
-def write_export(request: Request, model: HammersteinModel, folder: Path) -> WrittenCode:
+def write_export(
+    request: Request, model: HammersteinModel, folder: Path, overwrite: bool = False
+) -> WrittenCode:
     """Write an export; all of its files, or none."""
     code = CCode(request, model, request.block(model))
     files = files_of(code)
-    with staged(folder, EXPORT) as stage:
+    with staged(folder, EXPORT, overwrite) as stage:
         for name, content in files.items():
             stage.write(name, content)
         if request.form == "fmu":

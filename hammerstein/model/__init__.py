@@ -1,7 +1,6 @@
 """An actuator: its model file, and what it does when it is driven."""
 
 from hammerstein.model.model import (
-    CONTENT as CONTENT,
     HammersteinModel as HammersteinModel,
     ModelFile as ModelFile,
     packaged_actuators as packaged_actuators,

@@ -23,7 +23,7 @@ from hammerstein.blocks.sample_grid import require_grid
 from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.dynamics import Dynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError, Mistake
-from hammerstein.files import Content, is_there, read_limited, write_atomic
+from hammerstein.files import is_there, read_limited, write_atomic
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
 from hammerstein.pictured import Pictured
 from hammerstein.plugins import looked_up
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 FORMAT = "hammerstein-model/2"
 OLD_FORMAT = "hammerstein-model/1"
 NUMBERS = re.compile(r"\[\s+([-+0-9.eE,\s]+?)\s+\]")
-CONTENT = Content("model file", sign="hammerstein-model/")
 
 
 @dataclass(frozen=True, eq=False)

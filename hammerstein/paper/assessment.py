@@ -131,22 +131,24 @@ class Paper(Assessment):
         )
 
     @classmethod
-    def prepare(cls, out: Path, page: Path | None) -> None:
+    def prepare(cls, out: Path, page: Path | None, overwrite: bool = False) -> None:
         """Refuse folders that hold other people's files under these names."""
-        from hammerstein.paper.page import CLAIMS, PAGE
+        from hammerstein.paper.page import CLAIMS, CLAIMS_FILE, PAGE, PAGE_FILE
         from hammerstein.runtime.storage.staging import prepare
 
-        prepare(out, CLAIMS, [CLAIMS.sign[0]])
+        prepare(out, CLAIMS, [CLAIMS_FILE], overwrite)
         if page is not None:
-            prepare(page, PAGE, [PAGE.sign[0]])
+            prepare(page, PAGE, [PAGE_FILE], overwrite)
 
     @classmethod
-    def write(cls, reports: Sequence[Report], out: Path, page: Path | None) -> tuple[Path, ...]:
+    def write(
+        cls, reports: Sequence[Report], out: Path, page: Path | None, overwrite: bool = False
+    ) -> tuple[Path, ...]:
         """Write ``claims.csv`` beside the reports and, where it is wanted, the page of all figures."""
         from hammerstein.paper.page import write_claims, write_page
 
-        kept = write_claims(reports, out)
-        return kept if page is None else kept + write_page(reports, out, page)
+        kept = write_claims(reports, out, overwrite)
+        return kept if page is None else kept + write_page(reports, out, page, overwrite)
 
 
 def _shipped(name: str, pattern: str, checkout: str, target: str) -> dict[str, Path]:

@@ -16,8 +16,9 @@ from hammerstein.reporting.page import place_of
 from hammerstein.runtime.storage.manifest import Manifest, Owner
 from hammerstein.runtime.storage.staging import Stage, staged
 
-CLAIMS = Owner("claims", sign=("claims.csv", "id,scenario,statement,paper,unit,"))
-PAGE = Owner("page", sign=("README.md", "# The paper, simulated"))
+CLAIMS = Owner("claims")
+PAGE = Owner("page")
+CLAIMS_FILE, PAGE_FILE = "claims.csv", "README.md"
 MOST_PICTURES = 20  # one a report; the other figures are in the reports
 
 
@@ -60,19 +61,19 @@ def claims_csv(reports: Sequence[Report]) -> str:
     return text.getvalue()
 
 
-def write_claims(reports: Sequence[Report], out: Path) -> tuple[Path, ...]:
+def write_claims(reports: Sequence[Report], out: Path, overwrite: bool = False) -> tuple[Path, ...]:
     """Write ``claims.csv``, if there are any; give the place of one that a person had changed.
 
     Raises InputError if it cannot be written.
     """
     if not any(map(claimed, reports)):
         return ()
-    with staged(out, CLAIMS) as stage:
-        stage.write(CLAIMS.sign[0], claims_csv(reports))
+    with staged(out, CLAIMS, overwrite) as stage:
+        stage.write(CLAIMS_FILE, claims_csv(reports))
     return stage.kept
 
 
-def write_page(reports: Sequence[Report], out: Path, page: Path) -> tuple[Path, ...]:
+def write_page(reports: Sequence[Report], out: Path, page: Path, overwrite: bool = False) -> tuple[Path, ...]:
     """Write one page from reports that are already written below ``out``: claims and figures.
 
     Reports that simulate a figure of the paper come first, in the order of the figures. Gives the places of
@@ -81,9 +82,9 @@ def write_page(reports: Sequence[Report], out: Path, page: Path) -> tuple[Path, 
     Raises InputError if the page cannot be written.
     """
     chosen = sorted(reports, key=_in_order)
-    with staged(page, PAGE) as stage:
+    with staged(page, PAGE, overwrite) as stage:
         figures = {r.name: _copied(r, out, stage) for r in chosen[:MOST_PICTURES]}
-        stage.write(PAGE.sign[0], _rendered(chosen, figures))
+        stage.write(PAGE_FILE, _rendered(chosen, figures))
     return stage.kept
 
 

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field, FiniteFloat, ValidationError
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.report import Report
-from hammerstein.files import Content, read_limited, refuse_overwriting, write_atomic
+from hammerstein.files import read_limited, refuse_no_file, write_atomic
+from hammerstein.runtime.storage.exchange import put_aside
 from hammerstein.validation import Strict, mistakes_of
 
 FORMAT = "hammerstein-baseline/1"
-CONTENT = Content("baseline", sign="hammerstein-baseline/")
+NOTHING = " \t\r\n{}[]"
+"""A file of these alone holds nothing that could be lost."""
 
 Key = tuple[tuple[str, str | float], ...]
 """What tells one row from the others: names and values, in order of the names."""
@@ -35,6 +38,7 @@ class BaselineFile(Strict):
     """What a baseline file holds."""
 
     format: Literal["hammerstein-baseline/1"]
+    digest: str = ""
     scenario_digest: str
     model_digest: str
     rows: Annotated[tuple[RowFile, ...], Field(min_length=1)]
@@ -79,25 +83,57 @@ class Baseline:
         return cls(file.scenario_digest, file.model_digest, rows)
 
     def to_json(self) -> str:
-        """Text of the baseline file: one row a line, full precision, sorted keys, no clock and no host."""
+        """Text of the baseline file: one row a line, full precision, sorted keys, no clock and no host.
+
+        Its first entry is the digest of the others: a file that a person changed has another.
+        """
         rows = [{"key": dict(key), "numbers": dict(numbers)} for key, numbers in self.rows.items()]
         lines = ",\n".join("  " + json.dumps(row, sort_keys=True, allow_nan=False) for row in rows)
-        return (
-            f'{{\n "format": {json.dumps(FORMAT)},\n "model_digest": {json.dumps(self.model_digest)},\n'
+        text = (
+            f' "format": {json.dumps(FORMAT)},\n "model_digest": {json.dumps(self.model_digest)},\n'
             f' "rows": [\n{lines}\n ],\n "scenario_digest": {json.dumps(self.scenario_digest)}\n}}\n'
         )
+        return f"{{\n{_digest_line(text)}\n{text}"
 
-    def save(self, path: Path) -> bool:
-        """Write the file in one piece, unless it holds the same already; tell whether it was written.
+    def save(self, path: Path, overwrite: bool = False) -> SavedBaseline:
+        """Write the file in one piece, unless it holds the same already.
+
+        A baseline that a person has changed is kept under another name, unless it may be overwritten.
 
         Raises InputError if it cannot be written, or if the file that is there is no baseline.
         """
         data = self.to_json().encode()
         if path.is_file() and path.read_bytes() == data:
-            return False
-        refuse_overwriting("--update-baseline", path, CONTENT)
+            return SavedBaseline(written=False)
+        refuse_no_file("--update-baseline", path)
+        kept = None
+        if path.exists() and not overwrite and not _is_own(path):
+            kept = put_aside(path)
         write_atomic(path, data)
+        return SavedBaseline(written=True, kept=kept)
+
+
+class SavedBaseline(NamedTuple):
+    """Whether a baseline had to be written, and the new name of one that a person had changed."""
+
+    written: bool
+    kept: Path | None = None
+
+
+def _is_own(path: Path) -> bool:
+    """Whether a file is a baseline as it was written; InputError where it is none."""
+    text = read_limited(path, what="baseline") if path.stat().st_size else ""
+    if not text.strip(NOTHING):
         return True
+    if FORMAT.partition("/")[0] not in text:
+        what = f"{path} is no baseline and would be overwritten; move it away, or give --overwrite"
+        raise InputError("--update-baseline", what)
+    _, digest, rest = [*text.split("\n", 2), "", ""][:3]
+    return digest == _digest_line(rest)
+
+
+def _digest_line(rest: str) -> str:
+    return f' "digest": "{hashlib.sha256(rest.encode()).hexdigest()}",'
 
 
 def numbers_of(report: Report) -> Numbers:

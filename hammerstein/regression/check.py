@@ -25,6 +25,7 @@ def check_files(
     jobs: Jobs = 1,
     progress: Progress | None = None,
     finished: Callable[[str], None] | None = None,
+    overwrite: bool = False,
 ) -> CheckResult:
     """Run scenario files and compare each with ``<baseline_folder>/<scenario>.json``.
 
@@ -39,6 +40,7 @@ def check_files(
     jobs : scenarios side by side, or an executor that takes their cases; the numbers do not depend on it
     progress : called with what is done, how much of it, and of how much
     finished : called with the name of each scenario that is done
+    overwrite : whether an update replaces baselines that a person changed; otherwise they are kept aside
 
     Raises
     ------
@@ -49,7 +51,7 @@ def check_files(
     checks = {}
     for outcome in run_all(scenarios, _keep, jobs, progress):
         baseline = baseline_folder / f"{outcome.name}.json"
-        checks[outcome.name] = _checked(outcome, files[outcome.name], baseline, update)
+        checks[outcome.name] = _checked(outcome, files[outcome.name], baseline, update, overwrite)
         if finished is not None:
             finished(outcome.name)
     ordered = [checks[name] for name in files]
@@ -91,11 +93,14 @@ def _keep(report: Report) -> tuple[Path, ...]:
     return ()
 
 
-def _checked(outcome: Outcome, path: Path, baseline: Path, update: bool) -> ScenarioCheck:
+def _checked(
+    outcome: Outcome, path: Path, baseline: Path, update: bool, overwrite: bool = False
+) -> ScenarioCheck:
     if outcome.report is None:
         return ScenarioCheck(outcome.name, path, error=outcome.error)
     try:
-        found = (_update if update else _compare)(outcome.report, baseline)
+        report = outcome.report
+        found = _update(report, baseline, overwrite) if update else _compare(report, baseline)
         now = numbers_of(outcome.report)
     except HammersteinError as error:
         return ScenarioCheck(outcome.name, path, error=error)
@@ -125,11 +130,11 @@ def _load(path: Path) -> Baseline:
         raise InputError(str(path), [*error.mistakes, advice]) from None
 
 
-def _update(report: Report, baseline: Path) -> dict[str, Any]:
+def _update(report: Report, baseline: Path, overwrite: bool) -> dict[str, Any]:
     """Accept the numbers as a new baseline."""
     accepted = Baseline.of(report)
     compare(report, accepted, report.scenario.tolerances)  # refuses tolerances that no check could use
-    return {"written": accepted.save(baseline)}
+    return accepted.save(baseline, overwrite)._asdict()
 
 
 def _orphans(paths: Sequence[Path], names: set[str], baseline_folder: Path) -> list[ScenarioCheck]:

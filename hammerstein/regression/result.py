@@ -13,16 +13,15 @@ from xml.etree import ElementTree
 
 from hammerstein.errors import HammersteinError, ToleranceError
 from hammerstein.escaping import Markdown, clean
-from hammerstein.files import Content
 from hammerstein.metrics import KEY
 from hammerstein.regression.baseline import Numbers
 from hammerstein.regression.compare import Finding, Kind, deviation, limit
+from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.scenario.scenario import Tolerance
 
 DEFAULT_FOLDER = Path("reports/baseline")
 SUITE, TITLE = "hammerstein check", "# Scenarios against their baselines"
-JUNIT = Content("JUnit file of a check", sign=f'name="{SUITE}"')
-SUMMARY = Content("summary of a check", sign=TITLE)
+JUNIT, SUMMARY = Owner("check junit", single=True), Owner("check summary", single=True)
 SHOWN = 20  # lines of a table; who has moved more than that wants the worst, not all
 MISSING = "missing"
 _AXES = ("excited_axis", "measured_axis")  # shown as one column
@@ -42,6 +41,7 @@ class ScenarioCheck:
     new_columns : numbers that the baseline does not have in any row; they are not compared yet
     error : what stopped the run
     written : with an update, whether the baseline had to be written; otherwise None
+    kept : with an update, the new name of a baseline that a person had changed
     accepted, now : numbers of the baseline, empty where nothing was compared, and of this run
     tolerances : by name of the number, where the scenario gives its own
     """
@@ -53,6 +53,7 @@ class ScenarioCheck:
     new_columns: tuple[str, ...] = ()
     error: HammersteinError | None = None
     written: bool | None = None
+    kept: Path | None = None
     accepted: Numbers = field(default_factory=dict)
     now: Numbers = field(default_factory=dict)
     tolerances: Mapping[str, Tolerance] = field(default_factory=dict)
@@ -63,9 +64,9 @@ class ScenarioCheck:
         if self.error is not None:
             return f"{self.name}: could not be checked"
         if self.written is not None:
-            return (
-                f"{self.name}: baseline {'written' if self.written else 'unchanged'}, {_count(self.numbers)}"
-            )
+            aside = f"; the one that was edited is now {self.kept}" if self.kept else ""
+            word = "written" if self.written else "unchanged"
+            return f"{self.name}: baseline {word}, {_count(self.numbers)}{aside}"
         found = [*_counts(self.findings, self.numbers)] or [f"{_count(self.numbers)} within tolerance"]
         return f"{self.name}: {', '.join(found)}"
 

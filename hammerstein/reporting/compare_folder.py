@@ -4,24 +4,26 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hammerstein.comparison.result import FORMAT, Comparison
+from hammerstein.comparison.result import Comparison
 from hammerstein.reporting.compare_page import compare_page
 from hammerstein.reporting.html.compare_html import compare_html
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import staged
 
-COMPARISON = Owner("comparison", sign=("compare.json", f'"format": "{FORMAT}"'))
+COMPARISON = Owner("comparison")
 ALWAYS = ("compare.html", "compare.json", "compare.md")
 
 
-def write_comparison(found: Comparison, folder: Path, figures: bool = True) -> tuple[Path, ...]:
+def write_comparison(
+    found: Comparison, folder: Path, figures: bool = True, overwrite: bool = False
+) -> tuple[Path, ...]:
     """Write both pages, ``compare.json`` and the figure: all of them, or none.
 
     Gives the places of files of an earlier comparison that a person had changed and that were kept.
 
     Raises InputError if they cannot be written.
     """
-    with staged(folder, COMPARISON) as stage:
+    with staged(folder, COMPARISON, overwrite) as stage:
         drawn: dict[str, bytes] = {}
         if figures:
             from hammerstein.reporting.figures.compared import compared_figure

@@ -11,7 +11,7 @@ from typing import Any, Literal, cast
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 from hammerstein.escaping import cell
-from hammerstein.experiment.report import FORMAT, Report, Trace
+from hammerstein.experiment.report import Report, Trace
 from hammerstein.reporting.figures.write import FIGURES
 from hammerstein.reporting.kept_reports import found, keep, key_of_report
 from hammerstein.runtime.fanning import Jobs
@@ -24,7 +24,7 @@ TraceFormat = Literal["csv", "mat"]
 LONGEST_NAME = 60  # a character takes up to four of the 255 bytes that most systems allow
 
 
-REPORT = Owner("report", sign=("report.json", f'"format": "{FORMAT}"'), replaces=(FIGURES.name,))
+REPORT = Owner("report", replaces=(FIGURES.name,))
 ALWAYS = ("report.html", "report.json", "report.md", "rms.csv")
 
 
@@ -44,6 +44,7 @@ def write_report(
     traces: TraceFormat | None = None,
     interactive: bool = False,
     store: Store | None = None,
+    overwrite: bool = False,
 ) -> WrittenReport:
     """Write ``report.json``, ``rms.csv``, ``report.md``, ``report.html``, figures and, on request, traces.
 
@@ -58,6 +59,7 @@ def write_report(
     traces : format of the traces, none if not given
     interactive : whether the page holds plots to zoom into
     store : where figures are kept and found; all are drawn if not given
+    overwrite : whether to replace files that other programs wrote or a person changed
 
     Raises
     ------
@@ -67,7 +69,7 @@ def write_report(
     from hammerstein.reporting.html.run_page import run_page
     from hammerstein.reporting.page import render
 
-    with staged(folder, REPORT) as stage:
+    with staged(folder, REPORT, overwrite) as stage:
         drawn: dict[str, bytes] = {}
         if figures:
             from hammerstein.reporting.figures.kept import drawn as files_drawn
@@ -96,6 +98,7 @@ class Writer:
     traces: TraceFormat | None = None
     interactive: bool = False
     store: Store | None = None
+    overwrite: bool = False
 
     def on(self, jobs: Jobs) -> Writer:
         """Give the writer of what these workers find."""
@@ -105,7 +108,7 @@ class Writer:
     def prepare(self, names: Iterable[str]) -> None:
         """Refuse folders that cannot take a report, before the work; InputError says why."""
         for name in names:
-            prepare(self.out / name, REPORT, ALWAYS)
+            prepare(self.out / name, REPORT, ALWAYS, self.overwrite)
 
     def __call__(self, report: Report) -> tuple[Path, ...]:
         """Write one report; give the places of files that were kept."""
@@ -117,6 +120,7 @@ class Writer:
             traces=self.traces,
             interactive=self.interactive,
             store=self.store,
+            overwrite=self.overwrite,
         )
         key = self._key(report.name, report.scenario)
         if self.store is not None and key is not None:
@@ -135,7 +139,7 @@ class Writer:
         if known is None:
             return None
         report, files = known
-        with staged(self.out / name, REPORT) as stage:
+        with staged(self.out / name, REPORT, self.overwrite) as stage:
             for file, content in files.items():
                 stage.write(file, content)
         return report, stage.kept

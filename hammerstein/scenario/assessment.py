@@ -119,17 +119,20 @@ class Assessment(Strict, ABC):
         return {}
 
     @classmethod
-    def prepare(cls, out: Path, page: Path | None) -> None:
+    def prepare(cls, out: Path, page: Path | None, overwrite: bool = False) -> None:
         """Refuse folders that cannot take what ``write`` writes; InputError says why."""
 
     @classmethod
-    def write(cls, reports: Sequence[Any], out: Path, page: Path | None) -> tuple[Path, ...]:
+    def write(
+        cls, reports: Sequence[Any], out: Path, page: Path | None, overwrite: bool = False
+    ) -> tuple[Path, ...]:
         """Write what stands over several reports that lie below ``out``; give files that were kept aside.
 
         Parameters
         ----------
         reports : every ``experiment.report.Report`` of a run, also those without judgements of this kind
         out, page : folder of the reports, and of a page with all figures, if one is wanted
+        overwrite : whether to replace files that other programs wrote or a person changed
         """
         return ()
 

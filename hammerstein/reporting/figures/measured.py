@@ -16,7 +16,7 @@ from hammerstein.runtime.storage.manifest import Owner
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LOOPS = Owner("loops", sign=("loops.svg", "<dc:title>hammerstein"))
+LOOPS = Owner("loops")
 LOOPS_FILES = ("loops.svg", "loops.png")
 AT_ONCE = "all inputs move at once: no loop of one pair"
 MOST_AMPLITUDES = 4  # line styles that can be told apart

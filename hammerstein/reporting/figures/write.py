@@ -24,32 +24,35 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-FIGURES = Owner("figures", sign=("report.json", '"format": "hammerstein-report/'))
+FIGURES = Owner("figures")
 
 
-def write_figures(report: Report, folder: Path) -> list[Path]:
+def write_figures(report: Report, folder: Path, overwrite: bool = False) -> list[Path]:
     """Draw the figures of a report and write each as SVG and PNG; equal reports give equal bytes.
 
     Parameters
     ----------
     report : result of ``hammerstein.experiment.run.run``, with its traces
     folder : where to; made if it does not exist
+    overwrite : whether to replace files that other programs wrote or a person changed
 
     Raises
     ------
     InputError : the folder cannot be written, or holds other people's files under these names
     """
-    return save_figures(figures_of(report), folder)
+    return save_figures(figures_of(report), folder, overwrite=overwrite)
 
 
-def save_figures(figures: Mapping[str, Figure], folder: Path, owner: Owner = FIGURES) -> list[Path]:
+def save_figures(
+    figures: Mapping[str, Figure], folder: Path, owner: Owner = FIGURES, overwrite: bool = False
+) -> list[Path]:
     """Write figures, by name, as SVG and PNG, in place of those that the same owner wrote before.
 
     Raises
     ------
     InputError : the folder cannot be written, or holds other people's files under these names
     """
-    with staged(folder, owner) as stage:
+    with staged(folder, owner, overwrite) as stage:
         write_drawn(stage, files_of(figures))
     return stage.written
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hammerstein.files import Content
 from hammerstein.regression.compare import Kind
 from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.reporting.html.markup import MOST_DRAWING_BYTES, rendered
 from hammerstein.reporting.html.vector import Drawn, pictures
+from hammerstein.runtime.storage.manifest import Owner
 
-CONTENT = Content("page of a check", sign='content="hammerstein check"')
+CHECK_PAGE = Owner("check page", single=True)
 FIRST_SHOWN = ("rms_um", "gain", "height_um", "max_um", "value")
 MOST_METRICS = 2
 MOST_FIGURES = 30

@@ -16,7 +16,8 @@ from hammerstein.runtime.storage.manifest import Manifest, Owner
 from hammerstein.runtime.storage.staging import staged
 from hammerstein.scenario.assessment import Assessment
 
-OVERVIEW = Owner("overview", sign=("index.html", '<meta name="generator" content="hammerstein overview">'))
+OVERVIEW = Owner("overview")
+PAGE = "index.html"
 MOST_SHOWN = 3
 MOST_LINES = 7  # of what an assessment found, on the terminal
 
@@ -49,14 +50,14 @@ class Section:
     cards: tuple[Card, ...]
 
 
-def write_overview(reports: Sequence[Report], out: Path) -> tuple[Path, ...]:
+def write_overview(reports: Sequence[Report], out: Path, overwrite: bool = False) -> tuple[Path, ...]:
     """Write ``index.html`` over reports that lie below ``out``.
 
     Gives the place of one that a person had changed and that was kept; InputError if it cannot be written.
     """
-    with staged(out, OVERVIEW) as stage:
+    with staged(out, OVERVIEW, overwrite) as stage:
         page = rendered("overview.html.jinja", sections=_sections(reports, out), total=len(reports))
-        stage.write(OVERVIEW.sign[0], page)
+        stage.write(PAGE, page)
     return stage.kept
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from pydantic import ValidationError
 
 from hammerstein.errors import InputError
-from hammerstein.files import read_limited, remove_empty, write_through
-from hammerstein.runtime.storage.manifest import FileName, is_own_file
+from hammerstein.files import read_limited, remove_empty
+from hammerstein.runtime.storage.manifest import FileName, is_link, is_own_file, through_a_link
 from hammerstein.validation import Strict
 
 NEW, OLD, JOURNAL, DRAFT = "new", "old", "journal.json", "journal.part"
@@ -38,7 +38,10 @@ def exchange(folder: Path, room: Path, plan: Exchange) -> tuple[Path, ...]:
             (room / OLD / name).parent.mkdir(parents=True, exist_ok=True)
         for name in plan.coming:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        write_through(room / DRAFT, plan.model_dump_json().encode())
+        with (room / DRAFT).open("xb") as draft:
+            draft.write(plan.model_dump_json().encode())
+            draft.flush()
+            os.fsync(draft.fileno())
         os.replace(room / DRAFT, room / JOURNAL)
         return _carry_out(folder, room, plan)
     except OSError:
@@ -47,10 +50,14 @@ def exchange(folder: Path, room: Path, plan: Exchange) -> tuple[Path, ...]:
 
 
 def recover(folder: Path, room: Path) -> tuple[Path, ...]:
-    """Finish what somebody left in the middle, or undo it; clear the room."""
+    """Finish what somebody left in the middle, or undo it; clear the room.
+
+    Raises InputError where a step would follow a link.
+    """
     kept: tuple[Path, ...] = ()
     if (room / JOURNAL).exists():
         plan = _journal(room)
+        _refuse_links(folder, room, plan)
         if plan.coming and all(_is_there(folder, room, *item) for item in plan.coming.items()):
             kept = _carry_out(folder, room, plan)
         else:
@@ -63,8 +70,10 @@ def recover(folder: Path, room: Path) -> tuple[Path, ...]:
 def clear(room: Path) -> None:
     """Remove what was made, unless a journal still needs it."""
     if not (room / JOURNAL).exists():
-        for name in (NEW, OLD):
-            shutil.rmtree(room / name, ignore_errors=True)
+        for place in (room / NEW, room / OLD):
+            if is_link(place):
+                place.unlink()
+            shutil.rmtree(place, ignore_errors=True)
         (room / DRAFT).unlink(missing_ok=True)
 
 
@@ -73,6 +82,16 @@ def _journal(room: Path) -> Exchange:
         return Exchange.model_validate_json(read_limited(room / JOURNAL, "journal"))
     except (InputError, ValidationError):
         return Exchange(leaving={}, coming={})
+
+
+def _refuse_links(folder: Path, room: Path, plan: Exchange) -> None:
+    """Refuse an exchange that would follow a link into another folder; InputError."""
+    left = (path.relative_to(room / OLD).as_posix() for path in (room / OLD).rglob("*"))
+    parents = {PurePosixPath(name).parent for name in {*plan.leaving, *plan.coming, *left}}
+    for parent in parents:
+        for place in (Path(), Path(room.name, NEW), Path(room.name, OLD)):
+            if through_a_link(folder, (place / parent).as_posix()):
+                raise InputError(str(folder / place / parent), f"is reached through a link; remove {room}")
 
 
 def _is_there(folder: Path, room: Path, name: str, digest: str) -> bool:
@@ -89,7 +108,7 @@ def _carry_out(folder: Path, room: Path, plan: Exchange) -> tuple[Path, ...]:
         for name in plan.coming:
             if (room / NEW / name).exists():
                 if not _put_away(folder, room, name, plan) and os.path.lexists(folder / name):
-                    kept[folder / name] = _aside(folder / name)
+                    kept[folder / name] = put_aside(folder / name)
                 os.replace(room / NEW / name, folder / name)
         os.unlink(room / JOURNAL)
     except OSError:
@@ -109,7 +128,7 @@ def _put_away(folder: Path, room: Path, name: str, plan: Exchange) -> bool:
     return False
 
 
-def _aside(path: Path) -> Path:
+def put_aside(path: Path) -> Path:
     """Give somebody's file another name, which is free."""
     number, place = 1, path.with_name(f"{path.name}.{EDITED}")
     while os.path.lexists(place):

@@ -15,10 +15,12 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, ValidationError
 
 from hammerstein.errors import InputError
-from hammerstein.files import read_limited
+from hammerstein.files import read_limited, write_atomic
 from hammerstein.validation import Strict
 
-MANIFEST = ".hammerstein.json"
+RESERVED = ".hammerstein"
+MANIFEST = f"{RESERVED}.json"
+EMPTY = hashlib.sha256().hexdigest()
 CHUNK_BYTES = 1 << 20
 _RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?")
 _NO_NAME = re.compile(r'[\x00-\x1f\x7f-\x9f/\\<>:"|?*]')
@@ -26,17 +28,17 @@ _NO_NAME = re.compile(r'[\x00-\x1f\x7f-\x9f/\\<>:"|?*]')
 
 @dataclass(frozen=True)
 class Owner:
-    """Which command writes a set of files.
+    """Which command writes a file or a set of files.
 
     name : as it stands in the manifest
     replaces : whose files of an earlier run are removed, beside its own
-    sign : a file and a text in it; a folder without a manifest that holds them is one of its own, written
-        before there were manifests
+    single : whether each of its files stands alone: others of an earlier run stay, and it takes the place of
+        no file of another command
     """
 
     name: str
-    sign: tuple[str, str]
     replaces: tuple[str, ...] = ()
+    single: bool = False
 
 
 class FileEntry(Strict):
@@ -48,9 +50,14 @@ class FileEntry(Strict):
 
 def _inside(name: str) -> str:
     parts = PurePosixPath(name).parts
-    if not parts or not all(is_name(part) for part in parts) or "/".join(parts) != name:
+    if not parts or not all(map(_is_part, parts)) or "/".join(parts) != name:
         raise ValueError("names no file in the folder")
     return name
+
+
+def _is_part(name: str) -> bool:
+    """Whether this system takes a text for the name of one file, and shows all of it."""
+    return is_name(name) if os.name == "nt" else name != ".." and name.isprintable()
 
 
 FileName = Annotated[str, AfterValidator(_inside)]
@@ -93,31 +100,51 @@ class Manifest:
         """Text of the manifest: sorted keys, no clock and no host."""
         return json.dumps(_ManifestFile(files=dict(self.files)).model_dump(), indent=1, sort_keys=True) + "\n"
 
+    def joined(self, other: Manifest) -> Manifest:
+        """Give the manifest of this folder with the files of another that were moved into it."""
+        return Manifest(self.folder, {**self.files, **other.files})
+
+    def save(self) -> None:
+        """Write the manifest of a folder, unless it lists no file; InputError if it cannot be written."""
+        if self.files:
+            write_atomic(self.folder / MANIFEST, self.to_json())
+
     def holder(self, name: str, owner: Owner) -> Holder:
-        """Tell whose the file is that stands under a name."""
+        """Tell whose the file is that has a name."""
         path = self.folder / name
-        if _through_a_link(self.folder, name):
+        if through_a_link(self.folder, name):
             return Holder.FOREIGN
         if not path.exists():
             return Holder.NOBODY
-        if not path.is_file():
+        entry = self.files.get(name)
+        if is_own_file(self.folder, name, EMPTY):
+            return Holder.NOBODY
+        if entry is None or not path.is_file() or (owner.single and entry.owner != owner.name):
             return Holder.FOREIGN
-        if name in self.files:
-            return Holder.OURS if digest_of(path) == self.files[name].sha256 else Holder.EDITED
-        is_new_here = all(entry.owner != owner.name for entry in self.files.values())
-        return Holder.OURS if is_new_here and _is_signed(self.folder, owner) else Holder.FOREIGN
+        return Holder.OURS if digest_of(path) == entry.sha256 else Holder.EDITED
 
-    def refuse_foreign(self, names: Iterable[str], owner: Owner) -> None:
-        """Refuse to write under names that other people's files have; InputError names them all."""
+    def refuse_foreign(
+        self, names: Iterable[str], owner: Owner, overwrite: bool = False, option: str = ""
+    ) -> None:
+        """Refuse to write under names that other files have; InputError names them all.
+
+        Parameters
+        ----------
+        names, owner : what is to be written, and by whom
+        overwrite : whether ordinary files may be replaced, whoever wrote them
+        option : what named the file, such as ``--out``; the folder is named if not given
+        """
         found = [name for name in names if self.holder(name, owner) is Holder.FOREIGN]
-        if found:
-            listed = ", ".join(found[:5]) + (f" and {len(found) - 5} more" if len(found) > 5 else "")
-            what = "was" if len(found) == 1 else "were"
-            raise InputError(
-                str(self.folder),
-                f"holds {listed}, which {what} not written by hammerstein and would be overwritten; "
-                "move it away, or choose another place",
-            )
+        if overwrite:
+            found = [name for name in found if not is_plain_file(self.folder, name)]
+        if not found:
+            return
+        listed = ", ".join(found[:5]) + (f" and {len(found) - 5} more" if len(found) > 5 else "")
+        kind = "" if overwrite else ", or give --overwrite"
+        was = f"this command did not write and would overwrite; move it away, choose another place{kind}"
+        if option:
+            raise InputError(option, f"{self.folder / listed} is a file that {was}")
+        raise InputError(str(self.folder), f"holds {listed}, which {was}")
 
 
 def digest_of(path: Path) -> str:
@@ -133,8 +160,12 @@ def digest_of(path: Path) -> str:
 
 def is_own_file(folder: Path, name: str, digest: str) -> bool:
     """Whether a file, reached through no link, is there and has this digest."""
-    path = folder / name
-    return not _through_a_link(folder, name) and path.is_file() and digest_of(path) == digest
+    return is_plain_file(folder, name) and digest_of(folder / name) == digest
+
+
+def is_plain_file(folder: Path, name: str) -> bool:
+    """Whether an ordinary file is there, reached through no link."""
+    return not through_a_link(folder, name) and (folder / name).is_file()
 
 
 def is_name(name: str) -> bool:
@@ -156,27 +187,27 @@ def refuse_name(source: Path) -> None:
         )
 
 
+def refuse_file_name(option: str, path: Path) -> None:
+    """Refuse a name that no manifest can hold, or that the program keeps for itself; InputError."""
+    if not _is_part(path.name) or path.name.startswith(RESERVED):
+        raise InputError(option, f"{path.name!r} cannot be the name of the file; choose another")
+
+
 def refuse_link(folder: Path) -> None:
     """Refuse a folder that is a link: what is written into it would go elsewhere."""
-    if _is_link(folder):
+    if is_link(folder):
         raise InputError(
             str(folder), f"is a link to {os.path.realpath(folder)}; name that folder, or remove the link"
         )
 
 
-def _through_a_link(folder: Path, name: str) -> bool:
+def through_a_link(folder: Path, name: str) -> bool:
+    """Whether a part of a name in a folder is a link."""
     parts = PurePosixPath(name).parts
-    return any(_is_link(folder.joinpath(*parts[: k + 1])) for k in range(len(parts)))
+    return any(is_link(folder.joinpath(*parts[: k + 1])) for k in range(len(parts)))
 
 
-def _is_link(path: Path) -> bool:
+def is_link(path: Path) -> bool:
+    """Whether a path itself is a link, or a junction of Windows."""
     isjunction = getattr(os.path, "isjunction", None)  # Python 3.12
     return path.is_symlink() or bool(isjunction is not None and isjunction(path))
-
-
-def _is_signed(folder: Path, owner: Owner) -> bool:
-    name, text = owner.sign
-    try:
-        return text in read_limited(folder / name, "report")
-    except InputError:
-        return False

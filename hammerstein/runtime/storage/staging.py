@@ -7,81 +7,107 @@ undoes it where that cannot be done.
 
 from __future__ import annotations
 
+import io
+import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from hammerstein.errors import InputError
-from hammerstein.files import begun, ended, reason_of, remove_empty
+from hammerstein.files import begun, ended, reason_of, refuse_no_file, refuse_unwritable, remove_empty
 from hammerstein.runtime.interrupts import deferred_interrupts
 from hammerstein.runtime.storage.exchange import NEW, Exchange, clear, exchange, recover
-from hammerstein.runtime.storage.lock import LOCK, locked
+from hammerstein.runtime.storage.lock import locked
 from hammerstein.runtime.storage.manifest import (
+    EMPTY,
     MANIFEST,
+    RESERVED,
     FileEntry,
-    Holder,
     Manifest,
     Owner,
     digest_of,
+    is_own_file,
+    is_plain_file,
+    refuse_file_name,
     refuse_link,
 )
 
-ROOM = ".hammerstein-new"
+ROOM = f"{RESERVED}-new"
+LOCK = f"{RESERVED}-lock"
 
 
 class Stage:
     """Where the files of a folder are made.
 
     folder : where they go
+    owner : which command writes them
+    overwrite : whether they replace files that the command did not write, or that a person changed
     kept : places of files of an earlier run that a person had changed; known when the block is left
     """
 
-    def __init__(self, folder: Path, room: Path):
-        self.folder = folder
+    def __init__(self, folder: Path, room: Path, owner: Owner, overwrite: bool):
+        self.folder, self.owner, self.overwrite = folder, owner, overwrite
         self.kept: tuple[Path, ...] = ()
         self._room = room
         self._digests: dict[str, str] = {}
+        self._owners: dict[str, Owner] = {}
 
-    def write(self, name: str, content: str | bytes) -> None:
-        """Make one file; ``name`` is relative to the folder, with ``/`` between its parts."""
+    def write(self, name: str, content: str | bytes | BinaryIO, owner: Owner | None = None) -> None:
+        """Make one file.
+
+        Parameters
+        ----------
+        name : relative to the folder, with ``/`` between its parts
+        content : text, bytes, or an open file that is copied
+        owner : which command writes it; that of the folder if not given
+        """
         data = content.encode("utf-8") if isinstance(content, str) else content
         path = self._room / NEW / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb") as file:
-            file.write(data)
+        with path.open("xb") as file:  # follows no link
+            shutil.copyfileobj(io.BytesIO(data) if isinstance(data, bytes) else data, file)
         self._digests[name] = digest_of(path)
+        self._owners[name] = owner or self.owner
 
     @property
     def written(self) -> list[Path]:
         """Places of the files, once they are there."""
         return [self.folder / name for name in self._digests if name != MANIFEST]
 
-    def publish(self, owner: Owner) -> None:
+    def publish(self) -> None:
         """Exchange the files of the earlier run for these."""
-        before = Manifest.read(self.folder)
-        new = dict(self._digests)
-        before.refuse_foreign(new, owner)
-        replaced = {
-            name: entry.sha256
-            for name, entry in before.files.items()
-            if name in new or entry.owner in (owner.name, *owner.replaces)
+        before, new = Manifest.read(self.folder), dict(self._digests)
+        free = {name for name, digest in new.items() if self._loses_nothing(name, digest)}
+        for name in new.keys() - free:
+            before.refuse_foreign([name], self._owners[name], self.overwrite)
+        old = () if self.owner.single else (self.owner.name, *self.owner.replaces)
+        leaving = {
+            name: entry.sha256 for name, entry in before.files.items() if name in new or entry.owner in old
         }
-        adopted = {
+        leaving |= {
             name: digest_of(self.folder / name)
             for name in new
-            if name not in before.files and before.holder(name, owner) is Holder.OURS
+            if name in free or (self.overwrite and is_plain_file(self.folder, name))
         }
-        stay = {name: entry for name, entry in before.files.items() if name not in replaced}
-        entries = stay | {name: FileEntry(owner=owner.name, sha256=digest) for name, digest in new.items()}
+        entries = {
+            name: entry
+            for name, entry in before.files.items()
+            if name not in leaving and is_plain_file(self.folder, name)
+        }
+        entries |= {n: FileEntry(owner=self._owners[n].name, sha256=digest) for n, digest in new.items()}
         self.write(MANIFEST, Manifest(self.folder, entries).to_json())
-        leaving = replaced | adopted
         if (self.folder / MANIFEST).is_file():
             leaving[MANIFEST] = digest_of(self.folder / MANIFEST)
         self.kept += exchange(self.folder, self._room, Exchange(leaving=leaving, coming=self._digests))
 
+    def _loses_nothing(self, name: str, digest: str) -> bool:
+        """Whether the file that is there is empty, or what is to be written."""
+        return any(is_own_file(self.folder, name, one) for one in (digest, EMPTY))
+
 
 @contextmanager
-def staged(folder: Path, owner: Owner) -> Iterator[Stage]:
+def staged(folder: Path, owner: Owner, overwrite: bool = False) -> Iterator[Stage]:
     """Make files inside the block; at its end they take the place of those of an earlier run.
 
     Of the earlier run only what its manifest lists, with the very digest, is removed. What a person has
@@ -92,6 +118,7 @@ def staged(folder: Path, owner: Owner) -> Iterator[Stage]:
     ----------
     folder : where the files go; made if it does not exist
     owner : which command writes them
+    overwrite : whether they replace files that the command did not write, or that a person changed
 
     Raises
     ------
@@ -102,11 +129,11 @@ def staged(folder: Path, owner: Owner) -> Iterator[Stage]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with _room_of(folder, made) as (room, kept):
-            stage = Stage(folder, room)
+            stage = Stage(folder, room, owner, overwrite)
             stage.kept = kept
             yield stage
             with deferred_interrupts():
-                stage.publish(owner)
+                stage.publish()
     except OSError as error:
         what = f"cannot be written ({reason_of(error)}); choose another place"
         raise InputError(str(folder), what) from None
@@ -114,7 +141,9 @@ def staged(folder: Path, owner: Owner) -> Iterator[Stage]:
         remove_empty(made)
 
 
-def prepare(folder: Path, owner: Owner, names: Sequence[str]) -> None:
+def prepare(
+    folder: Path, owner: Owner, names: Sequence[str], overwrite: bool = False, option: str = ""
+) -> None:
     """Finish what an interrupted run left in a folder, and refuse other people's files, before the work.
 
     Parameters
@@ -122,6 +151,8 @@ def prepare(folder: Path, owner: Owner, names: Sequence[str]) -> None:
     folder : where files will go
     owner : which command will write them
     names : names that are certain to be written
+    overwrite : whether they replace files that the command did not write, or that a person changed
+    option : what named the file, such as ``--out``; the folder is named if not given
 
     Raises
     ------
@@ -129,33 +160,89 @@ def prepare(folder: Path, owner: Owner, names: Sequence[str]) -> None:
     """
     refuse_link(folder)
     try:
-        if (folder / ROOM).exists():
+        if any((folder / name).exists() for name in (ROOM, LOCK)):
             with _room_of(folder, ()):
                 pass
-        Manifest.read(folder).refuse_foreign(names, owner)
+        Manifest.read(folder).refuse_foreign(names, owner, overwrite, option)
     except OSError as error:
         raise InputError(str(folder), f"cannot be read ({reason_of(error)})") from None
+
+
+def prepare_file(option: str, path: Path, owner: Owner, overwrite: bool = False) -> None:
+    """Refuse a file that ``write_file`` could not write, before the work; InputError says why.
+
+    Parameters
+    ----------
+    option : what named the file, such as ``--out``
+    path, owner, overwrite : as for ``write_file``
+    """
+    refuse_unwritable(option, path.parent)
+    refuse_no_file(option, path)
+    refuse_file_name(option, path)
+    if path.parent.exists():
+        prepare(_real(path.parent), owner, [path.name], overwrite, option)
+
+
+def write_file(
+    path: Path, content: str | bytes | BinaryIO, owner: Owner, overwrite: bool = False
+) -> tuple[Path, ...]:
+    """Write one file under the rule of folders; give the place of one that a person had changed.
+
+    Parameters
+    ----------
+    path, content : where to, and what
+    owner : which command writes it
+    overwrite : whether it replaces a file that the command did not write, or that a person changed
+
+    Raises
+    ------
+    InputError : it cannot be written, or another file is there that must not be replaced
+    """
+    with staged_beside(path, owner, overwrite) as stage:
+        stage.write(path.name, content)
+    return stage.kept
+
+
+@contextmanager
+def staged_beside(path: Path, owner: Owner, overwrite: bool = False) -> Iterator[Stage]:
+    """Give the stage of the folder of one file; the folder may be a link, and errors name the file."""
+    folder = _real(path.parent)
+    refuse_no_file(str(path), path)
+    try:
+        with staged(folder, owner, overwrite) as stage:
+            yield stage
+    except InputError as error:
+        if error.source != str(folder):
+            raise
+        raise InputError(str(path), error.mistakes) from None
+
+
+def _real(folder: Path) -> Path:
+    """A folder that a person named: behind its link, if it is one."""
+    return folder.resolve() if folder.is_symlink() else folder
 
 
 @contextmanager
 def _room_of(folder: Path, made: Sequence[Path]) -> Iterator[tuple[Path, tuple[Path, ...]]]:
     """Hidden folder for the making, empty, and what was kept aside when an interrupted run was finished."""
-    room = folder / ROOM
+    room, lock = folder / ROOM, folder / LOCK
     refuse_link(room)
 
     def discard() -> None:
         clear(room)
-        (room / LOCK).unlink(missing_ok=True)
+        lock.unlink(missing_ok=True)
         remove_empty((room, *made))
 
     try:
-        with locked(room):
+        with locked(lock):
             begun(room, discard)
             try:
                 with deferred_interrupts():
                     kept = recover(folder, room)
+                room.mkdir(exist_ok=True)
                 yield room, kept
             finally:
                 clear(room)
+                remove_empty([room])
     finally:
         ended(room)
