@@ -129,6 +129,14 @@ def looked_up(validate: Callable[[], V]) -> V:
     return validate()
 
 
+def kinds_of_others() -> tuple[type[BaseModel], ...]:
+    """Kinds that are registered now and are not of this package."""
+    own = __name__.partition(".")[0] + "."
+    return tuple(
+        kind for family in _FAMILIES for kind in family.kinds.values() if not kind.__module__.startswith(own)
+    )
+
+
 @cache
 def load_plugins() -> None:
     """Import what other packages offer in the entry point group, once."""

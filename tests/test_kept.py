@@ -1,19 +1,24 @@
 """Nothing is done twice: what was worked out is kept, and counts for the very same contents alone."""
 
+import importlib
 import json
 import os
 import signal
 import stat
 import subprocess
 import sys
+import types
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
 
+from hammerstein import plugins
 from hammerstein.commands.cli import main
+from hammerstein.compensators import COMPENSATORS
 from hammerstein.errors import Notice
-from hammerstein.experiment import kept
+from hammerstein.experiment import kept, simulated_identification
 from hammerstein.experiment.run import run
 from hammerstein.files import UNFINISHED
 from hammerstein.model import HammersteinModel
@@ -471,6 +476,116 @@ def test_the_report_that_is_kept_is_the_report(place, tmp_path, capsys):
     assert said[0] == said[1]
     assert content(tmp_path / "1") == content(tmp_path / "2")
     assert content(tmp_path / "page1") == content(tmp_path / "page2")
+
+
+def test_a_store_that_passes_by_what_was_there_knows_what_it_has_kept_itself(tmp_path):
+    key = key_of("test", 1)
+    Store(tmp_path).write(key, Kept("before"))
+    fresh = Store(tmp_path, fresh=True)
+    assert fresh.read(key) is None
+    fresh.write(key, Kept("anew"))
+    assert fresh.read(key).document == "anew"
+    assert Store(tmp_path, fresh=True).read(key) is None
+    assert Store(tmp_path).read(key).document == "anew"
+
+
+IDENTIFIED = {
+    "question": "?",
+    "actuator": "duo_bimorph_static",
+    "reference": {"kind": "sine", "amplitude_um": 10.0, "frequency_hz": 100.0, "axis": 1},
+    "compensators": [
+        {"label": "a", "law": "exact_inverse", "identification": {"method": "closed_form", "operators": 3}}
+    ],
+}
+
+
+@pytest.fixture
+def identified(place, monkeypatch):
+    """Identifications that are worked out from now on."""
+    done, real = [], simulated_identification._identified
+
+    def counted(*arguments):
+        done.append(arguments)
+        return real(*arguments)
+
+    monkeypatch.setattr(simulated_identification, "_identified", counted)
+    return done
+
+
+def test_an_identification_is_kept_and_told_where_it_was_spoilt(place, identified):
+    first = run(IDENTIFIED)
+    assert run(IDENTIFIED).to_json() == first.to_json()
+    assert len(identified) == 1
+    (entry,) = entries(place)
+    spoil(entry, "flipped", entry)
+    with pytest.warns(Notice, match="spoilt and is worked out again"):
+        assert run(IDENTIFIED).to_json() == first.to_json()
+    assert len(identified) == 2
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions of POSIX")
+@pytest.mark.parametrize("who", ["others", "off"])
+def test_no_model_comes_from_a_folder_that_others_may_write_to(place, identified, monkeypatch, who):
+    run(IDENTIFIED)
+    if who == "others":
+        place.chmod(0o777)
+    else:
+        monkeypatch.setenv("HAMMERSTEIN_CACHE", "")
+    for count in (2, 3):
+        run(IDENTIFIED)
+        assert len(identified) == count
+
+
+def test_an_entry_that_names_a_file_elsewhere_writes_nothing_there(place, tmp_path, monkeypatch):
+    """A report in the store with a file of such a name, and a right checksum."""
+    (tmp_path / "s.toml").write_text(FILE)
+    arguments = ("run", tmp_path / "s.toml", "--jobs", "1", "--no-figures", "--out", tmp_path / "r")
+    assert called(*arguments) == 0
+    real = Store.read
+
+    def foreign(self, key):
+        entry = real(self, key)
+        if entry is None or "report.md" not in entry.arrays:
+            return entry
+        return Kept(entry.document, {**entry.arrays, "../../../elsewhere.txt": np.zeros(3, np.uint8)})
+
+    monkeypatch.setattr(Store, "read", foreign)
+    assert called(*arguments) == 0
+    assert not list(tmp_path.rglob("elsewhere.txt"))
+    assert not list(tmp_path.parent.glob("elsewhere.txt"))
+
+
+LAW = """
+from typing import Literal
+from hammerstein.compensators import Compensator
+class Own(Compensator):
+    law: Literal["own"]
+    def design(self, model, drive, sample_time_s): return {factor}
+"""
+
+
+def test_a_kind_of_this_process_counts_with_its_source(tmp_path, monkeypatch):
+    """A plug-in that changed finds nothing of what the other one gave; without a source nothing at all."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    before, keys = key_of("case", 1), []
+    for factor in (1, 2, 2):
+        (tmp_path / "own_law.py").write_text(LAW.format(factor=factor))
+        sys.modules.pop("own_law", None)
+        importlib.invalidate_caches()
+        kind = importlib.import_module("own_law").Own
+        plugins.register(kind)
+        keys.append(key_of("case", 1))
+        COMPENSATORS.remove(kind)
+    monkeypatch.setitem(sys.modules, "nowhere", types.ModuleType("nowhere"))  # of no file
+    made = type("Made", (kind,), {"__annotations__": {"law": Literal["made"]}, "__module__": "nowhere"})
+    for _ in range(2):
+        plugins.register(made)
+        keys.append(key_of("case", 1))
+        COMPENSATORS.remove(made)
+        provenance._computed_by.cache_clear()
+    assert keys[1] == keys[2]
+    assert len({before, *keys}) == 5
+    assert key_of("case", 1) == before
 
 
 def test_what_a_package_only_ships_is_no_source(tmp_path, monkeypatch):

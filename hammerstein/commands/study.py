@@ -149,11 +149,11 @@ def _alone(out: Path) -> Iterator[None]:
     The lock lies in the user's cache folder, where a killed sweep leaves nothing beside the file. Where there
     is no such folder, the one that ends last has its rows in the file.
     """
-    from hammerstein.runtime.cache import folder
+    from hammerstein.runtime.cache import cache_folder
     from hammerstein.runtime.storage.lock import locked
 
     with contextlib.ExitStack() as held:
-        if (place := folder()) is not None:
+        if (place := cache_folder()) is not None:
             name = hashlib.sha256(os.fsencode(out.resolve())).hexdigest()
             with contextlib.suppress(OSError):
                 (place / "locks").mkdir(mode=0o700, parents=True, exist_ok=True)

@@ -185,7 +185,7 @@ def _worked_out(
 ) -> tuple[KeptCases, list[Case], list[Result]]:
     """Every case of a scenario and what came out."""
     plan_of(scenario, jobs if isinstance(jobs, int) else 1).refuse_too_large()
-    setup = set_up(scenario, name, progress, fresh="" if store is None else store.fresh, jobs=jobs)
+    setup = set_up(scenario, name, progress, store=store, jobs=jobs)
     cases, kept = list(setup.cases()), KeptCases(setup, store)
     return kept, cases, kept.results(cases, jobs, progress)
 

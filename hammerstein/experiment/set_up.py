@@ -27,6 +27,7 @@ from hammerstein.model.simulation import BLOCK, Driven, Plant, Response
 from hammerstein.runtime.fanning import Jobs, on_workers
 from hammerstein.runtime.memory import refuse_too_long
 from hammerstein.runtime.room import room
+from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ModelSource
 from hammerstein.scenario.tested import TestedCompensator
@@ -258,13 +259,14 @@ def set_up(
     source: str = "scenario",
     progress: Progress | None = None,
     model: HammersteinModel | None = None,
-    fresh: str = "",
+    store: Store | None = None,
     jobs: Jobs = 1,
 ) -> SetUp:
     """Load the actuator, identify every model, build every law.
 
-    ``model`` takes the place of the scenario's actuator, if given; ``fresh`` passes by identifications that
-    were kept; ``jobs`` identify side by side, threads or the workers of an executor.
+    ``model`` takes the place of the scenario's actuator, if given; ``store`` keeps
+    identifications, that of the user if not given; ``jobs`` identify side by side, threads or the workers of
+    an executor.
 
     Raises
     ------
@@ -274,7 +276,7 @@ def set_up(
     """
     plant = plant_of(scenario, model)
     _check_signal(scenario, plant, source)
-    models = _models(scenario, plant, progress, fresh, jobs)
+    models = _models(scenario, plant, progress, store, jobs)
     laws: dict[str, AnyLaw] = {}
     for compensator in filter(lambda one: one.is_tested, scenario.compensators):
         laws[compensator.label] = law_of(compensator, models[compensator.label], plant)
@@ -329,7 +331,7 @@ def _labelled(name: str, error: HammersteinError) -> tuple[Any, ...]:
 
 
 def _models(
-    scenario: Scenario, plant: Plant, progress: Progress | None, fresh: str, jobs: Jobs
+    scenario: Scenario, plant: Plant, progress: Progress | None, store: Store | None, jobs: Jobs
 ) -> dict[str, HammersteinModel]:
     """Models by label; one that several compensators share is identified once."""
     found: dict[Any, HammersteinModel] = {}
@@ -341,7 +343,7 @@ def _models(
     if experiments:
         from hammerstein.experiment.simulated_identification import identify_each
 
-        identified = identify_each(plant, experiments, scenario.seed, fresh, jobs)
+        identified = identify_each(plant, experiments, scenario.seed, store, jobs)
     for i, source in enumerate(sources):
         if progress:
             progress(f"identifying{on_workers(jobs)}", i, len(sources))

@@ -26,8 +26,8 @@ from hammerstein.metrics.cycle import settled_cycle
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
 from hammerstein.records.record import Record
-from hammerstein.runtime.cache import keep, known
 from hammerstein.runtime.fanning import Jobs, given, in_order
+from hammerstein.runtime.store import Kept, Store, key_of, opened
 from hammerstein.scenario.source import ClosedFormSpec, IdentificationSpec, JointFitSpec
 from hammerstein.signals import MOST_LINES, Multisine, Sine, Triangle, smooth_step
 
@@ -42,19 +42,19 @@ def identify_each(
     plant: Plant,
     experiments: Mapping[ClosedFormSpec | JointFitSpec, int],
     seed: int,
-    fresh: str = "",
+    store: Store | None = None,
     jobs: Jobs = 1,
 ) -> Iterator[HammersteinModel]:
     """Models of a simulated actuator, each found by driving it one input at a time (paper, section 3.3).
 
-    The results are kept on disk (``cache``): the same experiment on the same actuator is not done twice.
+    The results are kept on disk: the same experiment on the same actuator is not done twice.
 
     Parameters
     ----------
     plant : the actuator in its set-up
     experiments : with their methods and their positions in the scenario, done side by side
     seed : of the sensor's noise; the position of the experiment is mixed in
-    fresh : name of the command, where it passes by what was kept before it
+    store : where the results are kept; that of the user if not given
     jobs : threads, or an executor of ``concurrent.futures``
 
     Raises
@@ -63,15 +63,17 @@ def identify_each(
     """
     actuator = replace(plant.model, instruments=plant.instruments).to_json()
     arguments = [(actuator, spec.model_dump_json(), seed, i) for spec, i in experiments.items()]
-    kept = [known(_identified, *one, fresh=fresh) for one in arguments]
+    store = store or opened()[0]
+    keys = [key_of("identified", one) for one in arguments]
+    kept = [None if store is None else store.read(key) for key in keys]
 
     def finished(number: int, text: str) -> None:
-        if kept[number] is None:
-            keep(text, _identified, *arguments[number], fresh=fresh)
+        if store is not None and kept[number] is None:
+            store.write(keys[number], Kept(text))
 
     tasks = (
-        partial(_identified, *one) if text is None else given(text)
-        for text, one in zip(kept, arguments, strict=True)
+        partial(_identified, *one) if entry is None else given(str(entry.document))
+        for entry, one in zip(kept, arguments, strict=True)
     )
     yield from map(HammersteinModel.from_json, in_order(tasks, jobs, finished))
 

@@ -153,7 +153,7 @@ def rows_needed(
     store: Store | None = None,
 ) -> list[Row]:
     """Rows that the claims select, from the cases alone that have them."""
-    setup = set_up(scenario, name, model=model, fresh="" if store is None else store.fresh)
+    setup = set_up(scenario, name, model=model, store=store)
     cases = [
         case
         for case in setup.cases()

@@ -13,7 +13,7 @@ from pydantic_core import to_jsonable_python
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.experiment.report import Band, Report, Sensitivity
 from hammerstein.metrics import Row
-from hammerstein.runtime.storage.manifest import Manifest, digest_of
+from hammerstein.runtime.storage.manifest import Manifest, digest_of, is_inside
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario import Scenario
 
@@ -44,7 +44,7 @@ def keep(store: Store, key: str, report: Report, folder: Path, names: list[str])
 def found(store: Store, key: str, name: str, scenario: Scenario) -> tuple[Report, dict[str, bytes]] | None:
     """A report, without its traces, and its files by name; None where it is not kept."""
     entry = store.read(key)
-    if entry is None:
+    if entry is None or not all(map(is_inside, entry.arrays)):
         return None
     files = {file: content.tobytes() for file, content in entry.arrays.items()}
     return _report(entry.document, name, scenario), files

@@ -8,12 +8,15 @@ from __future__ import annotations
 import hashlib
 import platform
 import sys
+import uuid
 from collections.abc import Iterable
-from functools import cache
+from functools import cache, lru_cache
 from importlib import metadata
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
+
+from hammerstein.plugins import kinds_of_others
 
 PACKAGE = Path(__file__).parents[1]
 LIBRARIES = (
@@ -26,15 +29,36 @@ SHIPPED = "shipped"
 """Name of folders of an installed package that a checkout has elsewhere; nothing computes with them."""
 
 
-@cache
 def computed_by() -> str:
     """Hash of the package's sources, of the libraries' versions, of Python and of the type of processor.
 
-    Where another package plugs in, every installed version counts, and the sources of that package.
+    Where another package plugs in, every installed version counts, and the sources of that package; of kinds
+    that this process has registered, the sources of their modules.
     """
+    counted = {entry.module.partition(".")[0] for entry in _entries()}
+    return _computed_by(tuple(k for k in kinds_of_others() if k.__module__.partition(".")[0] not in counted))
+
+
+@lru_cache(maxsize=8)
+def _computed_by(kinds: tuple[type, ...]) -> str:
     words = [sys.version, sys.platform, processor(), sources()]
     words += [f"{name} {version_of(name)}" for name in LIBRARIES]
+    words += [f"{kind.__module__} {kind.__qualname__} {_source_of(kind)}" for kind in kinds]
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
+
+
+def _source_of(kind: type) -> str:
+    """Hash of the source files that a kind comes with; where it has none, what no other process has."""
+    module, top = sys.modules.get(kind.__module__), sys.modules.get(kind.__module__.partition(".")[0])
+    place = getattr(module, "__file__", None)
+    if place is None or not Path(place).is_file():
+        return uuid.uuid4().hex
+    folders = getattr(top, "__path__", ())
+    files = {Path(place), *(file for folder in folders for file in Path(folder).rglob("*.py"))}
+    digest = hashlib.sha256()
+    for file in sorted(files):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 def computes_with() -> dict[str, str]:
@@ -76,9 +100,16 @@ def processor() -> str:
     return " ".join([platform.machine(), *kept.values()])
 
 
+@cache
+def _entries() -> tuple[metadata.EntryPoint, ...]:
+    """What other packages plug in."""
+    found = entry_points(group="hammerstein.blocks")
+    return tuple(entry for entry in found if not entry.value.startswith("hammerstein."))
+
+
 def _plugged_in() -> Iterable[str]:
     """Installed versions, and sources of what plugs in; nothing where nothing does."""
-    entries = [e for e in entry_points(group="hammerstein.blocks") if not e.value.startswith("hammerstein.")]
+    entries = _entries()
     if not entries:
         return
     yield from sorted(f"{found.name} {found.version}" for found in metadata.distributions())

@@ -13,7 +13,6 @@ import os
 import stat
 import struct
 import time
-import uuid
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 
 from hammerstein.errors import InputError, Notice
 from hammerstein.files import UNFINISHED, reason_of, write_atomic
-from hammerstein.runtime import cache
+from hammerstein.runtime.cache import folder_of_runs
 from hammerstein.runtime.provenance import computed_by
 
 LARGEST_MB = 2000
@@ -56,7 +55,7 @@ class Store:
     """Entries in a folder.
 
     folder : where they lie
-    fresh : name of the command, where it passes by what is there; what it finds out is kept all the same
+    fresh : whether what was there before this store was opened is passed by
     elsewhere : what else computes, where it is not this machine alone
     problem : why nothing more is kept; empty as long as there is no reason
     """
@@ -64,17 +63,18 @@ class Store:
     def __init__(
         self,
         folder: Path,
-        fresh: str = "",
+        fresh: bool = False,
         limit_bytes: float = LARGEST_MB * MEGABYTE,
         elsewhere: str = "",
     ) -> None:
         self.folder, self.fresh, self.limit_bytes, self.elsewhere = folder, fresh, limit_bytes, elsewhere
         self.problem = ""
+        self._written: set[str] = set()
         self._unseen = limit_bytes  # bytes written since the folder was last measured: it never was
 
     def read(self, key: str) -> Kept | None:
         """Entry of a key; None if there is none, or none that is whole."""
-        if self.fresh:
+        if self.fresh and key not in self._written:
             return None
         path = self._path(key)
         try:
@@ -106,6 +106,7 @@ class Store:
             )
             self.problem = f"{self.folder}: results are not kept ({what}); the run goes on without"
             return
+        self._written.add(key)
         self._unseen += len(data)
         if self._unseen > 0.1 * self.limit_bytes:
             self._unseen = 0
@@ -166,7 +167,7 @@ def opened(fresh: bool = False) -> tuple[Store | None, str]:
 
     Raises InputError where ``HAMMERSTEIN_CACHE_MB`` is no size.
     """
-    folder, limit_bytes = cache.folder_of_runs(), _limit_bytes()
+    folder, limit_bytes = folder_of_runs(), _limit_bytes()
     if limit_bytes == 0.0:
         return None, ""
     if folder is None:
@@ -183,7 +184,7 @@ def opened(fresh: bool = False) -> tuple[Store | None, str]:
             None,
             f"{folder}: results are not kept, as others may write there; make it yours (chmod 700)",
         )
-    return Store(folder.absolute(), uuid.uuid4().hex if fresh else "", limit_bytes), ""
+    return Store(folder.absolute(), fresh, limit_bytes), ""
 
 
 def _limit_bytes() -> float:

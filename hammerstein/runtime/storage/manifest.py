@@ -49,10 +49,15 @@ class FileEntry(Strict):
 
 
 def _inside(name: str) -> str:
-    parts = PurePosixPath(name).parts
-    if not parts or not all(map(_is_part, parts)) or "/".join(parts) != name:
+    if not is_inside(name):
         raise ValueError("names no file in the folder")
     return name
+
+
+def is_inside(name: str) -> bool:
+    """Whether a text names a file in a folder or its subfolders."""
+    parts = PurePosixPath(name).parts
+    return bool(parts) and all(map(_is_part, parts)) and "/".join(parts) == name
 
 
 def _is_part(name: str) -> bool:

@@ -27,6 +27,7 @@ from hammerstein.runtime.storage.manifest import (
     Manifest,
     Owner,
     digest_of,
+    is_inside,
     is_own_file,
     is_plain_file,
     refuse_file_name,
@@ -62,6 +63,8 @@ class Stage:
         content : text, bytes, or an open file that is copied
         owner : which command writes it; that of the folder if not given
         """
+        if not is_inside(name):
+            raise InputError(str(self.folder), f"{name!r} names no file in the folder")
         data = content.encode("utf-8") if isinstance(content, str) else content
         path = self._room / NEW / name
         path.parent.mkdir(parents=True, exist_ok=True)
