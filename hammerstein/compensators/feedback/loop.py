@@ -51,7 +51,7 @@ class Loop(ByValue):
     @cached_property
     def frequency_hz(self) -> Array:
         """Frequencies up to half the sample rate, dense about every resonance of the plant."""
-        return self._grid(np.linalg.eigvals(self.plant.A))
+        return self._grid(np.linalg.eigvals(self.plant.A).astype(complex))
 
     def _grid(self, poles: Complex) -> Array:
         """Frequencies of one ratio, and about each resonance closer together the closer they are to it.

@@ -355,8 +355,8 @@ def _extreme_slopes(model: HammersteinModel) -> list[Array]:
     for k in range(hysteresis.n_inputs):
         columns = slopes_of(hysteresis, k, model.amplitude_v)
         size = columns * np.sign(scale[:, k])
-        extreme = np.concatenate([size.argmin(axis=0), size.argmax(axis=0)]) if len(columns) else []
-        ends.append([columns[i] for i in np.unique(extreme).astype(int)])
+        extreme = np.unique([size.argmin(axis=0), size.argmax(axis=0)]) if len(columns) else ()
+        ends.append([columns[i] for i in extreme])
     return [np.stack(choice, axis=1) @ inverse for choice in itertools.product(*ends)]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Complex
 from hammerstein.blocks import Law
 from hammerstein.compensators.cycle import centred, played
 from hammerstein.compensators.learning.unsure import Unsure
@@ -166,7 +166,7 @@ def _rms_of(lines: Array, samples: int) -> float:
     return float(np.sqrt(np.sum(_counted(lines, samples) * np.abs(lines) ** 2) / (len(lines) * samples**2)))
 
 
-def _doubt(error: Array, noise: Array, samples: int) -> float:
+def _doubt(error: Complex, noise: Array, samples: int) -> float:
     """Standard deviation of the rms of an error (p, line), whose lines have complex noise of that size.
 
     The mean square of the error is a sum over lines of |E + n|^2, each of variance 2 |E|^2 s^2 + s^4.
@@ -180,7 +180,7 @@ def _doubt(error: Array, noise: Array, samples: int) -> float:
     )
 
 
-def _counted(lines: Array, samples: int) -> Array:
+def _counted(lines: Array | Complex, samples: int) -> Array:
     """How often each line of a real spectrum counts in the energy: all but the first and the last twice."""
     count = np.full(lines.shape[1], 2.0)
     count[0] = 1.0

@@ -63,7 +63,7 @@ def write_overview(reports: Sequence[Report], out: Path, overwrite: bool = False
 
 def digest(reports: Sequence[Report], out: Path) -> list[str]:
     """At most fifteen lines on many reports: what to open, three headlines, where claims are judged."""
-    lines = [f"open first: {out / OVERVIEW.sign[0]}"]
+    lines = [f"open first: {out / PAGE}"]
     for report in [r for r in _telling(reports) if not r.judgements][:MOST_SHOWN]:
         (label, value), told = _worst(report)[0], _told(report)
         lines.append(f"{report.name}: {told[0].lower()}{told[1:]}: {value} um with {label}")
