@@ -23,7 +23,7 @@ from hammerstein.errors import HammersteinError, IdentificationError, InputError
 from hammerstein.experiment.trials import Course, Courses, whole_period
 from hammerstein.files import read_limited
 from hammerstein.model import HammersteinModel, place_of
-from hammerstein.model.simulation import BLOCK, Driven, Plant, Response
+from hammerstein.model.simulation import BLOCK, AppliedDrive, Plant, Response
 from hammerstein.runtime.fanning import Jobs, on_workers
 from hammerstein.runtime.memory import refuse_too_long
 from hammerstein.runtime.room import room
@@ -222,7 +222,7 @@ def _asked_for(law: Law[Any], path_um: Array, drive_v: Array) -> Array:
     return drive_v
 
 
-def _following(plant: Plant, driven: Driven, reference_um: Array | None, case: Case) -> Experiment:
+def _following(plant: Plant, driven: AppliedDrive, reference_um: Array | None, case: Case) -> Experiment:
     """Send what the drive makes of a voltage to an actuator."""
 
     def experiment(tested: Plant, seed: int) -> Response:

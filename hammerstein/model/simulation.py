@@ -209,7 +209,7 @@ class Response(Pictured):
         return replace(first, known=True, **whole)
 
 
-class Driven(NamedTuple):
+class AppliedDrive(NamedTuple):
     """A part of the voltage (input, sample): asked for [V], given [V], and where the drive's range cut it.
 
     left : (m,) which inputs have left the working point by then
@@ -310,7 +310,7 @@ class Plant:
         by_law: bool,
         left: NDArray[np.bool_] | None = None,
         out: Array | None = None,
-    ) -> Driven:
+    ) -> AppliedDrive:
         """What the drive makes of a voltage (input, sample).
 
         by_law : whether a law asks for it, that stays within the range itself
@@ -328,10 +328,10 @@ class Plant:
             if leaving(asked, rest, self.range.ends, left):  # where it stands at the range, it wanted more
                 away = np.logical_or.accumulate(asked != rest[:, None], axis=1) | before[:, None]
                 saturated |= self.range.reached(asked) & away
-        return Driven(asked, drive_v, saturated, left)
+        return AppliedDrive(asked, drive_v, saturated, left)
 
     def follow(
-        self, driven: Driven, start: PlantState, reference_um: Array | None = None
+        self, driven: AppliedDrive, start: PlantState, reference_um: Array | None = None
     ) -> tuple[Response, PlantState]:
         """Response to what has left the drive, and the state after it; see ``carry_on``."""
         samples = driven.drive_v.shape[1]

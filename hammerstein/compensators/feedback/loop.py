@@ -21,7 +21,7 @@ DEEPEST, ROUNDS, CLOSER = 9, 3, 21
 
 
 @dataclass(frozen=True, eq=False)
-class Loop(ByValue):
+class FeedbackLoop(ByValue):
     """What a controller of each output sees: from its correction to its reading.
 
         reading = S(z) G(z) z^-1 J G_0^+ correction

@@ -17,7 +17,7 @@ from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.instruments import standard_noise
 from hammerstein.blocks.sample_grid import require_grid
 from hammerstein.compensators.base import COMPENSATORS, Compensator
-from hammerstein.compensators.feedback.loop import Loop
+from hammerstein.compensators.feedback.loop import FeedbackLoop
 from hammerstein.compensators.feedback.tuning import Gains, tuned
 from hammerstein.dynamics import LinearBlock, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
@@ -343,7 +343,7 @@ def _computed(
         )
     block, p = discretise(model.dynamics, sample_time_s, sensor_bandwidth_hz), model.hysteresis.n_outputs
     reading = LinearBlock(block.A, block.B, block.C[p:], block.D[p:], sample_time_s)
-    return tuned(Loop(reading, np.array(_extreme_slopes(model))), derivative)
+    return tuned(FeedbackLoop(reading, np.array(_extreme_slopes(model))), derivative)
 
 
 def _extreme_slopes(model: HammersteinModel) -> list[Array]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hammerstein.arrays import Array, Complex
-from hammerstein.compensators.feedback.loop import Loop
+from hammerstein.compensators.feedback.loop import FeedbackLoop
 from hammerstein.errors import SimulationError
 
 LARGEST_SENSITIVITY = 1.6
@@ -51,7 +51,7 @@ class Gains:
         return "Feedback gains: " + "; ".join(axes) + f"{peak}."
 
 
-def tuned(loop: Loop, derivative: bool = False) -> Gains:
+def tuned(loop: FeedbackLoop, derivative: bool = False) -> Gains:
     """Gains with the largest integral gain that keeps the sensitivity below 1.6 at every frequency.
 
     The controller of each output is searched over the ratios of its proportional and derivative to its
@@ -87,7 +87,7 @@ def tuned(loop: Loop, derivative: bool = False) -> Gains:
     )
 
 
-def _one(loop: Loop, o: int, derivative: bool) -> tuple[float, float, float]:
+def _one(loop: FeedbackLoop, o: int, derivative: bool) -> tuple[float, float, float]:
     """Proportional, integral and derivative gain of one output with the others open."""
     response = loop.alone(o)
     unit = 1.0 / (2.0 * np.pi * loop.peak_hz(o))
