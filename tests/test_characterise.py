@@ -187,7 +187,7 @@ def test_an_option_of_identify_means_the_same_in_a_scenario(name, value):
 
 
 def test_every_word_of_identify_is_one_of_a_scenario_and_of_the_command_line():
-    for name in ("partition", "hysteresis", "dynamics"):
+    for name in ("partition", "dynamics"):
         for word in CHOICES[name]:
             operators = {"operators": 5} if word == "state_space" else {}
             JointFitSpec.model_validate({"method": "hammerstein", name: word} | operators)

@@ -466,7 +466,7 @@ def test_two_runs_at_once_share_the_place(place, tmp_path):
 
 def test_the_report_that_is_kept_is_the_report(place, tmp_path, capsys):
     text = FILE + '[assessment]\nkind = "paper"\n[[assessment.claims]]\nid = "a"\nstatement = "s"\n'
-    text += 'paper = 1.0\nquantity = { metric = "rms_um" }\n'
+    text += 'paper = 1.0\nquote = "It is one."\nquantity = { metric = "rms_um" }\n'
     (tmp_path / "s.toml").write_text(text + "agreement = { within = 0.1 }\n")
     said = []
     for name in "12":

@@ -50,6 +50,7 @@ kind = "paper"
 id = {json.dumps(EVIL)}
 statement = {json.dumps(EVIL)}
 paper = 1.0
+quote = {json.dumps(EVIL)}
 unit = "<b>"
 quantity = {{ metric = "rms_um", measured_axis = "x<b>", compensator = "second", frequency_hz = 50 }}
 agreement = {{ within = 2.0 }}

@@ -230,9 +230,9 @@ def test_the_bands_of_an_uncertain_actuator_are_guarded(loop: Report) -> None:
 
 def test_the_figure_of_a_claim_on_every_actuator_is_guarded(loop: Report) -> None:
     simulated = (
-        Simulated("one", 1.0, True),
-        Simulated("other", 2.0, True),
-        Simulated("third", math.nan, False),
+        Simulated("one", 1.0, True, 1.0, 1.0, "1"),
+        Simulated("other", 2.0, True, 2.0, 2.0, "2"),
+        Simulated("third", math.nan, False, math.nan, math.nan, "none"),
     )
     judgement = ClaimJudgement("C1", "It is one.", 1.0, "um", "within 2 %", simulated, "")
     before = replace(loop, judgements=(judgement,))

@@ -48,6 +48,7 @@ kind = "paper"
 id = {json.dumps(EVIL)}
 statement = {json.dumps(EVIL)}
 paper = 1.0
+quote = {json.dumps(EVIL)}
 unit = {json.dumps("<b>")}
 quantity = {{ metric = "rms_um", measured_axis = "=x<b>" }}
 agreement = {{ within = 2.0 }}

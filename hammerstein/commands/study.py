@@ -18,14 +18,12 @@ from hammerstein.commands.crew import PROCESSORS, Address, Jobs, Yes, announce, 
 from hammerstein.commands.record_options import Overwrite
 from hammerstein.commands.terminal import complain, tell
 from hammerstein.commands.watch import Watch
-from hammerstein.runtime.storage.manifest import Owner
 
 if TYPE_CHECKING:
     from hammerstein.experiment.study import Sampled
     from hammerstein.scenario import Scenario
 
 PARQUET = (".parquet", ".pq")
-SWEEP = Owner("sweep", single=True)
 LINES_AT_ONCE = 1000  # of a Parquet file
 
 
@@ -81,6 +79,7 @@ def sweep(
 def _place_of(out: Path | None, overwrite: bool, dry_run: bool) -> Path | None:
     """Where the rows go: a place that can be written to; None where nothing is written."""
     from hammerstein.errors import InputError
+    from hammerstein.runtime.storage.manifest import SWEEP
     from hammerstein.runtime.storage.staging import prepare_file
 
     if dry_run:
@@ -128,6 +127,7 @@ def _written(out: Path, overwrite: bool) -> Iterator[_Table]:
     from hammerstein.commands.refusals import write_output
     from hammerstein.errors import InputError
     from hammerstein.files import reason_of
+    from hammerstein.runtime.storage.manifest import SWEEP
 
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -34,6 +34,7 @@ def drive_csv(
 
     Examples
     --------
+    >>> import numpy as np
     >>> print(drive_csv(np.zeros(1), [("drive", "v", ["x"], np.ones((1, 1)))], ["To be sent."]), end="")
     # To be sent.
     time_s,drive_x_v

@@ -26,8 +26,8 @@ def lead_in(reference_um: Array, sample_time_s: float) -> Array:
     Examples
     --------
     >>> way = lead_in(np.full((1, 100), 8.0), 1e-3)
-    >>> way.shape, round(way[0, 0], 3), round(way[0, 500], 3), round(way[0, -1], 3)
-    ((1, 1000), 0.0, 4.0, 8.0)
+    >>> way.shape, way[0, [0, 500, 999]].round(3).tolist()
+    ((1, 1000), [0.0, 4.0, 8.0])
     """
     start = reference_um[:, 0]
     velocity = (reference_um[:, 1] - start) / sample_time_s

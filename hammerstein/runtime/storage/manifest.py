@@ -41,6 +41,9 @@ class Owner:
     single: bool = False
 
 
+SWEEP = Owner("sweep", single=True)
+
+
 class FileEntry(Strict):
     """One file in a manifest."""
 
