@@ -25,6 +25,16 @@ def play(u, r, start=0.0):
     return outputs
 
 
+def play_describing_function(amplitude, r):
+    """First harmonic (in phase, and a quarter ahead) of a play over its sine, in parts of the amplitude.
+
+    With s = 1 - 2 r / A: a1 = 1/2 + (asin s + s sqrt(1 - s^2)) / pi, b1 = -(1 - s^2) / pi (Gelb and Vander
+    Velde, Multiple-input describing functions, 1968, backlash).
+    """
+    s = 1.0 - 2.0 * r / amplitude
+    return 0.5 + (np.arcsin(s) + s * np.sqrt(1.0 - s * s)) / np.pi, -(1.0 - s * s) / np.pi
+
+
 def plays(u, r, start):
     """Equation 1 for many thresholds r and starts (operator,) at once: outputs (operator, sample)."""
     outputs, last = np.empty((len(r), len(u))), start

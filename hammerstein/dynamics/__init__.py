@@ -1,5 +1,7 @@
-"""Linear dynamics of the actuator, and their exact discretisation."""
+"""Dynamics of the actuator, linear or with hysteresis in the loop, and their exact discretisation."""
 
+from hammerstein.dynamics.feedback_block import FeedbackBlock
+from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics
 from hammerstein.dynamics.linear_block import LinearBlock, low_pass
 from hammerstein.dynamics.models import (
     AxesDynamics,
@@ -12,6 +14,7 @@ from hammerstein.dynamics.models import (
     creep,
     discretise,
     natural_frequency_hz,
+    on_grid,
     split_delay,
 )
 
@@ -20,6 +23,8 @@ __all__ = [
     "Axis",
     "CreepMode",
     "Dynamics",
+    "FeedbackBlock",
+    "FeedbackHysteresisDynamics",
     "LinearBlock",
     "StateSpaceDynamics",
     "StaticDynamics",
@@ -28,5 +33,6 @@ __all__ = [
     "discretise",
     "low_pass",
     "natural_frequency_hz",
+    "on_grid",
     "split_delay",
 ]

@@ -8,13 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from functools import reduce
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from hammerstein.arrays import Array
+from hammerstein.dynamics.feedback_block import FeedbackBlock
+from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics
 from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, low_pass, unit_gain
 from hammerstein.errors import InputError
 from hammerstein.quantities import Axes, CreepGain, Damping, Delay, Entry, Resonance, SampleTime, TimeConstant
@@ -22,6 +24,8 @@ from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
     import control
+
+B = TypeVar("B", LinearBlock, FeedbackBlock, LinearBlock | FeedbackBlock)
 
 StateMatrices = tuple[Array, Array, Array, Array]
 """A, B, C and D."""
@@ -242,7 +246,11 @@ class StateSpaceDynamics(Strict):
         return LinearBlock(a, b, c, d, self.sample_time_s or CONTINUOUS)
 
 
-Dynamics = Annotated[AxesDynamics | StaticDynamics | StateSpaceDynamics, Field(discriminator="kind")]
+Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
+Dynamics = Annotated[
+    AxesDynamics | StaticDynamics | StateSpaceDynamics | FeedbackHysteresisDynamics,
+    Field(discriminator="kind"),
+]
 
 
 def cantilever(
@@ -323,15 +331,31 @@ def _slow_modes(gains: Sequence[float], time_constants_s: Sequence[float]) -> St
 
 
 def discretise(
-    dynamics: AxesDynamics | StaticDynamics | StateSpaceDynamics,
-    sample_time_s: float,
-    sensor_bandwidth_hz: float | None = None,
+    dynamics: Dynamics, sample_time_s: float, sensor_bandwidth_hz: float | None = None
 ) -> LinearBlock:
+    """Put a linear block on a sample grid; see ``on_grid``.
+
+    Raises
+    ------
+    InputError : the dynamics are not linear, or as ``on_grid`` raises it
+    """
+    if isinstance(dynamics, FeedbackHysteresisDynamics):
+        raise InputError(
+            "dynamics",
+            f"{dynamics.kind} is not linear, and this needs linear dynamics; simulate it, or identify a "
+            "cascade from its records",
+        )
+    return _gridded(dynamics.block(), dynamics.input_delay_s, sample_time_s, sensor_bandwidth_hz)
+
+
+def on_grid(
+    dynamics: Dynamics, sample_time_s: float, sensor_bandwidth_hz: float | None = None
+) -> LinearBlock | FeedbackBlock:
     """Put the block on a sample grid, exactly for an input held over each sample.
 
     Parameters
     ----------
-    dynamics : the linear block
+    dynamics : the block behind the hysteresis, linear or with hysteresis of its own in its loop
     sample_time_s : the grid [s]
     sensor_bandwidth_hz : if given, the outputs are the true positions followed by those behind a
         first-order sensor, whose input is not held: both are discretised together
@@ -340,8 +364,12 @@ def discretise(
     ------
     InputError : a discrete block on another sample time, or one whose delay is no whole number of samples
     """
-    block = dynamics.block()
-    samples, late_s = split_delay(dynamics.input_delay_s, sample_time_s)
+    block: LinearBlock | FeedbackBlock = dynamics.block()
+    return _gridded(block, dynamics.input_delay_s, sample_time_s, sensor_bandwidth_hz)
+
+
+def _gridded(block: B, delay_s: float, sample_time_s: float, sensor_bandwidth_hz: float | None) -> B:
+    samples, late_s = split_delay(delay_s, sample_time_s)
     if block.sample_time_s != CONTINUOUS:
         if not math.isclose(block.sample_time_s, sample_time_s, rel_tol=1e-9):
             raise InputError(
@@ -352,7 +380,7 @@ def discretise(
         if late_s:
             raise InputError(
                 "dynamics",
-                f"the input delay of {dynamics.input_delay_s:g} s is no whole number of samples of "
+                f"the input delay of {delay_s:g} s is no whole number of samples of "
                 f"{sample_time_s:g} s, on which this block is discrete; round it",
             )
         if sensor_bandwidth_hz is not None:

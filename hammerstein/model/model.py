@@ -21,7 +21,7 @@ from hammerstein.blocks.axis_names import unique
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.sample_grid import require_grid
 from hammerstein.blocks.voltages import Verdict, Voltages
-from hammerstein.dynamics import Dynamics, StateSpaceDynamics, StaticDynamics
+from hammerstein.dynamics import Dynamics, FeedbackHysteresisDynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import is_there, read_limited, write_atomic
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 FORMAT = "hammerstein-model/2"
 OLD_FORMAT = "hammerstein-model/1"
 NUMBERS = re.compile(r"\[\s+([-+0-9.eE,\s]+?)\s+\]")
+MATRICES = StateSpaceDynamics, FeedbackHysteresisDynamics
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +101,8 @@ class HammersteinModel(ByValue, Pictured):
             mistakes += [Mistake(key, why) for name in names if (why := no_name(name))]
             if len(set(names)) < len(names):
                 mistakes.append(Mistake(key, "name two axes alike; every name must differ"))
-        if isinstance(self.dynamics, StateSpaceDynamics) and (unstable := self.dynamics.instability()):
+        free = self.dynamics if isinstance(self.dynamics, MATRICES) else None
+        if free and (unstable := free.instability()):
             mistakes.append(Mistake("dynamics.A", unstable))
         if mistakes:
             raise InputError(f"model {self.name}", mistakes)
@@ -112,7 +114,9 @@ class HammersteinModel(ByValue, Pictured):
 
     def _dynamics_inputs(self) -> int:
         dynamics = self.dynamics
-        return len(dynamics.D[0]) if isinstance(dynamics, StateSpaceDynamics) else dynamics.n_outputs
+        if isinstance(dynamics, MATRICES):
+            return len(dynamics.D[0])
+        return dynamics.n_outputs
 
     def static(self) -> HammersteinModel:
         """Give the same static block without its dynamics."""

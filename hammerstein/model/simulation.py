@@ -15,7 +15,7 @@ from hammerstein.blocks import Controller
 from hammerstein.blocks.axis_names import column
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Instruments
-from hammerstein.dynamics import LinearBlock, discretise
+from hammerstein.dynamics import FeedbackBlock, LinearBlock, on_grid
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Memory
 from hammerstein.hysteresis.kind import refuse_not_finite
@@ -257,9 +257,9 @@ class Plant:
         return self.instruments.drive.sample_time_s
 
     @cached_property
-    def block(self) -> LinearBlock:
+    def block(self) -> LinearBlock | FeedbackBlock:
         """Dynamics and the sensor's bandwidth; outputs are the positions, then the filtered ones."""
-        return discretise(self.model.dynamics, self.sample_time_s, self.instruments.sensor.bandwidth_hz)
+        return on_grid(self.model.dynamics, self.sample_time_s, self.instruments.sensor.bandwidth_hz)
 
     @cached_property
     def range(self) -> DriveRange:

@@ -11,7 +11,7 @@ from pydantic import Field, field_validator
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.instruments import Instruments
-from hammerstein.dynamics import AxesDynamics, Axis, StateSpaceDynamics, StaticDynamics
+from hammerstein.dynamics import AxesDynamics, Axis, Dynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Hysteresis, Normals
 from hammerstein.model import HammersteinModel
@@ -123,9 +123,7 @@ class Uncertainty(Strict):
         sensor = instruments.sensor.model_copy(update={"noise_um": noise})
         return drawn, instruments.model_copy(update={"sensor": sensor})
 
-    def _dynamics_drawn(
-        self, model: HammersteinModel, generator: Normals
-    ) -> AxesDynamics | StaticDynamics | StateSpaceDynamics:
+    def _dynamics_drawn(self, model: HammersteinModel, generator: Normals) -> Dynamics:
         dynamics = model.dynamics
         if isinstance(dynamics, AxesDynamics):
             axes = tuple(self._axis_drawn(axis, generator) for axis in dynamics.axes)

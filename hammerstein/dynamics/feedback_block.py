@@ -1,0 +1,200 @@
+"""A linear block with hysteresis in its loop, on one sample grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hammerstein.arrays import Array, ByValue, Indices, freeze_fields
+from hammerstein.blocks.interop.packing import Packing
+from hammerstein.blocks.sample_grid import require_grid
+from hammerstein.dynamics.linear_block import LinearBlock
+from hammerstein.errors import InputError
+from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
+
+if TYPE_CHECKING:
+    from hammerstein.blocks.interop.block_system import BlockSystem
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FeedbackBlock(ByValue):
+    """Hysteresis inside the loop of a linear block, on one sample grid.
+
+        z[k] = F x[k] + G u[k],    w[k] = Gamma(z[0 ... k])
+        x[k+1] = A x[k] + B u[k] + E w[k],    y[k] = C x[k] + D u[k]
+
+    There is no algebraic loop: z does not depend on w of the same sample, so w[k] is exact and not that of
+    the sample before. In continuous time w is held over a sample, as u is.
+
+    The state (n + memory,) is x, followed by what Gamma remembers: its plays, or the numbers of any other
+    kind's memory. Zero is the block at rest.
+
+    A : (n, n), B : (n, m), C : (p, n), D : (p, m), E : (n, q), F : (h, n), G : (h, m)
+    hysteresis : h inputs, q outputs
+    sample_time_s : 0 for matrices in continuous time, to be put on a grid by ``held``
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    E: Array
+    F: Array
+    G: Array
+    hysteresis: Hysteresis[Any]
+    sample_time_s: float
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, *"ABCDEFG")
+
+    def __repr__(self) -> str:
+        return f"FeedbackBlock(order {len(self.A)}, {self.hysteresis.describe()} in the loop)"
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return int(self.D.shape[1])
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return int(self.D.shape[0])
+
+    def linearised(self, amplitude_v: float) -> LinearBlock:
+        """Give the linear block with the gain of the settled loops at an amplitude of z in place of Gamma."""
+        gain = self.hysteresis.gain(amplitude_v)
+        a, b = self.A + self.E @ gain @ self.F, self.B + self.E @ gain @ self.G
+        return LinearBlock(a, b, self.C, self.D, self.sample_time_s)
+
+    def held(self, sample_time_s: float, late_s: float = 0.0) -> FeedbackBlock:
+        """Put a block in continuous time on a grid, exactly for u and w held over each sample.
+
+        The input may come ``late_s`` late, less than a sample; see ``LinearBlock.held``.
+        """
+        m, n = self.n_inputs, len(self.A)
+        own = self.hysteresis.on_grid(sample_time_s)
+        later = self._driven.held(sample_time_s - late_s)
+        b, e = later.B[:, :m], later.B[:, m:]
+        if not late_s:
+            return replace(self, A=later.A, B=b, E=e, hysteresis=own, sample_time_s=sample_time_s)
+        before = self._driven.held(late_s)
+        first, push = before.B[:, :m], before.B[:, m:]
+        return FeedbackBlock(
+            A=np.block([[np.zeros((m, m + n))], [later.A @ first, later.A @ before.A]]),
+            B=np.vstack([np.eye(m), b]),
+            C=np.hstack([self.D, self.C]),
+            D=np.zeros_like(self.D),
+            E=np.vstack([np.zeros((m, e.shape[1])), later.A @ push + e]),
+            F=np.hstack([self.G, self.F]),
+            G=np.zeros_like(self.G),
+            hysteresis=own,
+            sample_time_s=sample_time_s,
+        )
+
+    @property
+    def _driven(self) -> LinearBlock:
+        """Give the part of x that u and w drive."""
+        inputs = np.hstack([self.B, self.E])
+        none = np.zeros((0, inputs.shape[1]))
+        return LinearBlock(self.A, inputs, np.zeros((0, len(self.A))), none, self.sample_time_s)
+
+    def observed_by(self, sensor: LinearBlock) -> FeedbackBlock:
+        """Series with a sensor; the outputs are first this block's own, then the sensor's."""
+        both = LinearBlock(self.A, self.B, self.C, self.D, self.sample_time_s).observed_by(sensor)
+        more = len(sensor.A)
+        e = np.vstack([self.E, np.zeros((more, self.E.shape[1]))])
+        f = np.hstack([self.F, np.zeros((len(self.F), more))])
+        return replace(self, A=both.A, B=both.B, C=both.C, D=both.D, E=e, F=f)
+
+    def delayed(self, samples: int) -> FeedbackBlock:
+        """Delay the input by whole samples (a shift register in front)."""
+        if samples == 0:
+            return self
+        p = self.n_outputs
+        seen = np.vstack([self.C, self.F]), np.vstack([self.D, self.G])
+        late = LinearBlock(self.A, self.B, *seen, self.sample_time_s).delayed(samples)
+        more = len(late.A) - len(self.A)
+        e = np.vstack([np.zeros((more, self.E.shape[1])), self.E])
+        c, d = (late.C[:p], late.C[p:]), (late.D[:p], late.D[p:])
+        return replace(self, A=late.A, B=late.B, C=c[0], D=d[0], E=e, F=c[1], G=d[1])
+
+    def rest(self) -> Array:
+        """State of a block that was never driven."""
+        n = len(self.A)
+        if isinstance(self.hysteresis, PrandtlIshlinskii):
+            return np.zeros(n + self.hysteresis.bank.r.size)
+        return np.zeros(n + self._packing.length)
+
+    @cached_property
+    def _packing(self) -> Packing:
+        """Where the numbers of Gamma's memory stand in the state."""
+        return Packing(self.hysteresis.rest().as_dict())
+
+    def respond(self, u_v: ArrayLike, start: Array | None = None) -> tuple[Array, Array]:
+        """Outputs (p, sample) for a held input (m, sample), and the state after it.
+
+        Raises InputError where the number of inputs is another.
+        """
+        u = np.ascontiguousarray(np.atleast_2d(np.asarray(u_v, dtype=np.float64)))
+        if u.shape[0] != self.n_inputs:
+            raise InputError("signal", f"has {u.shape[0]} axes, the block wants {self.n_inputs}")
+        state = self.rest() if start is None else np.array(start, dtype=np.float64)
+        y = np.empty((self.n_outputs, u.shape[1]))
+        self.carry_on(u, state, 0, u.shape[1], y)
+        return y, state
+
+    def carry_on(self, u_v: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
+        """Put outputs into y_um (p, sample) from one sample up to another; ``state`` is moved on."""
+        if not isinstance(self.hysteresis, PrandtlIshlinskii):
+            self._step_by_step(u_v, state, first, stop, y_um)
+            return
+        from hammerstein.compiled import spans
+        from hammerstein.dynamics.feedback_kernel import respond_plays
+
+        bank, n = self.hysteresis.bank, len(self.A)
+        x, plays = state[:n], state[n:].reshape(bank.r.shape)
+        for start, end in spans(stop - first, len(self.entries[2]) + bank.w.size):
+            here = first + start, first + end
+            respond_plays(*self.entries, bank.r, bank.w, x, plays, u_v, *here, y_um)
+
+    def _step_by_step(self, u_v: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
+        """Any kind of hysteresis, one sample after the other."""
+        n = len(self.A)
+        x, memory = state[:n].copy(), self.hysteresis.restore(self._packing.unpack(state[n:]))
+        for t in range(first, stop):
+            u = u_v[:, t]
+            y_um[:, t] = self.C @ x + self.D @ u
+            w, memory = self.hysteresis.step(self.F @ x + self.G @ u, memory)
+            x = self.A @ x + self.B @ u + self.E @ w
+        state[:n], state[n:] = x, self._packing.pack(memory.as_dict())
+
+    def step(self, u_v: ArrayLike, state: Array) -> tuple[Array, Array]:
+        """Output (p,) for one sample (m,), and the state after it; equal to ``respond`` to the last bit."""
+        y, after = self.respond(np.reshape(np.asarray(u_v, dtype=np.float64), (-1, 1)), state)
+        return y[:, 0], after
+
+    def to_iosys(self, sample_time_s: float, name: str = "dynamics") -> BlockSystem:
+        """Give the block as a discrete python-control system, ``hysteresis_um[i]`` to ``position_um[o]``.
+
+        It stands on its own sample grid; InputError for another sample time.
+        """
+        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
+
+        require_grid(self.sample_time_s, sample_time_s, "feedback block")
+        block = Stepwise(self.rest(), self.step, lambda x: {"x": x}, lambda data: np.asarray(data["x"]))
+        wires = signals("hysteresis_um", self.n_inputs), signals("position_um", self.n_outputs)
+        return BlockSystem(block, *wires, sample_time_s, name)
+
+    @cached_property
+    def entries(self) -> tuple[Indices, Indices, Array]:
+        """Non-zero entries of [[F, G, 0], [A, B, E], [C, D, 0]] row by row."""
+        q = self.E.shape[1]
+        rows = [[self.F, self.G, np.zeros((len(self.F), q))], [self.A, self.B, self.E]]
+        full = np.block([*rows, [self.C, self.D, np.zeros((self.n_outputs, q))]])
+        filled = full != 0.0
+        start = np.concatenate([[0], np.cumsum(filled.sum(axis=1))]).astype(np.int64)
+        return start, np.nonzero(filled)[1].astype(np.int64), full[filled]

@@ -1,0 +1,109 @@
+"""Dynamics with hysteresis inside the loop, as a model file names them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field, model_validator
+
+from hammerstein.dynamics.feedback_block import FeedbackBlock
+from hammerstein.dynamics.linear_block import CONTINUOUS
+from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
+from hammerstein.quantities import Delay, Entry, SampleTime
+from hammerstein.validation import Strict
+
+Matrix = tuple[tuple[Entry, ...], ...]
+FAR_V = 1e6
+"""Amplitude at which all of the hysteresis moves [V]."""
+
+
+class FeedbackHysteresisDynamics(Strict):
+    """A linear block with hysteresis of any kind inside its loop, continuous or on a fixed sample time.
+
+        x' = A x + B u + E w,    z = F x + G u,    w = Gamma(z),    y = C x + D u
+
+    x' is x of the next sample where a sample time is given. Stiffness and damping follow the amplitude, as in
+    a voltage-driven piezo, whose hysteresis is between voltage and charge (Goldfarb and Celanovic, IEEE
+    Control Systems 17(3), 1997).
+    """
+
+    kind: Literal["feedback_hysteresis"] = "feedback_hysteresis"
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    E: Matrix
+    F: Matrix
+    G: Matrix
+    hysteresis: Annotated[HysteresisFile, HYSTERESIS.field(), Field(description="inside the loop")]
+    sample_time_s: SampleTime | None = Field(default=None, description="absent: continuous time")
+    input_delay_s: Delay = 0.0
+    allow_unstable: Literal[True] | None = Field(
+        default=None, description="true: accept a block whose outputs grow without bound"
+    )
+
+    @model_validator(mode="after")
+    def _shapes_fit(self) -> Self:
+        gamma = self.hysteresis.hysteresis()
+        n, p, m = len(self.A), len(self.D), len(self.D[0]) if self.D else 0
+        h, q = gamma.n_inputs, gamma.n_outputs
+        if p == 0 or m == 0:
+            raise ValueError("D must have at least one row and one column")
+        shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "E": (n, q), "F": (h, n), "G": (h, m), "D": (p, m)}
+        for name, (rows, columns) in shapes.items():
+            matrix = getattr(self, name)
+            if len(matrix) != rows or any(len(row) != columns for row in matrix):
+                raise ValueError(f"{name} must be {rows} x {columns}")
+        return self
+
+    @classmethod
+    def of(
+        cls, hysteresis: Hysteresis[Any], *, sample_time_s: float | None = None, **matrices: ArrayLike
+    ) -> FeedbackHysteresisDynamics:
+        """Keep matrices A to G and a hysteresis; ValueError where their shapes do not fit."""
+        rows = {name: tuple(map(tuple, np.asarray(m).tolist())) for name, m in matrices.items()}
+        return cls(**rows, hysteresis=hysteresis.file(), sample_time_s=sample_time_s)
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return len(self.D)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return len(self.D[0])
+
+    def describe(self) -> str:
+        """Say in a few words what it is."""
+        grid = "continuous" if self.sample_time_s is None else f"at {self.sample_time_s:g} s a sample"
+        return f"state space of order {len(self.A)} with {self.hysteresis.kind} in its loop, {grid}"
+
+    def block(self) -> FeedbackBlock:
+        """Give its matrices, in continuous time or on its own sample time."""
+        gamma = self.hysteresis.hysteresis()
+        n, p, m = len(self.A), len(self.D), len(self.D[0])
+        h, q = gamma.n_inputs, gamma.n_outputs
+        shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m), "E": (n, q), "F": (h, n), "G": (h, m)}
+        matrices = {name: np.reshape(getattr(self, name), shape) for name, shape in shapes.items()}
+        return FeedbackBlock(**matrices, hysteresis=gamma, sample_time_s=self.sample_time_s or CONTINUOUS)
+
+    def instability(self) -> str:
+        """Say that a pole of the loop at large amplitudes is not stable; empty if all are."""
+        block = self.block()
+        if self.allow_unstable or not self.A:
+            return ""
+        poles = np.linalg.eigvals(block.linearised(FAR_V).A)
+        continuous = self.sample_time_s is None
+        worst = float(poles.real.max() if continuous else np.abs(poles).max() - 1.0)
+        if worst < 0.0:
+            return ""
+        return (
+            "is not stable at large amplitudes, where all of the hysteresis moves: a pole lies "
+            f"{worst:.3g} beyond the border. Identify it again, or set allow_unstable = true if this is meant"
+        )
+
+
+HYSTERESIS.used_by(FeedbackHysteresisDynamics)

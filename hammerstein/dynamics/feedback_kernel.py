@@ -1,0 +1,50 @@
+"""Compiled time loop of plays in the loop of a linear block."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hammerstein.compiled import compiled
+
+at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
+
+
+@compiled()
+def respond_plays(start, column, value, r, weight, x, p, u, first, end, y):  # type: ignore[no-untyped-def]
+    """z, x[k+1], y[k] = [[F, G, 0], [A, B, E], [C, D, 0]] (x[k], u[k], w[k]), w the weighted plays of z.
+
+    The rows of z come first: w follows from them within the sample, and no row of z holds w.
+
+    start : (h+n+o+1,) first entry of each row; column, value : (entry,)
+    r : (h, J) thresholds, filled up with infinity; weight : (h, J, q)
+    x : (n,) state and p : (h, J) plays, updated in place; u : (m, N); y : (o, N), from first up to end
+    """
+    n, m, (h, most), q = x.shape[0], u.shape[0], r.shape, weight.shape[2]
+    outputs = y.shape[0]
+    now, later = np.zeros(n + m + q), np.zeros(n + m + q)
+    for i in range(n):
+        now[i] = x[i]
+    for t in range(first, end):
+        for j in range(m):
+            now[at(n + j)] = u[at(j), at(t)]
+        for j in range(q):
+            now[at(n + m + j)] = 0.0
+        e = at(start[0])
+        for i in range(h + n + outputs):
+            total, stop = 0.0, at(start[at(i + 1)])
+            while e < stop:
+                total += value[e] * now[at(column[e])]
+                e += at(1)
+            if i < h:
+                for j in range(most):
+                    play = max(total - r[at(i), at(j)], min(total + r[at(i), at(j)], p[at(i), at(j)]))
+                    p[at(i), at(j)] = play
+                    for o in range(q):
+                        now[at(n + m + o)] += weight[at(i), at(j), at(o)] * play
+            elif i < h + n:
+                later[at(i - h)] = total
+            else:
+                y[at(i - h - n), at(t)] = total
+        now, later = later, now
+    for i in range(n):
+        x[i] = now[i]

@@ -1,0 +1,235 @@
+"""Hysteresis inside the loop: theory of the block, and what simulates, saves and refuses it."""
+
+import control
+import numpy as np
+import pytest
+import theory
+from scipy import signal
+from scipy.linalg import expm
+
+from hammerstein import HammersteinModel
+from hammerstein.blocks.instruments import Instruments
+from hammerstein.blocks.voltages import Voltages
+from hammerstein.dynamics import FeedbackHysteresisDynamics, discretise, on_grid
+from hammerstein.errors import InputError
+from hammerstein.hysteresis import BoucWen, BoucWenPair, Pair, PrandtlIshlinskii
+
+RNG = np.random.default_rng(30)
+TIME_S = 1e-4
+
+
+def matrices(n=6, m=2, h=2, q=2, seed=1):
+    """Random stable matrices A to G of a discrete block with two outputs."""
+    rng = np.random.default_rng(seed)
+    a = rng.normal(size=(n, n))
+    a *= 0.9 / np.abs(np.linalg.eigvals(a)).max()
+    shapes = {"B": (n, m), "C": (2, n), "D": (2, m), "E": (n, q), "F": (h, n), "G": (h, m)}
+    return {"A": a} | {name: 0.3 * rng.normal(size=shape) for name, shape in shapes.items()}
+
+
+def plays(weights=0.02, thresholds=(0.0, 0.5, 1.5)):
+    """Bank of plays from two inputs to two outputs."""
+    w = weights * np.array([1.0, 0.5, 0.25])
+    return PrandtlIshlinskii([[Pair(thresholds, s * w) for s in row] for row in ((1.0, 0.3), (-0.2, 0.8))])
+
+
+def block(hysteresis, **changes):
+    """Block of these matrices on its own grid."""
+    given = matrices() | changes
+    return FeedbackHysteresisDynamics.of(hysteresis, sample_time_s=TIME_S, **given).block()
+
+
+def written_out(m, gamma, u):
+    """Outputs by the equations as they are written, Gamma a function of the whole past of z."""
+    x, z_past, y = np.zeros(len(m["A"])), [], []
+    for k in range(u.shape[1]):
+        z_past.append(m["F"] @ x + m["G"] @ u[:, k])
+        y.append(m["C"] @ x + m["D"] @ u[:, k])
+        x = m["A"] @ x + m["B"] @ u[:, k] + m["E"] @ gamma(np.array(z_past).T)
+    return np.array(y).T
+
+
+def test_follows_its_equations():
+    u = RNG.normal(size=(2, 60)).cumsum(axis=1)
+    weights, thresholds = 0.02 * np.array([1.0, 0.5, 0.25]), np.array([0.0, 0.5, 1.5])
+    mix = np.array([[1.0, 0.3], [-0.2, 0.8]])
+
+    def gamma(z):
+        each = [weights @ [theory.play(row, r)[-1] for r in thresholds] for row in z]
+        return mix @ each
+
+    expected = written_out(matrices(), gamma, u)
+    found, _ = block(plays()).respond(u)
+    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("steady", [None, 7.0], ids=["static", "never turned"])
+def test_without_loops_it_is_the_linear_model(steady):
+    """A static Gamma is a matrix; plays that move one way are a matrix too, less what their gaps take."""
+    m, gain = matrices(), np.array([[0.05, 0.01], [-0.02, 0.04]])
+    gamma = PrandtlIshlinskii([[Pair([0.0], [g]) for g in row] for row in gain])
+    a, b = m["A"] + m["E"] @ gain @ m["F"], m["B"] + m["E"] @ gain @ m["G"]
+    u = RNG.normal(size=(2, 400))
+    if steady is not None:  # z rises for ever: the play follows r behind, which is a constant input
+        one_way = {"F": np.zeros((2, 6)), "G": np.eye(2)}
+        u = np.cumsum(np.abs(u) + 0.1, axis=1) + steady
+        m = m | one_way
+        a, b = m["A"], m["B"] + m["E"] @ gain
+        gamma = PrandtlIshlinskii([[Pair([steady], [g]) for g in row] for row in gain])
+    found, _ = block(gamma, **m).respond(u)
+    driven = np.vstack([u, np.ones(u.shape[1])])
+    shift = m["E"] @ gain @ np.full((2, 1), -(steady or 0.0))
+    system = (a, np.hstack([b, shift]), m["C"], np.hstack([m["D"], np.zeros((2, 1))]), TIME_S)
+    _, expected, _ = signal.dlsim(system, driven.T)
+    np.testing.assert_allclose(found, expected.T, rtol=1e-10, atol=1e-12 * np.abs(expected).max())
+    answer = control.forced_response(control.ss(*system), inputs=driven)
+    np.testing.assert_allclose(found, answer.outputs, rtol=1e-10, atol=1e-12 * np.abs(expected).max())
+
+
+def test_continuous_block_is_exact_for_held_inputs():
+    """Oscillator with a static spring in its loop, against the exponential of its matrix."""
+    w, spring = 2 * np.pi * 300.0, 0.4
+    a = np.array([[0.0, w], [-w, -0.02 * w]])
+    of = {"A": a, "B": [[0.0], [w]], "C": [[1.0, 0.0]], "D": [[0.0]]}
+    loop = {"E": [[0.0], [w]], "F": [[1.0, 0.0]], "G": [[0.0]]}
+    dynamics = FeedbackHysteresisDynamics.of(PrandtlIshlinskii([[Pair([0.0], [-spring])]]), **of, **loop)
+    u = RNG.normal(size=(1, 50))
+    found, _ = on_grid(dynamics, TIME_S).respond(u)
+    step = expm(TIME_S * np.block([[a, np.array([[0.0, 0.0], [w, w]])], [np.zeros((2, 4))]]))
+    x, y = np.zeros(2), []
+    for value in u[0]:
+        y.append(x[0])
+        x = step[:2, :2] @ x + step[:2, 2] * value + step[:2, 3] * (-spring * x[0])
+    np.testing.assert_allclose(found[0], y, rtol=1e-10, atol=1e-13)
+
+
+KINDS = {
+    "plays": plays(),
+    "bouc_wen": BoucWen([[BoucWenPair(0.02, 0.01, 0.5, 0.2) for _ in range(2)] for _ in range(2)]),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_batch_is_step_to_the_last_bit(kind):
+    here, u = block(KINDS[kind]), RNG.normal(size=(2, 50)).cumsum(axis=1)
+    whole, after = here.respond(u)
+    state, steps = here.rest(), []
+    for sample in u.T:
+        y, state = here.step(sample, state)
+        steps.append(y)
+    assert np.array_equal(np.array(steps).T, whole)
+    assert np.array_equal(state, after)
+
+
+def model(dynamics, working_point_v=None):
+    """Actuator whose only hysteresis is in the loop."""
+    one = PrandtlIshlinskii([[Pair([0.0], [float(i == k)]) for k in range(2)] for i in range(2)])
+    given = None
+    if working_point_v:
+        low, high = ([v + 5.0 * way for v in working_point_v] for way in (-1.0, 1.0))
+        given = Voltages.of(working_point_v, low, high)
+    return HammersteinModel("loop", one, dynamics, 5.0, ("a", "b"), ("x", "y"), voltages=given)
+
+
+def discrete(**changes):
+    return FeedbackHysteresisDynamics.of(plays(), sample_time_s=TIME_S, **(matrices() | changes))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_model_file_keeps_every_bit(kind, tmp_path):
+    dynamics = FeedbackHysteresisDynamics.of(KINDS[kind], sample_time_s=TIME_S, **matrices())
+    first = model(dynamics)
+    first.save(tmp_path / "model.json")
+    again = HammersteinModel.load(tmp_path / "model.json")
+    u = RNG.normal(size=(2, 300))
+    found, expected = (m.simulate(u, TIME_S).position_um for m in (again, first))
+    assert np.array_equal(found, expected)
+    assert again.digest() == first.digest()
+
+
+def test_absolute_volts_count_from_the_working_point():
+    at_zero, raised = model(discrete()), model(discrete(), (40.0, -3.0))
+    u = RNG.normal(size=(2, 100))
+    found = raised.simulate(u + np.array([[40.0], [-3.0]]), TIME_S).position_um
+    expected = at_zero.simulate(u, TIME_S).position_um
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
+
+
+def test_python_control_plays_the_same_numbers():
+    here, u = model(discrete()), RNG.normal(size=(2, 40))
+    system = here.to_iosys(TIME_S)
+    answer = control.input_output_response(system, np.arange(40) * TIME_S, u)
+    expected = here.simulate(u, TIME_S).position_um
+    np.testing.assert_allclose(answer.outputs, expected, rtol=1e-12, atol=1e-14)
+
+
+def test_sensor_and_delay_stand_around_the_loop():
+    """A delay of the input shifts the outputs; a fractional one is a step between two samples."""
+    dynamics, u = discrete(), RNG.normal(size=(2, 80))
+    late = dynamics.model_copy(update={"input_delay_s": 3 * TIME_S})
+    plain, shifted = (on_grid(d, TIME_S).respond(u)[0] for d in (dynamics, late))
+    np.testing.assert_allclose(shifted[:, 3:], plain[:, :-3], rtol=1e-10, atol=1e-13)
+    assert not shifted[:, :3].any()
+    with_sensor, _ = on_grid(dynamics, TIME_S, 500.0).respond(u)
+    np.testing.assert_allclose(with_sensor[:2], plain, rtol=1e-10, atol=1e-13)
+    pole = np.exp(-2 * np.pi * 500.0 * TIME_S)
+    filtered = signal.lfilter([0.0, 1.0 - pole], [1.0, -pole], plain, axis=1)
+    np.testing.assert_allclose(with_sensor[2:], filtered, rtol=1e-10, atol=1e-13)
+
+
+def test_a_delay_within_a_sample_is_the_input_of_a_finer_grid():
+    """Continuous loop of a linear spring: late by half a sample is the linear model late by as much."""
+    w = 2 * np.pi * 200.0
+    a = np.array([[0.0, w], [-w, -0.1 * w]])
+    of = {"A": a, "B": [[0.0], [w]], "C": [[1.0, 0.0]], "D": [[0.0]]}
+    unused = {"E": [[0.0], [0.0]], "F": [[1.0, 0.0]], "G": [[0.0]]}
+    dynamics = FeedbackHysteresisDynamics.of(PrandtlIshlinskii([[Pair([0.5], [1.0])]]), **of, **unused)
+    late = dynamics.model_copy(update={"input_delay_s": 1.5 * TIME_S})
+    u = RNG.normal(size=(1, 100))
+    fine, _ = on_grid(dynamics, TIME_S / 2).respond(np.repeat(u, 2, axis=1))
+    found, _ = on_grid(late, TIME_S).respond(u)
+    expected = np.concatenate([np.zeros(3), fine[0]])[: 2 * u.shape[1] : 2]
+    np.testing.assert_allclose(found[0], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_laws_that_need_linear_dynamics_refuse_it_by_name():
+    with pytest.raises(InputError, match="feedback_hysteresis is not linear"):
+        discretise(discrete(), TIME_S)
+
+
+def test_an_unstable_loop_is_refused_unless_it_is_meant():
+    """Small amplitudes are stable, large ones are not: all plays move there."""
+    wild = {"E": 5000.0 * matrices()["E"]}
+    with pytest.raises(InputError, match="large amplitudes"):
+        model(discrete(**wild))
+    allowed = discrete(**wild).model_copy(update={"allow_unstable": True})
+    assert model(allowed).dynamics.instability() == ""
+
+
+def test_resonance_follows_the_amplitude():
+    """An oscillator with a play as a spring: its resonance is that of the describing function.
+
+    m x'' + d x' + k x = u - k_h p(x), p the play of x: at amplitude X the spring is k + k_h N(X).
+    """
+    hz, damping, share, r, fs = 300.0, 0.02, 0.2, 1.0, 160e3
+    w = 2 * np.pi * hz
+    of = {"A": [[0.0, w], [-w, -2 * damping * w]], "B": [[0.0], [w]], "C": [[1.0, 0.0]], "D": [[0.0]]}
+    loop = {"E": [[0.0], [share * w]], "F": [[1.0, 0.0]], "G": [[0.0]]}
+    here = on_grid(
+        FeedbackHysteresisDynamics.of(PrandtlIshlinskii([[Pair([r], [1.0])]]), **of, **loop), 1 / fs
+    )
+    angles = 2 * np.pi * np.array([[280.0], [310.0], [340.0]]) / fs * np.arange(int(fs))
+    for ratio, angle in zip(angles[:, 1] * fs / w, angles, strict=True):
+        for force in (0.6, 1.5, 5.0):
+            y, _ = here.respond(force * np.sin(angle)[None])
+            last = slice(-int(fs / 10), None)
+            amplitude = 2 * abs(np.mean(y[0, last] * np.exp(-1j * angle[last])))
+            gain, ahead = theory.play_describing_function(amplitude, r) if amplitude > r else (0.0, 0.0)
+            stiffness = 1.0 - share * (gain + 1j * ahead) - ratio**2 + 2j * damping * ratio
+            assert amplitude * abs(stiffness) == pytest.approx(force, rel=0.03)
+
+
+def test_ideal_instruments_change_nothing():
+    here, u = model(discrete()), RNG.normal(size=(2, 30))
+    found = here.simulate(u, TIME_S, instruments=Instruments.ideal()).position_um
+    assert np.array_equal(found, block(plays()).respond(u)[0])
