@@ -11,8 +11,9 @@ from export_cases import stage
 
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.commands.cli import main
+from hammerstein.compensators import cycle
 from hammerstein.compensators.cycle import cycle_of, rms
-from hammerstein.compensators.drive_file import Terms
+from hammerstein.compensators.drive_file import Terms, allowed_range
 from hammerstein.compensators.wave_table import wave_table
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.model import HammersteinModel
@@ -75,6 +76,35 @@ def test_the_first_period_is_another_one(tmp_path):
     model = HammersteinModel.load("duo_bimorph")
     first = Plant(model, Instruments.ideal(T)).respond(found.drive_v, [0]).position_um
     assert np.abs(first - found.played_um).max() > 1.0
+
+
+def test_a_run_up_leads_to_the_settled_period(tmp_path, capsys):
+    """From rest at the start: steps no larger than the path's own, and no first period of its own."""
+    path = _path(tmp_path, 800)
+    out = tmp_path / "cycle.csv"
+    assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", out) == 0
+    said = capsys.readouterr().out
+    names = ["drive_x_v", "drive_y_v"]
+    way, period = (
+        pd.read_csv(file, comment="#")[names].to_numpy().T for file in (tmp_path / "cycle.run_up.csv", out)
+    )
+    own_step = np.abs(np.diff(period, axis=1)).max()
+    sent = np.hstack([np.zeros((2, 1)), way, period, period[:, :1]])
+    assert np.abs(np.diff(sent, axis=1)).max() == pytest.approx(own_step, rel=0.05)
+    plant = Plant(HammersteinModel.load("duo_bimorph"), Instruments.ideal(T))
+    first = plant.respond(sent[:, 1:-1], [0]).position_um[:, -800:]
+    assert np.abs(first - _replayed(period)).max() < 0.02
+    assert "Largest step" in said
+    assert "first period after the run-up" in said
+
+
+def test_what_does_not_settle_without_creep_is_not_blamed_on_creep(monkeypatch):
+    model = HammersteinModel.load("duo_bimorph")
+    law = cycle.sensorless_law("hammerstein_inverse", {}, model, allowed_range(model, Terms()), T)
+    monkeypatch.setattr(cycle, "SETTLED", -1.0)
+    with pytest.raises(SimulationError) as caught:
+        cycle.settled(law, model, np.zeros((2, 400)))
+    assert "creep" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -153,7 +183,7 @@ def test_creep_that_never_settles_is_said(tmp_path):
     pd.DataFrame({"time_s": np.arange(200) * T, "x": 10.0 + 8.0 * np.sin(turn)}).to_csv(
         tmp_path / "p.csv", index=False
     )
-    with pytest.raises(SimulationError, match="creep does this"):
+    with pytest.raises(SimulationError, match="has creep, which does this"):
         cycle_of(str(tmp_path / "stage.json"), tmp_path / "p.csv", "hammerstein_inverse", {})
 
 

@@ -80,9 +80,22 @@ class Period(NamedTuple):
     onlooker: Onlooker
     overwrite: bool
 
-    def write(self, text: str) -> None:
-        """Write the file."""
+    @property
+    def run_up(self) -> Path:
+        """File of the run-up, beside that of the period."""
+        return run_up_of(self.out)
+
+    def write(self, text: str, found: Cycle) -> None:
+        """Write the period and its run-up."""
+        from hammerstein.compensators.drive_file import DRIVE
+
         write_output(self.out, text, self.table.owner(), self.overwrite)
+        write_output(self.run_up, found.run_up_csv(), DRIVE, self.overwrite)
+
+
+def run_up_of(out: Path) -> Path:
+    """File of the run-up of a period."""
+    return out.with_name(f"{out.stem}.run_up.csv")
 
 
 def write_cycle(asked: Period) -> None:
@@ -91,7 +104,7 @@ def write_cycle(asked: Period) -> None:
 
     found = cycle_of(asked.model, asked.path, asked.law, asked.options, asked.terms, asked.onlooker)
     said, errors, text = asked.table.form(found)
-    asked.write(text)
+    asked.write(text, found)
     _tell(asked, {"rms_um": errors}, said, "one period")
 
 
@@ -118,7 +131,7 @@ def write_lesson(
         before,
     )
     about, errors, text = asked.table.form(found)
-    asked.write(text)
+    asked.write(text, found)
     figures = {"error_rms_um": taught.error_rms_um, "noise_um": taught.noise_um, "rms_um": errors}
     said = [taught.statement(), *about]
     _tell(asked, {"finished": taught.finished, **figures}, said, "next period")
@@ -126,7 +139,7 @@ def write_lesson(
 
 def _tell(asked: Period, figures: dict[str, Any], said: list[str], what: str) -> None:
     if asked.as_json:
-        tell_json({"drive": str(asked.out), **figures, "statements": said})
+        tell_json({"drive": str(asked.out), "run_up": str(asked.run_up), **figures, "statements": said})
         return
     tell_statements(said)
-    tell(f"{what} in {asked.out}")
+    tell(f"run-up in {asked.run_up}, {what} in {asked.out}")

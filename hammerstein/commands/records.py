@@ -234,9 +234,9 @@ def compensate(
 ) -> None:
     """Turn a reference into the voltages to send, with the predicted response."""
     from hammerstein.commands.path_watch import watched
-    from hammerstein.commands.periods import Period, TableRequest, write_cycle, write_lesson
+    from hammerstein.commands.periods import Period, TableRequest, run_up_of, write_cycle, write_lesson
     from hammerstein.commands.tables import compensation_table
-    from hammerstein.compensators.drive_file import compensate as compensated
+    from hammerstein.compensators.drive_file import DRIVE, compensate as compensated
     from hammerstein.compiled import announce_compiling
     from hammerstein.errors import InputError
 
@@ -247,17 +247,21 @@ def compensate(
     options = words.options()
     wanted = TableRequest(table, table_scale, table_points)
     wanted.check()
-    refuse_output(out, [Path(model), reference, *(learn or ()), *(before or ())], wanted.owner(), overwrite)
+    read = [Path(model), reference, *(learn or ()), *(before or ())]
+    refuse_output(out, read, wanted.owner(), overwrite)
+    periodic = cycle or table is not None or learn is not None
+    if periodic:
+        refuse_output(run_up_of(out), read, DRIVE, overwrite)
     announce_compiling(complain)
     terms = reached.terms(sent)
     with told_by_options("compensate", words.own), watched() as onlooker:
         period = Period(model, reference, law, options, terms, out, wanted, as_json, onlooker, overwrite)
-        if learn is not None or cycle or table is not None:
+        if periodic:
             reached.refuse_with_period()
         if learn is not None:
             write_lesson(period, learn, unsure or "0.05,0.01", before)
             return
-        if cycle or table is not None:
+        if periodic:
             write_cycle(period)
             return
         found = compensated(model, reference, law, options, terms, onlooker)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -28,6 +29,10 @@ from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 
 TRIED_PERIODS = (4, 8, 16, 32)
+SHORTEST_TRY_S = 0.1
+"""Short periods are tried several times over, so that a law with dynamics has this time to settle."""
+RUN_UP_S = 0.25
+"""The amplitude of a run-up grows for this time at least, in whole periods."""
 SETTLED = 1e-6  # of the range: what two periods may differ by
 PLAYED_PERIODS = 10
 CENTRING_ROUNDS = 20
@@ -39,6 +44,8 @@ class Cycle:
 
     reference_um : (p, N) the path, counted from the start; drive_v : (m, N) as it is sent
     played_um : (p, N) position in the last of ten periods; closure_um : what it differs from the one before
+    run_up_v : (m, K) voltages from the start to the period, to be sent once before it
+    first_um : (p, N) position in the first period after the run-up
     """
 
     model: HammersteinModel
@@ -50,6 +57,8 @@ class Cycle:
     closure_um: float
     source: str
     statement: str
+    run_up_v: Array
+    first_um: Array
 
     @property
     def period_s(self) -> float:
@@ -65,22 +74,35 @@ class Cycle:
         """Position (p, N) in the last of ten periods of other voltages on the same grid, and its closure."""
         return played(self.model, self.limits, drive_v, self.sample_time_s)
 
+    def largest_steps_v(self) -> tuple[float, float]:
+        """Largest step between samples [V]: of run-up and period, and of the period alone from the start."""
+        start = self.limits.start_v[:, None]
+        sent = np.concatenate([start, self.run_up_v, self.drive_v, self.drive_v[:, :1]], axis=1)
+        return float(np.abs(np.diff(sent, axis=1)).max()), float(np.abs(self.drive_v[:, :1] - start).max())
+
     def statements(self) -> list[str]:
         """Say what must hold when it is played."""
-        error = self.error_um
-        worst = ", ".join(
-            f"{name} {rms(row):.3g} um rms, {np.abs(row).max():.3g} um at most"
-            for name, row in zip(self.model.outputs, error, strict=True)
-        )
+        settled, first = (_worst(self, position) for position in (self.played_um, self.first_um))
+        step, jump = self.largest_steps_v()
+        seconds = self.run_up_v.shape[1] * self.sample_time_s
         said = [
             f"Model {self.source}. One settled period of {self.period_s:.6g} s, to be played again and "
             "again; after the last row the first one follows.",
             *verdict_statements(self.model),
-            f"Predicted for period {PLAYED_PERIODS}, if the actuator were exactly the model: {worst}. It "
-            f"differs from the period before by {self.closure_um:.2g} um. The first period is another one: "
-            "it comes from where the actuator stands.",
+            f"Run-up of {seconds:.6g} s from {_volts(self.limits.start_v)} to the period, to be sent once. "
+            f"Largest step {step:.3g} V; without the run-up the first one is {jump:.3g} V.",
+            f"Error if the actuator were exactly the model: settled (period {PLAYED_PERIODS}) {settled}; "
+            f"first period after the run-up, ringing included, {first}. The settled position repeats "
+            f"within {self.closure_um:.2g} um.",
         ]
         return [*said, self.statement] if self.statement else said
+
+    def run_up_csv(self) -> str:
+        """Text of the file of the run-up: times end where the period begins."""
+        samples = self.run_up_v.shape[1]
+        time_s = np.arange(-samples, 0, dtype=np.float64) * self.sample_time_s
+        said = ["Run-up: send it once, then the period again and again. Absolute, in V.", *self.statements()]
+        return drive_csv(time_s, (("drive", "v", self.model.inputs, self.run_up_v),), said)
 
     def to_csv(self) -> str:
         """Text of the drive file: one period."""
@@ -92,6 +114,39 @@ class Cycle:
             ("predicted", "um", outputs, self.played_um),
         )
         return drive_csv(time_s, groups, ["Voltages of one period: absolute, in V.", *self.statements()])
+
+
+def _worst(cycle: Cycle, position_um: Array) -> str:
+    """Error of a period for each output."""
+    return ", ".join(
+        f"{name} {rms(row):.3g} um rms, {np.abs(row).max():.3g} um at most"
+        for name, row in zip(cycle.model.outputs, position_um - cycle.reference_um, strict=True)
+    )
+
+
+def _volts(values: Array) -> str:
+    return f"{', '.join(f'{value:g}' for value in values)} V"
+
+
+def run_up(drive_v: Array, start_v: Array, sample_time_s: float) -> Array:
+    """Voltages (m, K) from the start at rest to the first sample of a period (m, N).
+
+    Whole periods whose distance from the start grows from 0 to 1 by a fifth-order step, then one at full
+    amplitude, after which every play that the period moves has forgotten the start. All voltages lie between
+    the start and the period, so no play goes further than the period itself moves it.
+
+    Examples
+    --------
+    >>> way = run_up(np.full((1, 100), 8.0), np.zeros(1), 1e-3)
+    >>> way.shape, way[0, [0, 150, 300]].round(3).tolist()
+    ((1, 400), [0.0, 4.0, 8.0])
+    """
+    samples = drive_v.shape[1]
+    growing = math.ceil(RUN_UP_S / (samples * sample_time_s))
+    x = np.arange(growing * samples) / (growing * samples)
+    share = x**3 * (10.0 + x * (6.0 * x - 15.0))
+    grown = start_v[:, None] + share * (np.tile(drive_v, (1, growing)) - start_v[:, None])
+    return np.concatenate([grown, drive_v], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,9 +178,15 @@ class Design:
         if not terms.beyond_records:
             refuse_beyond(model, sent)
         time_s = model.instruments.drive.sample_time_s
-        position, closure = played(model, limits, sent, time_s)
-        words = self.law.statement()
-        return Cycle(model, limits, time_s, self.reference_um, sent, position, closure, self.source, words)
+        play = player(model, limits, time_s)
+        position, closure = settled_position(play, sent)
+        converter = model.instruments.drive.model_copy(update={"range_v": ends})
+        way, _ = converter.apply(run_up(sent, limits.start_v, time_s))
+        first = play(np.concatenate([way, sent], axis=1))[:, way.shape[1] :]
+        said = self.law.statement()
+        return Cycle(
+            model, limits, time_s, self.reference_um, sent, position, closure, self.source, said, way, first
+        )
 
 
 def design_of(
@@ -171,23 +232,29 @@ def cycle_of(
     return design.cycle(centred(design.law, design.model, design.reference_um), terms)
 
 
-def settled(law: Law[Any], reference_um: Array) -> Array:
+def settled(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Array:
     """Drive (m, N) of the period that no longer changes: the fixed point of the loop.
 
     Raises SimulationError where the periods do not become alike.
     """
     samples = reference_um.shape[1]
     ends = -(-int(getattr(law, "start_samples", law.preview_samples)) // samples)
+    turns = math.ceil(SHORTEST_TRY_S / (samples * model.instruments.drive.sample_time_s))
     change = np.inf
-    for periods in TRIED_PERIODS:
+    for periods in (turns * tried for tried in TRIED_PERIODS):
         drive = law.drive_for(np.tile(reference_um, (1, periods + ends)))
-        one, next_one = (drive[:, (periods - n) * samples :][:, :samples] for n in (2, 1))
+        one, next_one = (drive[:, (periods - n) * samples :][:, :samples] for n in (1 + turns, 1))
         change = float(np.abs(next_one - one).max())
         if change <= SETTLED * float(law.range.span_v.max()):
             return next_one.copy()
     raise SimulationError(
-        f"The drive still changes by {change:.3g} V from one period to the next after {TRIED_PERIODS[-1]} "
-        "periods; creep does this. Use a model without creep for a table, or a law without dynamics."
+        f"The drive still changes by {change:.3g} V from one period to the next after "
+        f"{turns * TRIED_PERIODS[-1]} periods. "
+        + (
+            "The model has creep, which does this: use a model without creep for a table."
+            if any(axis.creep for axis in getattr(model.dynamics, "axes", ()))
+            else "Use a law without dynamics, such as exact_inverse, or a longer period."
+        )
     )
 
 
@@ -199,13 +266,13 @@ def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Arra
     voltages are moved until the middle is that of the path.
     """
     time_s, limits = model.instruments.drive.sample_time_s, law.range
-    drive, share = settled(law, reference_um), 1.0
+    drive, share = settled(law, model, reference_um), 1.0
     turn = np.linalg.pinv(model.hysteresis.gain(half_stroke(drive)))
     play = player(model, limits, time_s)
-    off = _middle(play(drive)[0] - reference_um)
+    off = _middle(settled_position(play, drive)[0] - reference_um)
     for _ in range(CENTRING_ROUNDS):
         trial = np.clip(drive - share * (turn @ off), limits.low_v[:, None], limits.high_v[:, None])
-        left = _middle(play(trial)[0] - reference_um)
+        left = _middle(settled_position(play, trial)[0] - reference_um)
         if np.abs(left).max() < np.abs(off).max():
             drive, off = trial, left
         else:
@@ -229,22 +296,26 @@ def played(
 
     Positions count from the start. The actuator stands at its start before the first.
     """
-    return player(model, limits, sample_time_s)(drive_v)
+    return settled_position(player(model, limits, sample_time_s), drive_v)
 
 
-def player(
-    model: HammersteinModel, limits: DriveRange, sample_time_s: float
-) -> Callable[[Array], tuple[Array, float]]:
-    """What ``played`` gives for voltages (m, N), for any number of them."""
+def settled_position(play: Callable[[Array], Array], drive_v: Array) -> tuple[Array, float]:
+    """Position (p, N) in the last of ten periods (m, N), and by how much the one before differs [um]."""
+    samples = drive_v.shape[1]
+    position = play(np.tile(drive_v, (1, PLAYED_PERIODS)))
+    last, one_before = position[:, -samples:], position[:, -2 * samples : -samples]
+    return last.copy(), float(np.abs(last - one_before).max())
+
+
+def player(model: HammersteinModel, limits: DriveRange, sample_time_s: float) -> Callable[[Array], Array]:
+    """Position (p, N) [um] for voltages (m, N) that are sent from the start, counted from it."""
     here, block = model.on_grid(sample_time_s), discretise(model.dynamics, sample_time_s)
     before, memory = here.hysteresis.standing(limits.history())
 
-    def play(drive_v: Array) -> tuple[Array, float]:
-        samples = drive_v.shape[1]
-        v, _ = here.static_response(np.tile(drive_v, (1, PLAYED_PERIODS)), memory)
+    def play(drive_v: Array) -> Array:
+        v, _ = here.static_response(drive_v, memory)
         position, _ = block.respond(v - before[:, None])
-        last, one_before = position[:, -samples:], position[:, -2 * samples : -samples]
-        return last.copy(), float(np.abs(last - one_before).max())
+        return position
 
     return play
 
