@@ -1,0 +1,1 @@
+"""Hysteresis inside the loop: all its numbers together, from the simulated output."""

@@ -1,0 +1,171 @@
+"""Compiled loops of plays inside the loop: the path of a record, and its exact derivatives.
+
+One row of a *path* holds what a sample multiplies numbers of the model with: state x, input u, hysteresis w,
+and every play less its linear part, g = p - beta z. The derivative of anything by one number then starts from
+one entry of that row, and goes on through the same linear equations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hammerstein.compiled import compiled
+
+WIDTH = 64
+"""Numbers whose derivatives go through a record together: they stay in the fastest cache."""
+
+
+@compiled(fastmath=True, nogil=True, error_model="numpy")
+def follow(A, B, E, F, G, c, beta, r, u, warm, path, hits):  # type: ignore[no-untyped-def]
+    """Path (warm + N, n + m + h + h J) and hits (warm + N, h, J) of a periodic input u (m, N).
+
+    x+ = A x + B u + E w, z = F x + G u, w_i = sum over j of c_ij (p_ij - beta_ij z_i)
+    A : (n / 2, 2, 2) blocks; hits : 1 or -1 where a play is pushed up or down, 0 where it stands
+    """
+    n, m, h, J = B.shape[0], B.shape[1], F.shape[0], r.shape[1]
+    samples = u.shape[1]
+    x, later, p = np.zeros(n), np.zeros(n), np.zeros((h, J))
+    iu, iw, ig = n, n + m, n + m + h
+    for t in range(samples + warm):
+        k = (t - warm) % samples
+        row = path[t]
+        for a in range(n):
+            row[a] = x[a]
+        for i in range(m):
+            row[iu + i] = u[i, k]
+        for i in range(h):
+            z, w = 0.0, 0.0
+            for a in range(n):
+                z += F[i, a] * x[a]
+            for a in range(m):
+                z += G[i, a] * u[a, k]
+            for j in range(J):
+                q, hit = p[i, j], 0
+                if z - r[i, j] > q:
+                    q, hit = z - r[i, j], 1
+                elif z + r[i, j] < q:
+                    q, hit = z + r[i, j], -1
+                p[i, j], hits[t, i, j] = q, hit
+                g = q - beta[i, j] * z
+                row[ig + i * J + j] = g
+                w += c[i, j] * g
+            row[iw + i] = w
+        for a in range(n):
+            b = a // 2
+            s = A[b, a % 2, 0] * x[2 * b] + A[b, a % 2, 1] * x[2 * b + 1]
+            for i in range(m):
+                s += B[a, i] * u[i, k]
+            for i in range(h):
+                s += E[a, i] * row[iw + i]
+            later[a] = s
+        x, later = later, x
+
+
+@compiled(fastmath=True, nogil=True, error_model="numpy")
+def differentiate(A, C, E, F, c, beta, r, path, hits, source, target, first, warm, out):  # type: ignore[no-untyped-def]
+    """Derivatives out (p, N, P) of the outputs by the numbers first, first + 1, ... first + WIDTH.
+
+    All arrays of numbers are float32.
+    source : (P,) entry of the path that a number is multiplied with; -1 - i J - j for the logarithm of r_ij
+    target : (P,) row of (x, z, w, y) that the product is added to
+    """
+    n, h, J, p = E.shape[0], F.shape[0], r.shape[1], C.shape[0]
+    count = min(WIDTH, source.shape[0] - first)
+    S, later = np.zeros((n, WIDTH), np.float32), np.zeros((n, WIDTH), np.float32)
+    dz, dw = np.zeros((h, WIDTH), np.float32), np.zeros((h, WIDTH), np.float32)
+    dp, dy = np.zeros((h, J, WIDTH), np.float32), np.zeros((p, WIDTH), np.float32)
+    none = np.zeros(WIDTH, np.float32)
+    for t in range(path.shape[0]):
+        row = path[t]
+        _weigh(F, S, dz)
+        for q in range(count):
+            to = target[first + q] - n
+            if 0 <= to < h and source[first + q] >= 0:
+                dz[to, q] += row[source[first + q]]
+        for i in range(h):
+            straight = np.float32(0.0)
+            for j in range(J):
+                straight -= c[i, j] * beta[i, j]
+            for q in range(WIDTH):
+                dw[i, q] = straight * dz[i, q]
+            for j in range(J):
+                if hits[t, i, j] != 0:
+                    for q in range(WIDTH):
+                        dp[i, j, q] = dz[i, q]
+                    own = -1 - i * J - j
+                    for q in range(count):
+                        if source[first + q] == own:
+                            dp[i, j, q] -= hits[t, i, j] * r[i, j]
+                weight = c[i, j]
+                for q in range(WIDTH):
+                    dw[i, q] += weight * dp[i, j, q]
+        for q in range(count):
+            to = target[first + q] - n - h
+            if 0 <= to < h and source[first + q] >= 0:
+                dw[to, q] += row[source[first + q]]
+        if t >= warm:
+            _weigh(C, S, dy)
+            for q in range(count):
+                to = target[first + q] - n - 2 * h
+                if to >= 0 and source[first + q] >= 0:
+                    dy[to, q] += row[source[first + q]]
+            for o in range(p):
+                for q in range(count):
+                    out[o, t - warm, first + q] = dy[o, q]
+        for a in range(n):
+            b = a // 2
+            g0, g1 = A[b, a % 2, 0], A[b, a % 2, 1]
+            _both(g0, S[2 * b], g1, S[2 * b + 1], later[a])
+            i = 0
+            while i + 2 < h:
+                _three(E[a, i], dw[i], E[a, i + 1], dw[i + 1], E[a, i + 2], dw[i + 2], later[a])
+                i += 3
+            while i < h:
+                _three(E[a, i], dw[i], np.float32(0.0), none, np.float32(0.0), none, later[a])
+                i += 1
+        for q in range(count):
+            to = target[first + q]
+            if to < n and source[first + q] >= 0:
+                later[to, q] += row[source[first + q]]
+        S, later = later, S
+
+
+@compiled(fastmath=True, nogil=True, error_model="numpy")
+def _both(a, x, b, y, out):  # type: ignore[no-untyped-def]
+    """Put a x + b y into out."""
+    for q in range(WIDTH):
+        out[q] = a * x[q] + b * y[q]
+
+
+@compiled(fastmath=True, nogil=True, error_model="numpy")
+def _three(a, x, b, y, c, z, out):  # type: ignore[no-untyped-def]
+    """Add a x + b y + c z to out."""
+    for q in range(WIDTH):
+        out[q] += a * x[q] + b * y[q] + c * z[q]
+
+
+@compiled(fastmath=True, nogil=True, error_model="numpy")
+def _weigh(weights, S, out):  # type: ignore[no-untyped-def]
+    """Put weights (k, n) S (n, WIDTH) into out (k, WIDTH), four rows of S at a time; n is even."""
+    n = S.shape[0]
+    for i in range(weights.shape[0]):
+        total = out[i]
+        for q in range(WIDTH):
+            total[q] = 0.0
+        a = 0
+        while a + 3 < n:
+            _four(weights[i, a : a + 4], S[a : a + 4], total)
+            a += 4
+        while a < n:
+            weight = weights[i, a]
+            for q in range(WIDTH):
+                total[q] += weight * S[a, q]
+            a += 1
+
+
+@compiled(fastmath=True, nogil=True, error_model="numpy")
+def _four(g, S, total):  # type: ignore[no-untyped-def]
+    """Add g (4,) S (4, WIDTH) to a total (WIDTH,)."""
+    a, b, c, d = g[0], g[1], g[2], g[3]
+    for q in range(WIDTH):
+        total[q] += a * S[0, q] + b * S[1, q] + c * S[2, q] + d * S[3, q]

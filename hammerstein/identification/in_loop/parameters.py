@@ -1,0 +1,169 @@
+"""All numbers of plays inside the loop of a linear block, as one vector that a search moves."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hammerstein.arrays import Array, Complex, Indices
+from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics
+from hammerstein.errors import InputError
+from hammerstein.files import read_limited, write_atomic
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.identification.in_loop.kernels import follow
+
+FORMAT = "hammerstein-feedback-search/1"
+WHAT = "file of an interrupted search"
+SEARCHED = ("A", "B", "C", "D", "E", "F", "G", "c")
+LEAST_THRESHOLD = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class LoopParameters:
+    """Numbers of a block with plays inside its loop, on one sample grid.
+
+        x+ = A x + B u + E w,  z = F x + G u,  w_i = sum over j of c_ij (p_ij - beta_ij z_i),  y = C x + D u
+
+    p_ij is the play of z_i with threshold r_ij. beta is held: the linear part of a play, which A, B, E, F
+    and G explain, so that c changes the loop little.
+
+    A : (n / 2, 2, 2) blocks; B : (n, m); C : (p, n); D : (p, m); E : (n, h); F : (h, n); G : (h, m)
+    c, r, beta : (h, J)
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    E: Array
+    F: Array
+    G: Array
+    c: Array
+    r: Array
+    beta: Array
+
+    def vector(self) -> Array:
+        """Give all that is searched (P,): entries, weights, and logarithms of thresholds."""
+        parts = [getattr(self, name).ravel() for name in SEARCHED]
+        return np.concatenate([*parts, np.log(self.r).ravel()])
+
+    def at(self, vector: Array) -> LoopParameters:
+        """Give the block whose ``vector`` this is."""
+        found, first = {}, 0
+        for name in SEARCHED:
+            like = getattr(self, name)
+            found[name] = vector[first : first + like.size].reshape(like.shape).copy()
+            first += like.size
+        r = np.maximum(np.exp(vector[first:]), LEAST_THRESHOLD).reshape(self.r.shape)
+        return LoopParameters(**found, r=r, beta=self.beta)
+
+    def tables(self) -> tuple[Indices, Indices]:
+        """For every number the entry of the path it is multiplied with, and the row it is added to.
+
+        See ``kernels.differentiate``.
+        """
+        (n, m), (h, plays), p = self.B.shape, self.r.shape, len(self.C)
+        x, u, w = np.arange(n), n + np.arange(m), n + m + np.arange(h)
+        each, rows, out = np.arange(h * plays), n + np.arange(h), n + 2 * h + np.arange(p)
+        pairs = np.repeat(x.reshape(-1, 2), 2, axis=0).ravel()
+        table = [
+            (pairs, np.repeat(x, 2)),
+            (np.tile(u, n), np.repeat(x, m)),
+            (np.tile(x, p), np.repeat(out, n)),
+            (np.tile(u, p), np.repeat(out, m)),
+            (np.tile(w, n), np.repeat(x, h)),
+            (np.tile(x, h), np.repeat(rows, n)),
+            (np.tile(u, h), np.repeat(rows, m)),
+            (n + m + h + each, np.repeat(rows + h, plays)),
+            (-1 - each, np.zeros_like(each)),
+        ]
+        source, target = (np.concatenate(column) for column in zip(*table, strict=True))
+        return source.astype(np.int64), target.astype(np.int64)
+
+    def full(self) -> Array:
+        """Give A (n, n)."""
+        n = len(self.B)
+        found = np.zeros((n, n))
+        for b, block in enumerate(self.A):
+            found[2 * b : 2 * b + 2, 2 * b : 2 * b + 2] = block
+        return found
+
+    def path(self, u: Array, warm: int) -> tuple[Array, np.ndarray[Any, Any]]:
+        """Give path and hits of a periodic input (m, N); see ``kernels.follow``."""
+        (n, m), (h, plays) = self.B.shape, self.r.shape
+        path = np.empty((warm + u.shape[1], n + m + h + h * plays))
+        hits = np.empty((len(path), h, plays), dtype=np.int8)
+        matrices = (self.A, self.B, self.E, self.F, self.G, self.c, self.beta, self.r)
+        follow(*matrices, np.ascontiguousarray(u), warm, path, hits)
+        return path, hits
+
+    def simulate(self, u: Array, warm: int) -> Array:
+        """Outputs (p, N) of a periodic input (m, N), after ``warm`` samples of the period before."""
+        n = len(self.B)
+        return np.asarray(self.C @ self.path(u, warm)[0][warm:, :n].T + self.D @ u)
+
+    def fastest(self, margin: float) -> tuple[Array, Array]:
+        """How far poles of the loop lie beyond 1 - margin, and the derivatives (poles, P) of that.
+
+        They are those of large amplitudes, where all plays move, or all but the widest of each z.
+        """
+        order = np.argsort(self.r, axis=1)
+        widest = np.zeros_like(self.r)
+        np.put_along_axis(widest, order[:, -1:], 1.0, axis=1)
+        found = [self._beyond(1.0 - margin, 1.0 - without) for without in (0.0 * widest, widest)]
+        return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
+
+    def _beyond(self, bound: float, moving: Array) -> tuple[Array, Array]:
+        """The same for plays of which some move (h, J)."""
+        k = (self.c * (moving - self.beta)).sum(axis=1)
+        poles, right = np.linalg.eig(self.full() + self.E @ (k[:, None] * self.F))
+        left = np.linalg.inv(right)
+        chosen = np.flatnonzero((np.abs(poles) > bound) & (poles.imag >= 0.0))
+        rows = [self._moved(poles[i], left[i], right[:, i], k, moving) for i in chosen]
+        size = len(self.vector())
+        return np.abs(poles[chosen]) - bound, np.array(rows).reshape(len(chosen), size)
+
+    def _moved(self, pole: complex, left: Complex, right: Complex, k: Array, moving: Array) -> Array:
+        """Derivative (P,) of the absolute value of a pole."""
+        n = len(self.B)
+        turned = np.conj(pole) / abs(pole)
+        seen, pushed = self.F @ right, left @ self.E
+        zeros = {name: np.zeros(getattr(self, name).shape, dtype=complex) for name in (*SEARCHED, "r")}
+        zeros["A"] = np.einsum("bi,bj->bij", left.reshape(n // 2, 2), right.reshape(n // 2, 2))
+        zeros["E"], zeros["F"] = np.outer(left, k * seen), np.outer(k * pushed, right)
+        zeros["c"] = (moving - self.beta) * (pushed * seen)[:, None]
+        return np.concatenate([(turned * part).real.ravel() for part in zeros.values()])
+
+    def dynamics(self, sample_time_s: float) -> FeedbackHysteresisDynamics:
+        """Give the block as the dynamics of a model."""
+        none, h = Pair(np.zeros(1), np.zeros(1)), range(len(self.r))
+        pairs = tuple(tuple(self._pair(i) if i == k else none for k in h) for i in h)
+        matrices = {name: getattr(self, name) for name in "BCDEFG"} | {"A": self.full()}
+        return FeedbackHysteresisDynamics.of(
+            PrandtlIshlinskii(pairs), sample_time_s=sample_time_s, **matrices
+        )
+
+    def _pair(self, i: int) -> Pair:
+        """Plays of z_i, the straight part at threshold 0."""
+        order = np.argsort(self.r[i])
+        weights = np.concatenate([[-(self.c[i] * self.beta[i]).sum()], self.c[i][order]])
+        return Pair(np.concatenate([[0.0], self.r[i][order]]), weights)
+
+    def save(self, file: Path) -> None:
+        """Write all numbers, so that a search goes on from them; nothing is left half-written."""
+        content = {one.name: getattr(self, one.name).tolist() for one in fields(self)}
+        write_atomic(file, json.dumps({"format": FORMAT, **content}, sort_keys=True) + "\n")
+
+    @classmethod
+    def load(cls, file: Path) -> LoopParameters:
+        """Read what ``save`` wrote; InputError for another file."""
+        try:
+            content = json.loads(read_limited(file, what=WHAT))
+            numbers = {one.name: np.array(content[one.name], dtype=np.float64) for one in fields(cls)}
+        except (KeyError, TypeError, ValueError):
+            raise InputError(str(file), f"is no {WHAT}; begin the search anew") from None
+        return cls(**numbers)

@@ -1,0 +1,136 @@
+"""Search of all numbers at once: Levenberg and Marquardt's steps on the simulated output."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hammerstein.arrays import Array
+from hammerstein.identification.in_loop.kernels import WIDTH, differentiate
+from hammerstein.identification.in_loop.parameters import LoopParameters
+
+LARGEST_TURN = 0.5
+"""Most that the logarithm of a threshold moves in one step."""
+TRIES = 10
+"""Dampings tried before a search ends."""
+PENALTY = 1e3
+"""What a pole beyond the bound by 1 costs, in parts of the root of the sum of squares."""
+
+
+class SettledPeriod(NamedTuple):
+    """One settled period of a record: voltages (m, N), positions (p, N), and what an error of it counts."""
+
+    u: Array
+    y: Array
+    weight: float
+
+
+class Progress(NamedTuple):
+    """A search after so many steps: cost, by how much less than before, and the rms of each period."""
+
+    step: int
+    cost: float
+    gained: float
+    rms: Array
+    found: LoopParameters
+
+
+@dataclass(frozen=True)
+class Search:
+    """Levenberg-Marquardt with exact derivatives of the simulated output.
+
+    Every step solves (H + mu diag H) d = g, H and g the sums over all records. A pole of the loop beyond
+    1 - margin is one more error.
+
+    warm : samples of the period before from which a simulation starts
+    steps : most of them
+    enough : smallest part of the cost that a step must gain
+    """
+
+    warm: int = 1500
+    steps: int = 100
+    enough: float = 2e-4
+    margin: float = 5e-4
+    damping: float = 1e-2
+
+    def run(
+        self,
+        start: LoopParameters,
+        periods: Sequence[SettledPeriod],
+        pool: Executor,
+        tell: Callable[[Progress], None] = lambda progress: None,
+    ) -> LoopParameters:
+        """Give the best numbers found; what ``tell`` raises ends the search."""
+        found, mu = start, self.damping
+        errors = self._errors(found, periods, pool)
+        scale = PENALTY * np.sqrt(sum(float((e * e).sum()) for e in errors))
+        cost = self._cost(found, errors, scale)
+        for step in range(self.steps):
+            hessian, gradient = self._normal(found, periods, pool, scale)
+            size = np.sqrt(np.diag(hessian)) + 1e-9
+            for _ in range(TRIES):
+                trial = found.at(found.vector() + self._step(hessian, gradient, size, mu, found.r.size))
+                errors = self._errors(trial, periods, pool)
+                now = self._cost(trial, errors, scale)
+                if np.isfinite(now) and now < cost:
+                    break
+                mu *= 4.0
+            else:
+                return found
+            gained, found, cost, mu = (cost - now) / cost, trial, now, max(mu / 5.0, 1e-9)
+            rms = [np.sqrt((e * e).mean()) / p.weight for e, p in zip(errors, periods, strict=True)]
+            tell(Progress(step, cost, gained, np.array(rms), found))
+            if gained < self.enough:
+                break
+        return found
+
+    def _step(self, hessian: Array, gradient: Array, size: Array, mu: float, thresholds: int) -> Array:
+        damped = hessian / np.outer(size, size) + mu * np.eye(len(size))
+        step = np.asarray(np.linalg.solve(damped, gradient / size) / size)
+        step[-thresholds:] = np.clip(step[-thresholds:], -LARGEST_TURN, LARGEST_TURN)
+        return step
+
+    def _errors(self, found: LoopParameters, periods: Sequence[SettledPeriod], pool: Executor) -> list[Array]:
+        def of(period: SettledPeriod) -> Array:
+            return period.weight * (period.y - found.simulate(period.u, self.warm))
+
+        with np.errstate(all="ignore"):  # a trial may diverge; its cost is then not finite
+            return list(pool.map(of, periods))
+
+    def _cost(self, found: LoopParameters, errors: Sequence[Array], scale: float) -> float:
+        total = sum(float((e * e).sum()) for e in errors)
+        return (
+            total + float(((scale * found.fastest(self.margin)[0]) ** 2).sum())
+            if np.isfinite(total)
+            else total
+        )
+
+    def _normal(
+        self, found: LoopParameters, periods: Sequence[SettledPeriod], pool: Executor, scale: float
+    ) -> tuple[Array, Array]:
+        beyond, moved = found.fastest(self.margin)
+        hessian, gradient = scale**2 * moved.T @ moved, -(scale**2) * moved.T @ beyond
+        for h, g in pool.map(lambda period: self._of_period(found, period), periods):
+            hessian, gradient = hessian + h, gradient + g
+        return hessian, gradient
+
+    def _of_period(self, found: LoopParameters, period: SettledPeriod) -> tuple[Array, Array]:
+        """Parts of the normal equations of one record."""
+        path, hits = found.path(period.u, self.warm)
+        source, target = found.tables()
+        n = len(found.B)
+        error = period.y - (found.C @ path[self.warm :, :n].T + found.D @ period.u)
+        names = ("A", "C", "E", "F", "c", "beta", "r")
+        numbers = [np.ascontiguousarray(getattr(found, name), dtype=np.float32) for name in names]
+        slopes = np.empty((len(found.C), period.u.shape[1], len(source)), dtype=np.float32)
+        single = path.astype(np.float32)
+        for first in range(0, len(source), WIDTH):
+            differentiate(*numbers, single, hits, source, target, first, self.warm, slopes)
+        flat = slopes.reshape(-1, len(source))
+        weight = period.weight**2
+        right = flat.T @ error.ravel().astype(np.float32)
+        return weight * (flat.T @ flat).astype(np.float64), weight * right.astype(np.float64)

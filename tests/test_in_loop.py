@@ -1,0 +1,133 @@
+"""Plays inside the loop, found from periods: derivatives, search, files and the benchmark's metric."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hammerstein.dynamics import on_grid
+from hammerstein.errors import InputError
+from hammerstein.identification.in_loop.parameters import LoopParameters
+from hammerstein.identification.in_loop.score import benchmark_rms
+from hammerstein.identification.in_loop.search import Search, SettledPeriod
+
+WARM, SAMPLES = 300, 512
+
+
+def made_up(seed=3):
+    """Two modes, two axes, three plays in each of two loops."""
+    rng = np.random.default_rng(seed)
+    angles, n = np.array([0.5, 1.3]), 4
+    a = np.array([0.95 * np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]) for t in angles])
+    shapes = {"B": (n, 2), "C": (2, n), "D": (2, 2), "E": (n, 2), "F": (2, n), "G": (2, 2)}
+    sizes = {"B": 0.3, "C": 1.0, "D": 0.1, "E": 0.1, "F": 1.0, "G": 0.3}
+    numbers = {name: sizes[name] * rng.normal(size=shape) for name, shape in shapes.items()}
+    c, r = 0.1 * rng.uniform(0.5, 1.5, size=(2, 3)), np.array([[0.1, 0.4, 1.0], [0.15, 0.5, 0.9]])
+    return LoopParameters(A=a, **numbers, c=c, r=r, beta=np.array([[0.9, 0.7, 0.3], [0.9, 0.6, 0.4]]))
+
+
+def multisine(seed, amplitude=1.0):
+    """One period (2, SAMPLES) of random phases."""
+    rng = np.random.default_rng(seed)
+    lines = np.zeros((2, SAMPLES // 2 + 1), dtype=complex)
+    lines[:, 1:200] = np.exp(2j * np.pi * rng.uniform(size=(2, 199)))
+    u = np.fft.irfft(lines)
+    return amplitude * u / u.std()
+
+
+def periods(truth, amplitudes=(0.4, 1.0, 2.0)):
+    inputs = [multisine(k, amplitude) for k, amplitude in enumerate(amplitudes)]
+    return [SettledPeriod(u, truth.simulate(u, WARM), 1.0) for u in inputs]
+
+
+def test_derivatives_are_those_of_differences():
+    """Of every kind of number; a play that changes sides between the two ends is the only difference."""
+    here, u = made_up(), multisine(1)
+    period = SettledPeriod(u, np.zeros((2, SAMPLES)), 1.0)
+    _, gradient = Search(warm=WARM)._of_period(here, period)
+    vector = here.vector()
+    for i in range(len(vector)):
+        step = 1e-7 * max(abs(vector[i]), 0.1)
+        ends = [vector.copy(), vector.copy()]
+        ends[0][i], ends[1][i] = vector[i] - step, vector[i] + step
+        low, high = (0.5 * (here.at(v).simulate(u, WARM) ** 2).sum() for v in ends)
+        assert gradient[i] == pytest.approx(-(high - low) / (2 * step), rel=3e-3, abs=3e-3)
+
+
+def test_poles_beyond_the_bound_have_their_derivatives():
+    here, margin = made_up(), 0.2
+    beyond, moved = here.fastest(margin)
+    assert len(beyond) > 0
+    vector = here.vector()
+    for i in range(len(vector)):
+        ends = [vector.copy(), vector.copy()]
+        ends[0][i] -= 1e-6
+        ends[1][i] += 1e-6
+        low, high = (here.at(v).fastest(margin)[0] for v in ends)
+        np.testing.assert_allclose(moved[:, i], (high - low) / 2e-6, rtol=1e-4, atol=1e-6)
+
+
+def test_search_finds_the_model_that_made_the_periods():
+    """From numbers that are all 3 % off, to a thousandth of the first error, on a period it has not seen."""
+    truth = made_up()
+    seen, unseen = periods(truth), periods(truth, (0.7, 1.5))[1:]
+    wrong = truth.vector() * (1.0 + 0.03 * np.random.default_rng(5).normal(size=truth.vector().size))
+    start = truth.at(wrong)
+    with ThreadPoolExecutor(2) as pool:
+        found = Search(warm=WARM, steps=60, enough=1e-12).run(start, seen, pool)
+    for period in unseen:
+        before, after = ((period.y - p.simulate(period.u, WARM)).std() for p in (start, found))
+        assert after < 1e-3 * before
+
+
+def test_an_interrupted_search_goes_on_from_its_file(tmp_path):
+    truth, file = made_up(), tmp_path / "search.json"
+    seen = periods(truth)
+    costs = []
+
+    def tell(progress):
+        progress.found.save(file)
+        costs.append(progress.cost)
+        if len(costs) == 2:
+            raise KeyboardInterrupt
+
+    start = truth.at(truth.vector() * 1.02)
+    with ThreadPoolExecutor(2) as pool:
+        with pytest.raises(KeyboardInterrupt):
+            Search(warm=WARM).run(start, seen, pool, tell)
+        kept = LoopParameters.load(file)
+        Search(warm=WARM, steps=1).run(kept, seen, pool, tell)
+    assert costs[2] < costs[1] < costs[0]
+    assert np.array_equal(LoopParameters.load(file).vector().shape, start.vector().shape)
+
+
+def test_another_file_is_no_search(tmp_path):
+    file = tmp_path / "other.json"
+    file.write_text('{"A": [1]}')
+    with pytest.raises(InputError, match="begin the search anew"):
+        LoopParameters.load(file)
+
+
+def test_the_dynamics_of_a_model_give_the_same_outputs():
+    here, u = made_up(), multisine(2)
+    block = on_grid(here.dynamics(1e-3), 1e-3)
+    twice, _ = block.respond(np.hstack([u[:, -WARM:], u]))
+    expected = here.simulate(u, WARM)
+    np.testing.assert_allclose(twice[:, WARM:], expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
+
+
+def test_the_benchmarks_metric_on_a_made_up_case():
+    """Two records of two channels: errors of 3 and 4 on half of the samples that count each, 9 before."""
+    measured = np.zeros((2, 2, 300))
+    measured[..., :100] = 9.0
+    measured[0, :, 100:], measured[1, :, 100:] = 3.0, 4.0
+    assert benchmark_rms(np.zeros_like(measured), measured) == pytest.approx(np.sqrt(12.5), rel=1e-14)
+    assert benchmark_rms(measured, measured) == 0.0
+
+
+def test_thresholds_stay_above_zero():
+    here = made_up()
+    shrunk = here.at(np.where(np.arange(here.vector().size) >= here.vector().size - 6, -50.0, here.vector()))
+    assert (shrunk.r > 0.0).all()
+    assert np.isfinite(replace(here, r=shrunk.r).vector()).all()
