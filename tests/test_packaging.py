@@ -53,7 +53,8 @@ def test_every_file_of_the_package_is_shipped_and_the_scenarios_with_their_numbe
 def test_every_import_is_a_dependency(settings: dict[str, Any]) -> None:
     project = settings["project"]
     extras = [
-        project["optional-dependencies"][name] for name in ("cluster", "interactive", "matlab", "parquet")
+        project["optional-dependencies"][name]
+        for name in ("cluster", "excel", "interactive", "matlab", "parquet", "tdms")
     ]
     lines = [line for group in (project["dependencies"], *extras) for line in group]
     declared = {re.split(r"[^\w-]", line)[0].lower() for line in lines}

@@ -6,7 +6,9 @@ import json
 import sys
 
 import h5py
+import nptdms
 import numpy as np
+import openpyxl
 import pandas as pd
 import pytest
 import scipy.io
@@ -495,3 +497,61 @@ def test_a_matlab_file_of_version_7_3_without_its_library_is_told_what_to_instal
     told = message(read, path, inputs=["u:1"], outputs=["u:2"])
     assert "version 7.3" in told
     assert "hammerstein-control[matlab]" in told
+
+
+class TestLoggers:
+    """Files of data loggers: a workbook, TDMS and plain HDF5, by the names in them."""
+
+    def test_a_workbook_with_title_units_and_empty_cells(self, tmp_path):
+        book = openpyxl.Workbook()
+        for row in (["Measured on stage 7"], [], ["t", "u_x", "x"], *np.stack([TIME, U, X], axis=1).tolist()):
+            book.active.append(row)
+        book.create_sheet("empty")
+        book.save(tmp_path / "a.xlsx")
+        (record,) = read(tmp_path / "a.xlsx")
+        np.testing.assert_allclose(record.u_v[0], U, atol=1e-13)
+        np.testing.assert_allclose(record.y_um[0], X, atol=1e-13)
+        assert "did you mean u_x" in message(read, tmp_path / "a.xlsx", inputs=["u_y"])
+        book.active.cell(10, 2).value = None
+        book.save(tmp_path / "a.xlsx")
+        assert "u_x, row 7  holds no finite number" in message(read, tmp_path / "a.xlsx")
+
+    def test_sheets_are_named_where_there_are_several(self, tmp_path):
+        book = openpyxl.Workbook()
+        for sheet, name, values in ((book.active, "u_x", U), (book.create_sheet("second"), "x", X)):
+            for cell in (name, *values.tolist()):
+                sheet.append([cell])
+        book.save(tmp_path / "a.xlsx")
+        (record,) = read(tmp_path / "a.xlsx", inputs=["Sheet.u_x"], outputs=["second.x"])
+        np.testing.assert_allclose(record.y_um[0], X, atol=1e-13)
+
+    def test_tdms(self, tmp_path):
+        with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
+            file.write_segment([nptdms.ChannelObject("log", n, v) for n, v in (("u_x", U), ("x", X))])
+        (record,) = read(tmp_path / "a.tdms")
+        np.testing.assert_array_equal(record.u_v[0], U)
+        np.testing.assert_array_equal(record.y_um[0], X)
+        assert "it has u_x, x" in message(read, tmp_path / "a.tdms", inputs=["v"])
+
+    def test_plain_hdf5_by_path(self, tmp_path):
+        with h5py.File(tmp_path / "a.h5", "w") as file:
+            file["run/volts"] = U
+            file["run/both"] = np.stack([X, U], axis=1)
+            file["note"] = "text"
+        (record,) = read(tmp_path / "a.h5", inputs=["run.volts"], outputs=["run.both:1"])
+        np.testing.assert_array_equal(record.y_um[0], X)
+
+    @pytest.mark.parametrize(
+        ("name", "library", "extra"),
+        [("a.xlsx", "openpyxl", "excel"), ("a.tdms", "nptdms", "tdms"), ("a.h5", "h5py", "matlab")],
+    )
+    def test_the_message_names_the_extra(self, tmp_path, monkeypatch, name, library, extra):
+        (tmp_path / name).write_bytes(b"PK")
+        monkeypatch.setitem(sys.modules, library, None)
+        assert f"hammerstein-control[{extra}]" in message(read, tmp_path / name)
+
+    @pytest.mark.parametrize("name", ["a.xlsx", "a.tdms", "a.h5"])
+    def test_a_damaged_file_is_one_mistake(self, tmp_path, name):
+        (tmp_path / name).write_bytes(b"TDSm" + bytes(range(200)))
+        text = message(read, tmp_path / name)
+        assert "can be read" in text or "no array of numbers" in text

@@ -1,4 +1,4 @@
-"""Arrays in NumPy and MATLAB files, and how one column of them is named."""
+"""Arrays in NumPy, MATLAB, HDF5, Excel and TDMS files, and how one column of them is named."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake
+from hammerstein.records import declared_size
+from hammerstein.records.declared_size import refuse_large as refuse_large
+from hammerstein.records.logger_files import excel_columns, tdms_channels
 from hammerstein.records.matlab_v5 import is_matlab_v4, is_matlab_v5, read_matlab_v5
 
 Variables = Mapping[str, Callable[[], Any]]
@@ -23,15 +26,15 @@ Variables = Mapping[str, Callable[[], Any]]
 
 HDF5, HEADER_BYTES = b"\x89HDF\r\n\x1a\n", 512
 """Sign of an HDF5 file, and size of MATLAB's header before it."""
-SUFFIXES = (".npy", ".npz", ".mat")
+GENERIC_HDF5 = (".h5", ".hdf5")
+EXCEL, TDMS = ".xlsx", ".tdms"
+SUFFIXES = (".npy", ".npz", ".mat", *GENERIC_HDF5, EXCEL, TDMS)
 MOST_OBJECTS = 100_000
 """Of an HDF5 file: more are no record."""
-MOST_NUMBERS = 50_000_000
-"""As many numbers are read from one variable; a file that declares more is not opened up."""
 
 
 def array_columns(path: Path, wanted: Sequence[str]) -> Array:
-    """Columns (column, sample) of an ``.npy``, ``.npz`` or ``.mat`` file.
+    """Columns (column, sample) of a file of arrays, of any of ``SUFFIXES``.
 
     Parameters
     ----------
@@ -130,20 +133,6 @@ def _loaded(variables: Variables, name: str) -> Array:
     return array.astype(np.float64)
 
 
-def refuse_large(shape: Sequence[int], bytes_each: int = 8) -> None:
-    """Refuse an array before it is unpacked, by the shape that its file declares.
-
-    bytes_each : of an entry; a text counts as so many numbers as would take its place
-    """
-    numbers = math.prod(int(n) for n in shape) * max(1, bytes_each // 8)
-    if numbers > MOST_NUMBERS:
-        raise InputError(
-            "file",
-            f"holds {numbers / 1e6:,.0f} million numbers ({8e-9 * numbers:.3g} GB); at most "
-            f"{MOST_NUMBERS // 10**6} million are read: cut it into several records, or take fewer samples",
-        )
-
-
 def _reason(error: Exception) -> str:
     """What a library says of a damaged file, as far as a person can read it."""
     text = str(error).partition("\n")[0]
@@ -185,9 +174,11 @@ def _column(array: Array, column: str, numbers: Sequence[int]) -> Array:
 def _variables(path: Path) -> Variables:
     suffix = path.suffix.lower()
     try:
-        if suffix == ".npy":
-            return _numpy_array(path)
-        return _numpy_archive(path) if suffix == ".npz" else _matlab(path)
+        return _READERS[suffix](path)
+    except ImportError:
+        kind, extra = _EXTRAS[suffix]
+        what = f"is {kind}: pip install 'hammerstein-control[{extra}]', or save it as CSV"
+        raise InputError(str(path), what) from None
     except Exception as error:  # as above
         why = _reason(error)
         what = f"is no {suffix} file that can be read ({why}); was it cut short, or is it of another kind?"
@@ -231,7 +222,7 @@ def _matlab(path: Path) -> Variables:
 def _matlab_old(path: Path) -> Variables:
     """Versions 4 to 7.2."""
     if is_matlab_v5(path):
-        content = read_matlab_v5(path, most_bytes=8 * MOST_NUMBERS)
+        content = read_matlab_v5(path, most_bytes=8 * declared_size.MOST_NUMBERS)
     elif is_matlab_v4(path):
         content = _matlab_v4(path)
     else:
@@ -279,13 +270,7 @@ def _numbered(items: Any) -> list[tuple[str, Any]]:
 
 def _matlab_hdf5(path: Path) -> Variables:
     """Version 7.3: HDF5, with the axes of every array in reverse order."""
-    try:
-        import h5py
-    except ImportError:
-        what = (
-            "is a MATLAB file of version 7.3: pip install 'hammerstein-control[matlab]', or save it with -v7"
-        )
-        raise InputError(str(path), what) from None
+    import h5py
 
     places: dict[str, str] = {}
     seen: set[int] = set()
@@ -359,3 +344,45 @@ def _members(group: Any) -> Iterator[tuple[str, Any]]:
             yield from ((f"{number}.{field}", inside) for number, inside in _referred(item))
         else:
             yield field, item
+
+
+def _generic_hdf5(path: Path) -> Variables:
+    """Any HDF5 file: numeric arrays by their path in it, with dots; axes as they are written."""
+    import h5py
+
+    places: dict[str, str] = {}
+    seen: set[int] = set()
+
+    def note(name: str, item: Any) -> None:
+        if _refused(item, seen):
+            return
+        if isinstance(item, h5py.Group):
+            for member, inside in _inside(item):
+                note(f"{name}.{member}" if name else member, inside)
+        elif item.dtype.kind in "biuf":
+            places[name] = item.name
+
+    def load(place: str) -> Any:
+        with h5py.File(path, "r") as file:
+            refuse_large(file[place].shape)
+            return file[place][()]
+
+    with h5py.File(path, "r") as file:
+        note("", file)
+    return {name: partial(load, place) for name, place in places.items()}
+
+
+_READERS: Mapping[str, Callable[[Path], Variables]] = {
+    ".npy": _numpy_array,
+    ".npz": _numpy_archive,
+    ".mat": _matlab,
+    **dict.fromkeys(GENERIC_HDF5, _generic_hdf5),
+    EXCEL: excel_columns,
+    TDMS: tdms_channels,
+}
+_EXTRAS = {
+    ".mat": ("a MATLAB file of version 7.3", "matlab"),
+    **dict.fromkeys(GENERIC_HDF5, ("an HDF5 file", "matlab")),
+    EXCEL: ("an Excel workbook", "excel"),
+    TDMS: ("a TDMS file", "tdms"),
+}
