@@ -1,11 +1,14 @@
 """Plays inside the loop, found from periods: derivatives, search, files and the benchmark's metric."""
 
+import json
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hammerstein import HammersteinModel
 from hammerstein.dynamics import on_grid
 from hammerstein.errors import InputError
 from hammerstein.identification.in_loop.parameters import LoopParameters
@@ -131,3 +134,16 @@ def test_thresholds_stay_above_zero():
     shrunk = here.at(np.where(np.arange(here.vector().size) >= here.vector().size - 6, -50.0, here.vector()))
     assert (shrunk.r > 0.0).all()
     assert np.isfinite(replace(here, r=shrunk.r).vector()).all()
+
+
+def test_the_committed_model_of_the_mirror_is_stable_and_knows_no_level():
+    """Its page has the benchmark's figures; the model has one set of numbers, in the grid of the records."""
+    page = Path(__file__).parents[1] / "reports" / "measured" / "one_model"
+    model = HammersteinModel.load(page / "model.json")
+    assert model.dynamics.instability() == ""
+    u = 0.3 * np.random.default_rng(0).normal(size=(3, 4000))
+    assert np.abs(model.simulate(u, 1 / 6400.0).position_um).max() < 60.0
+    test = json.loads((page / "table.json").read_text())["test"]
+    text = (page / "README.md").read_text()
+    assert f"| {' | '.join(f'{v:.3f}' for v in test['rms_um'])} |" in text
+    assert all(error < published for error, published in zip(test["rms_um"][:2], (0.087, 0.131), strict=True))

@@ -1,0 +1,167 @@
+"""One model of the fine steering mirror for every amplitude: fit it further, or write the benchmark's table.
+
+    python reports/measured/one_model/make.py table FOLDER
+    python reports/measured/one_model/make.py fit FOLDER SEARCH [MINUTES]
+
+FOLDER holds the records of github.com/merijnfloren/fsm-benchmark-data (CC BY 4.0). ``fit`` reads the training
+records alone, goes on from the numbers in SEARCH, and writes them there after every step. ``table`` is all
+that reads the test records; it prints the table, and writes README.md and table.json beside this file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from hammerstein.arrays import Array
+from hammerstein.dynamics import on_grid
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.identification.in_loop.parameters import LoopParameters
+from hammerstein.identification.in_loop.score import benchmark_rms
+from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
+from hammerstein.model import HammersteinModel
+
+HERE = Path(__file__).parent
+LEVELS_MV = (100, 200, 300)
+TIME_S = 1.0 / 6400.0
+WEIGHTS_PER_UM = (1 / 0.07, 1 / 0.11, 1 / 0.15)
+"""One over about the error that is aimed at, so that no level outweighs the others."""
+PUBLISHED = {
+    "linear, a model for each level": (0.114, 0.216, 0.228),
+    "one linear model for all": (0.252, 0.179, 0.658),
+    "one nonlinear model for all (state space, static nonlinearity in feedback)": (0.087, 0.131, 0.169),
+}
+BANDS_HZ = (0, 50, 500, 800, 1000, 1200, 1600, 2200, 2600, 3000, 3201)
+
+
+def records(folder: Path, level_mv: int, part: str) -> tuple[Array, Array]:
+    """Voltages [V] and positions [um] (experiment, period, channel, sample) of a level."""
+    u, y = (np.load(folder / f"{axis}_{level_mv}mV_{part}.npy") for axis in "uy")
+    return tuple(np.ascontiguousarray(np.transpose(a, (2, 3, 1, 0))) for a in (u, 1e6 * y))  # type: ignore[return-value]
+
+
+def simulated(model: HammersteinModel, u: Array) -> Array:
+    """Positions for both periods of every experiment; one period before them ends the transient."""
+    m = u.shape[2]
+    runs = [np.hstack([periods[0], *periods]) for periods in u]
+    found = [model.simulate(run, TIME_S).position_um[:, u.shape[3] :] for run in runs]
+    return np.stack([f.reshape(m, u.shape[1], -1).swapaxes(0, 1) for f in found])
+
+
+def noise(y: Array) -> float:
+    """Noise of one period [um], from the difference of the two."""
+    return float(np.sqrt(np.mean((y[:, 0] - y[:, 1]) ** 2) / 2.0))
+
+
+def bands(error: Array) -> list[float]:
+    """Rms of errors (..., sample) in each band [um]."""
+    lines = np.fft.rfft(error) / error.shape[-1]
+    hertz = np.fft.rfftfreq(error.shape[-1], TIME_S)
+    power = 2.0 * (np.abs(lines) ** 2).reshape(-1, len(hertz)).mean(axis=0)
+    edges = itertools.pairwise(BANDS_HZ)
+    return [float(np.sqrt(power[(hertz >= low) & (hertz < high)].sum())) for low, high in edges]
+
+
+def judged(model: HammersteinModel, folder: Path, part: str) -> dict[str, list[object]]:
+    """Errors of all levels on one part of the records."""
+    found: dict[str, list[object]] = {"rms_um": [], "noise_um": [], "position_rms_um": [], "bands_um": []}
+    for level in LEVELS_MV:
+        u, y = records(folder, level, part)
+        error = y - simulated(model, u)
+        flat = (-1, *y.shape[2:])
+        found["rms_um"].append(benchmark_rms((y - error).reshape(flat), y.reshape(flat)))
+        found["noise_um"].append(noise(y))
+        found["position_rms_um"].append(float(np.sqrt(np.mean(y**2))))
+        found["bands_um"].append(bands(error))
+    return found
+
+
+def cost_us(model: HammersteinModel) -> float:
+    """Time of one sample [us]; the shortest of five runs."""
+    block, u = on_grid(model.dynamics, TIME_S), 0.1 * np.random.default_rng(0).normal(size=(3, 50_000))
+    times = []
+    for _ in range(6):
+        begun = time.perf_counter()
+        block.respond(u)
+        times.append(time.perf_counter() - begun)
+    return 1e6 * min(times[1:]) / u.shape[1]
+
+
+def table(found: dict[str, dict[str, list[object]]]) -> str:
+    """Lines of the benchmark's table and of what remains in each band."""
+    head = ["| rms [um] | 100 mV | 200 mV | 300 mV |", "| --- | ---: | ---: | ---: |"]
+    rows = {f"published: {name}": list(values) for name, values in PUBLISHED.items()}
+    rows["**this model, test records**"] = found["test"]["rms_um"]  # type: ignore[assignment]
+    rows["this model, training records"] = found["train"]["rms_um"]  # type: ignore[assignment]
+    rows["noise of one period, test records"] = found["test"]["noise_um"]  # type: ignore[assignment]
+    rows["rms of the test positions"] = found["test"]["position_rms_um"]  # type: ignore[assignment]
+    lines = [f"| {name} | {' | '.join(f'{v:.3f}' for v in values)} |" for name, values in rows.items()]
+    edges = itertools.pairwise(BANDS_HZ)
+    each = zip(edges, *found["test"]["bands_um"], strict=True)  # type: ignore[call-overload]
+    over = [
+        f"| {low} to {high} | {' | '.join(f'{v:.3f}' for v in values)} |" for (low, high), *values in each
+    ]
+    band_head = [
+        "",
+        "| test error in a band [Hz] | 100 mV | 200 mV | 300 mV |",
+        "| --- | ---: | ---: | ---: |",
+    ]
+    return "\n".join([*head, *lines, *band_head, *over]) + "\n"
+
+
+def model_of(found: LoopParameters) -> HammersteinModel:
+    """Model file of the numbers; nothing is in front of the loop."""
+    zero, one = (Pair(np.zeros(1), np.array([w])) for w in (0.0, 1.0))
+    straight = PrandtlIshlinskii(tuple(tuple(one if i == k else zero for k in range(3)) for i in range(3)))
+    names = tuple("123")
+    axes = tuple(f"u{i}" for i in names), tuple(f"y{i}" for i in names)
+    return HammersteinModel("fine steering mirror", straight, found.dynamics(TIME_S), 1.5, *axes)
+
+
+def fit(folder: Path, file: Path, minutes: float) -> None:
+    """Go on with a search; every step is kept."""
+    periods, levels = [], []
+    for i, level in enumerate(LEVELS_MV):
+        for u, y in zip(*(a.mean(axis=1) for a in records(folder, level, "train")), strict=True):
+            periods.append(SettledPeriod(u, y, WEIGHTS_PER_UM[i]))
+            levels.append(i)
+    begun = time.monotonic()
+
+    def tell(progress: Progress) -> None:
+        progress.found.save(file)
+        rms = [np.sqrt(np.mean(progress.rms[np.array(levels) == i] ** 2)) for i in range(3)]
+        print(progress.step, np.round(rms, 4), f"{time.monotonic() - begun:.0f} s", flush=True)
+        if time.monotonic() - begun > 60.0 * minutes:
+            raise StopIteration
+
+    with ThreadPoolExecutor(2) as pool, contextlib.suppress(StopIteration):
+        Search(enough=1e-5).run(LoopParameters.load(file), periods, pool, tell)
+    model_of(LoopParameters.load(file)).save(HERE / "model.json")
+
+
+def write_table(folder: Path) -> None:
+    """Print the table, and write the page."""
+    model = HammersteinModel.load(HERE / "model.json")
+    found = {part: judged(model, folder, part) for part in ("train", "test")}
+    lines = table(found)
+    print(lines + f"\n{cost_us(model):.2f} us a sample")
+    (HERE / "table.json").write_text(json.dumps(found, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    notes = (HERE / "notes.md").read_text(encoding="utf-8")
+    (HERE / "README.md").write_text(notes.replace("{table}", lines), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    match sys.argv[1:]:
+        case ["table", folder]:
+            write_table(Path(folder))
+        case ["fit", folder, search, *minutes]:
+            fit(Path(folder), Path(search), float(minutes[0]) if minutes else 60.0)
+        case _:
+            sys.exit(__doc__)
