@@ -159,7 +159,14 @@ class FeedbackBlock(ByValue):
         x, plays = state[:n], state[n:].reshape(bank.r.shape)
         for start, end in spans(stop - first, len(self.entries[2]) + bank.w.size):
             here = first + start, first + end
-            respond_plays(*self.entries, bank.r, bank.w, x, plays, u_v, *here, y_um)
+            respond_plays(*self.entries, bank.r, bank.w, self._touched, x, plays, u_v, *here, y_um)
+
+    @cached_property
+    def _touched(self) -> Indices:
+        """First and last + 1 of the outputs (h, 2) of plays that an input moves: most move one."""
+        assert isinstance(self.hysteresis, PrandtlIshlinskii)
+        moved = [np.flatnonzero(w.any(axis=0)) for w in self.hysteresis.bank.w]
+        return np.array([(own[0], own[-1] + 1) if len(own) else (0, 0) for own in moved], dtype=np.int64)
 
     def _step_by_step(self, u_v: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
         """Any kind of hysteresis, one sample after the other."""

@@ -10,13 +10,14 @@ at = np.uint64  # an index of unsigned type is not tested for Python's counting 
 
 
 @compiled()
-def respond_plays(start, column, value, r, weight, x, p, u, first, end, y):  # type: ignore[no-untyped-def]
+def respond_plays(start, column, value, r, weight, touched, x, p, u, first, end, y):  # type: ignore[no-untyped-def]
     """z, x[k+1], y[k] = [[F, G, 0], [A, B, E], [C, D, 0]] (x[k], u[k], w[k]), w the weighted plays of z.
 
     The rows of z come first: w follows from them within the sample, and no row of z holds w.
 
     start : (h+n+o+1,) first entry of each row; column, value : (entry,)
     r : (h, J) thresholds, filled up with infinity; weight : (h, J, q)
+    touched : (h, 2) first and last + 1 of the w that a z moves
     x : (n,) state and p : (h, J) plays, updated in place; u : (m, N); y : (o, N), from first up to end
     """
     n, m, (h, most), q = x.shape[0], u.shape[0], r.shape, weight.shape[2]
@@ -31,15 +32,23 @@ def respond_plays(start, column, value, r, weight, x, p, u, first, end, y):  # t
             now[at(n + m + j)] = 0.0
         e = at(start[0])
         for i in range(h + n + outputs):
-            total, stop = 0.0, at(start[at(i + 1)])
+            a, b, c, total, stop = 0.0, 0.0, 0.0, 0.0, at(start[at(i + 1)])
+            while e + at(3) < stop:  # four sums at once: none waits for the one before
+                a += value[e] * now[at(column[e])]
+                b += value[e + at(1)] * now[at(column[e + at(1)])]
+                c += value[e + at(2)] * now[at(column[e + at(2)])]
+                total += value[e + at(3)] * now[at(column[e + at(3)])]
+                e += at(4)
+            total = (a + b) + (c + total)
             while e < stop:
                 total += value[e] * now[at(column[e])]
                 e += at(1)
             if i < h:
+                low, high = touched[at(i), 0], touched[at(i), 1]
                 for j in range(most):
                     play = max(total - r[at(i), at(j)], min(total + r[at(i), at(j)], p[at(i), at(j)]))
                     p[at(i), at(j)] = play
-                    for o in range(q):
+                    for o in range(low, high):
                         now[at(n + m + o)] += weight[at(i), at(j), at(o)] * play
             elif i < h + n:
                 later[at(i - h)] = total
