@@ -268,6 +268,9 @@ def test_the_drive_file_is_read_by_pandas_and_by_us(stage):
     assert compensate(stage, "--law", "exact_inverse") == 0
     out = stage / "drive.csv"
     table = pd.read_csv(out, comment="#")
+    plain = np.genfromtxt(out, delimiter=",", names=True)
+    assert plain.dtype.names == tuple(table.columns)
+    np.testing.assert_array_equal(plain["drive_u_v"], table["drive_u_v"])
     _, values, names = read_signal(out)
     np.testing.assert_array_equal(values, table.drop(columns="time_s").to_numpy().T)
     assert names[:2] == ["drive_u_v", "drive_v_v"]

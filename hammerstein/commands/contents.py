@@ -223,16 +223,15 @@ def _table(path: Path) -> Iterator[tuple[str, str]]:
         span = f"{known.min():.6g} to {known.max():.6g}" if known.size else "no number"
         missing = f", {values.size - known.size} missing" if known.size < values.size else ""
         yield (name if name != str(number) else f"column {number}"), span + missing
-    for number, line in enumerate(_said_above(path), start=1):
-        yield f"said above, {number}", line
+    for number, line in enumerate(_notes(path), start=1):
+        yield f"note {number}", line
 
 
-def _said_above(path: Path) -> Iterator[str]:
-    """What stands above the columns of a drive file."""
+def _notes(path: Path) -> Iterator[str]:
+    """Comment lines of a table, such as those below the columns of a drive file."""
     for line in read_limited(path, what="table").splitlines():
-        if not line.startswith("#"):
-            return
-        yield line.removeprefix("#").strip()
+        if line.startswith("#"):
+            yield line.removeprefix("#").strip()
 
 
 def _listed(values: dict[str, Any]) -> str:

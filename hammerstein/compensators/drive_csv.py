@@ -1,4 +1,4 @@
-"""The file of voltages to send: what it counts on stands above its columns."""
+"""The file of voltages to send: a header, the numbers, and below them what must hold when they are sent."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ def drive_csv(
     statements: Sequence[str],
     tell: Tell | None = None,
 ) -> str:
-    """Text of a CSV file whose first lines, each with ``#`` before it, say what must hold when it is sent.
+    """Text of a CSV file whose last lines, each with ``#`` before it, say what must hold when it is sent.
+
+    The header is the first line: spreadsheets and ``numpy.genfromtxt(names=True)`` take it from there.
 
     Parameters
     ----------
     time_s : (sample,) times [s]
     groups : word, unit, names and rows (name, sample) of every group of columns
-    statements : what stands above the columns
+    statements : lines below the columns
     tell : told how many rows are written
 
     Raises
@@ -36,9 +38,9 @@ def drive_csv(
     --------
     >>> import numpy as np
     >>> print(drive_csv(np.zeros(1), [("drive", "v", ["x"], np.ones((1, 1)))], ["To be sent."]), end="")
-    # To be sent.
     time_s,drive_x_v
     0.0,1.0
+    # To be sent.
     """
     import pandas as pd
 
@@ -51,10 +53,10 @@ def drive_csv(
     if twice:
         raise InputError("drive file", f"two columns would be called {twice[0]}; rename the model's axes")
     columns = [time_s, *(row for *_, rows in groups for row in rows)]
-    text = ["".join(f"# {clean(' '.join(words.split()))}\n" for words in statements)]
+    text = []
     for first in range(0, max(len(time_s), 1), ROWS_AT_ONCE):
         part = dict(zip(names, (column[first : first + ROWS_AT_ONCE] for column in columns), strict=True))
         text.append(pd.DataFrame(part).to_csv(index=False, header=first == 0, lineterminator="\n"))
         if tell is not None:
             tell(f"writing {min(first + ROWS_AT_ONCE, len(time_s)):,} of {len(time_s):,} rows")
-    return "".join(text)
+    return "".join([*text, *(f"# {clean(' '.join(words.split()))}\n" for words in statements)])
