@@ -1,5 +1,6 @@
 """Dynamics of the actuator, linear or with hysteresis in the loop, and their exact discretisation."""
 
+from hammerstein.dynamics.electromechanical import ElastoSlip, ElectromechanicalDynamics, StackAxis
 from hammerstein.dynamics.feedback_block import FeedbackBlock
 from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics
 from hammerstein.dynamics.linear_block import LinearBlock, low_pass
@@ -23,9 +24,12 @@ __all__ = [
     "Axis",
     "CreepMode",
     "Dynamics",
+    "ElastoSlip",
+    "ElectromechanicalDynamics",
     "FeedbackBlock",
     "FeedbackHysteresisDynamics",
     "LinearBlock",
+    "StackAxis",
     "StateSpaceDynamics",
     "StaticDynamics",
     "cantilever",

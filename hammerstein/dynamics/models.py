@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from hammerstein.arrays import Array
+from hammerstein.dynamics.electromechanical import ElectromechanicalDynamics
 from hammerstein.dynamics.feedback_block import FeedbackBlock
 from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics
 from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, low_pass, unit_gain
@@ -247,8 +248,13 @@ class StateSpaceDynamics(Strict):
 
 
 Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
+WithLoop = FeedbackHysteresisDynamics | ElectromechanicalDynamics
 Dynamics = Annotated[
-    AxesDynamics | StaticDynamics | StateSpaceDynamics | FeedbackHysteresisDynamics,
+    AxesDynamics
+    | StaticDynamics
+    | StateSpaceDynamics
+    | FeedbackHysteresisDynamics
+    | ElectromechanicalDynamics,
     Field(discriminator="kind"),
 ]
 
@@ -339,7 +345,7 @@ def discretise(
     ------
     InputError : the dynamics are not linear, or as ``on_grid`` raises it
     """
-    if isinstance(dynamics, FeedbackHysteresisDynamics):
+    if isinstance(dynamics, WithLoop):
         raise InputError(
             "dynamics",
             f"{dynamics.kind} is not linear, and this needs linear dynamics; simulate it, or identify a "

@@ -146,7 +146,8 @@ def parameters_of(candidate: Candidate) -> int:
             2 * (a.resonance_hz is not None) + (a.lag_s is not None) + 2 * len(a.creep) for a in dynamics.axes
         ]
         return weights + thresholds + sum(each)
-    n, p = len(dynamics.A), len(dynamics.D)
+    block = dynamics.block()
+    n, p = len(block.A), len(block.D)
     return weights + thresholds + n * (2 * p + 1)
 
 

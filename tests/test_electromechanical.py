@@ -1,0 +1,98 @@
+"""Piezo stacks from data-sheet numbers, against the printed equations of Goldfarb and Celanovic."""
+
+import control
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from hammerstein import HammersteinModel
+from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, on_grid
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+
+STOPS = ((3.0, 0.3), (2.0, 1.0), (1.0, 4.0))
+
+
+def axis(stops=STOPS):
+    """A stack of 400 Hz: 0.5 kg on 3.16 N/um, 2 uF, 1.2 N/V."""
+    slips = tuple(ElastoSlip(stiffness_v_per_uc=k, threshold_uc=r) for k, r in stops)
+    numbers = {"mass_kg": 0.5, "stiffness_n_per_um": 3.16, "damping_ns_per_m": 60.0}
+    return StackAxis(**numbers, capacitance_uf=2.0, force_n_per_v=1.2, stops=slips)
+
+
+def stop_voltage(q, plays, stops):
+    """V_h(q) and the plays after it, from those before."""
+    after = [max(q - r, min(q + r, p)) for (_, r), p in zip(stops, plays, strict=True)]
+    return sum(k * (q - p) for (k, _), p in zip(stops, after, strict=True)), after
+
+
+def test_charge_solves_the_voltage_balance_at_every_sample():
+    """q + C V_h(q) = C u + T x, by the stops themselves and a root."""
+    s = np.random.default_rng(1).normal(size=400).cumsum()
+    found, _ = PrandtlIshlinskii([[axis().charge()]]).respond(s[None])
+    plays, expected = [0.0] * 3, []
+    for value in s:
+        q = brentq(lambda q: q + 2.0 * stop_voltage(q, plays, STOPS)[0] - value, -1e3, 1e3, xtol=1e-13)  # noqa: B023
+        plays = stop_voltage(q, plays, STOPS)[1]
+        expected.append(q)
+    np.testing.assert_allclose(found[0], expected, rtol=1e-9, atol=1e-10)
+
+
+def test_without_stops_it_is_a_linear_oscillator():
+    """V_z = u: M x'' + D x' + K x = T u, in m and N."""
+    time_s = np.arange(400) * 1e-4
+    u = np.random.default_rng(2).normal(size=(1, 400))
+    found, _ = on_grid(ElectromechanicalDynamics(axes=(axis(()),)), 1e-4).respond(u)
+    system = control.c2d(control.tf([1.2], [0.5, 60.0, 3.16e6]), 1e-4)
+    expected = 1e6 * control.forced_response(system, time_s, u[0]).outputs
+    # w, the charge, is held over a sample, and with it T x in it: a finer grid comes nearer
+    fine, _ = on_grid(ElectromechanicalDynamics(axes=(axis(()),)), 1e-4 / 64).respond(
+        np.repeat(u, 64, axis=1)
+    )
+    size = np.abs(expected).max()
+    coarse_error, fine_error = (np.abs(y - expected).max() / size for y in (found[0], fine[0, ::64]))
+    assert fine_error < 0.02
+    assert fine_error < coarse_error / 20.0
+
+
+def test_slow_voltage_moves_it_as_the_static_balance_says():
+    """x = T V_z / K, q = C V_z + T x, so that u = V_h(q) + q / (C + T^2 / K)."""
+    u = np.interp(np.arange(60_000), [0, 20_000, 40_000, 60_000], [0.0, 30.0, -20.0, 25.0])
+    found, _ = on_grid(ElectromechanicalDynamics(axes=(axis(),)), 1e-4).respond(u[None])
+    plays, expected = [0.0] * 3, []
+    stiff, t, c = 3.16, 1.2, 2.0
+    for value in u[::50]:
+        q = brentq(
+            lambda q: stop_voltage(q, plays, STOPS)[0] + q / (c + t * t / stiff) - value,  # noqa: B023
+            -1e4,
+            1e4,
+        )
+        plays = stop_voltage(q, plays, STOPS)[1]
+        expected.append(t / stiff * q / (c + t * t / stiff))
+    np.testing.assert_allclose(found[0, ::50], expected, atol=2e-3 * np.ptp(expected))
+
+
+def test_resonance_falls_with_the_amplitude():
+    """Stops slip at large charge: the stack between full stiffness and a shorted one gets softer."""
+    rng = np.random.default_rng(3)
+    block, fs, peaks = on_grid(ElectromechanicalDynamics(axes=(axis(),)), 2e-5), 5e4, []
+    u = rng.normal(size=200_000)
+    for amplitude in (0.05, 200.0):
+        y, _ = block.respond(amplitude * u[None])
+        spectrum = np.abs(np.fft.rfft(y[0].reshape(20, -1) * np.hanning(10_000))) ** 2
+        hertz = np.fft.rfftfreq(10_000, 1 / fs)
+        band = (hertz > 250) & (hertz < 700)
+        peaks.append(hertz[band][np.argmax(spectrum.mean(axis=0)[band])])
+    assert peaks[0] > peaks[1] + 5.0
+
+
+def test_a_model_file_keeps_its_numbers(tmp_path):
+    one = PrandtlIshlinskii([[Pair([0.0], [1.0])]])
+    model = HammersteinModel("stack", one, ElectromechanicalDynamics(axes=(axis(),)), 50.0, ("u",), ("x",))
+    model.save(tmp_path / "stack.json")
+    again, u = HammersteinModel.load(tmp_path / "stack.json"), np.random.default_rng(4).normal(size=(1, 200))
+    assert np.array_equal(again.simulate(u, 1e-4).position_um, model.simulate(u, 1e-4).position_um)
+
+
+def test_two_stops_at_one_threshold_are_refused():
+    with pytest.raises(ValueError, match="add their stiffnesses"):
+        axis(((1.0, 0.5), (2.0, 0.5)))
