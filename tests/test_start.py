@@ -322,3 +322,20 @@ def test_show_lists_the_arrays_of_a_file_and_how_their_columns_are_named(
     assert call("show", tmp_path / "one.npy") == 0
     assert "40 samples; its columns are (1 to 3):(1 to 2)" in capsys.readouterr().out
     assert array_columns(tmp_path / "one.npy", ["3:2"]).shape == (1, 40)
+
+
+def test_a_run_writes_where_init_pointed(tmp_path, monkeypatch):
+    """From above the folder: beside the scenario, where reports lie already; else into the working folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "stage" / "reports").mkdir(parents=True)
+    scenario = (
+        "question = 'How far?'\nactuator = 'duo_bimorph'\n[reference]\nkind = 'circle'\nradius_um = 5\n"
+        "frequency_hz = 100\n[[compensators]]\nlabel = 'none'\nlaw = 'none'\nmodel = 'duo_bimorph'\n"
+    )
+    for folder, place in (("stage", "stage/reports"), ("plain", "reports")):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / f"{folder}_sine.toml").write_text(scenario)
+        with pytest.raises(SystemExit) as caught:
+            main(["run", folder, "--no-figures"])
+        assert not caught.value.code
+        assert (tmp_path / place / f"{folder}_sine" / "report.json").is_file()

@@ -31,7 +31,12 @@ KEPT = f"in {place}" if (place := folder_of_runs()) else "(nothing is kept here)
 
 def run(
     paths: Paths,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the reports go.")] = Path("reports"),
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Where the reports go; the folder reports beside the scenarios, or here."
+        ),
+    ] = None,
     jobs: Jobs = PROCESSORS,
     cluster: Address = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
@@ -69,6 +74,7 @@ def run(
     if dry_run:
         _show_plan(paths, jobs)
         return
+    out = out or _reports_of(paths)
     refuse_unwritable("--out", out)
     if page is not None:
         refuse_unwritable("--page", page)
@@ -96,6 +102,13 @@ def run(
     if open_ and reports:
         _open(_first_page(reports, out))
     _fail_with(outcomes)
+
+
+def _reports_of(paths: Sequence[Path]) -> Path:
+    """Folder of reports beside all these scenarios, as `init` makes one; else that of the working folder."""
+    beside = {(path if path.is_dir() else path.parent) / "reports" for path in paths}
+    found = beside.pop()
+    return found if not beside and found.is_dir() else Path("reports")
 
 
 def _assessed(scenarios: Iterable[Scenario], page: Path | None) -> list[type[Assessment]]:
