@@ -5,9 +5,12 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+import hammerstein
 from hammerstein import HammersteinModel
 from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, on_grid
+from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.reporting.folder import write_report
 
 STOPS = ((3.0, 0.3), (2.0, 1.0), (1.0, 4.0))
 
@@ -96,3 +99,31 @@ def test_a_model_file_keeps_its_numbers(tmp_path):
 def test_two_stops_at_one_threshold_are_refused():
     with pytest.raises(ValueError, match="add their stiffnesses"):
         axis(((1.0, 0.5), (2.0, 0.5)))
+
+
+def scenario(tmp_path, law):
+    """Sine on a stack with its hysteresis in the loop."""
+    one = PrandtlIshlinskii([[Pair([0.0], [1.0])]])
+    model = HammersteinModel("stack", one, ElectromechanicalDynamics(axes=(axis(),)), 50.0, ("u",), ("x",))
+    model.save(tmp_path / "stack.json")
+    stack = str(tmp_path / "stack.json")
+    return {
+        "question": "How far does it move?",
+        "actuator": stack,
+        "reference": {"kind": "sine", "amplitude_um": 2.0, "frequency_hz": 50.0},
+        "compensators": [{"label": law, "law": law, "model": stack}],
+    }
+
+
+def test_a_scenario_runs_on_it(tmp_path):
+    report = hammerstein.run(scenario(tmp_path, "none"))
+    write_report(report, tmp_path / "report", figures=False)
+    assert (
+        "electromechanical stacks: 400.1 Hz with 3 stops" in (tmp_path / "report" / "report.md").read_text()
+    )
+
+
+@pytest.mark.parametrize("law", ["hammerstein_inverse", "feedback", "learned"])
+def test_laws_of_linear_dynamics_refuse_it_in_a_scenario(law, tmp_path):
+    with pytest.raises(InputError, match="electromechanical is not linear"):
+        hammerstein.run(scenario(tmp_path, law))

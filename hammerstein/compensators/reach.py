@@ -16,7 +16,7 @@ from hammerstein.blocks import Law, checked_reference
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.exact.inverse import exact_inverse_of, has_exact_inverse
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
-from hammerstein.dynamics import discretise
+from hammerstein.dynamics import on_grid
 from hammerstein.hysteresis.kind import SLOW_S
 from hammerstein.model import HammersteinModel
 
@@ -222,7 +222,7 @@ def shortfall(
     model = model.on_grid(sample_time_s)
     before, memory = model.hysteresis.standing(law.range.history())
     v, _ = model.static_response(sent, memory)
-    position, _ = discretise(model.dynamics, sample_time_s).respond(v - before[:, None])
+    position, _ = on_grid(model.dynamics, sample_time_s).respond(v - before[:, None])
     delay = int(getattr(law, "delay_samples", 0))
     asked = np.pad(reference, ((0, 0), (delay, 0)))[:, : reference.shape[1]]
     bends = np.zeros(reference.shape)

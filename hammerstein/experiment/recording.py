@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import StaticDynamics, discretise
+from hammerstein.dynamics import StaticDynamics, on_grid
 from hammerstein.experiment.report import Target
 from hammerstein.experiment.set_up import Case, SetUp
 from hammerstein.hysteresis import Memory
@@ -81,7 +81,7 @@ def _prediction(
     if isinstance(model.dynamics, StaticDynamics):
         return v, v, PredictionState(plays)  # found from readings: it stands for both
     plant = setup.plant
-    block = discretise(model.dynamics, plant.sample_time_s, plant.instruments.sensor.bandwidth_hz)
+    block = on_grid(model.dynamics, plant.sample_time_s, plant.instruments.sensor.bandwidth_hz)
     both, linear = block.respond(v, start.linear)
     refuse_unbounded(f"prediction of {model.name}_um", both, plant.sample_time_s)
     position, reading = np.split(both, 2)
