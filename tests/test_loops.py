@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import theory
 
+from hammerstein.commands.cli import main
 from hammerstein.records.checks import time_mistakes
 from hammerstein.records.leads import leads
 from hammerstein.records.loops import (
@@ -546,3 +547,35 @@ def test_a_clock_that_jitters_has_no_gaps():
     late = 1e-3 * np.arange(5000) + 0.02 * (np.arange(5000) > 3000)
     [mistake] = time_mistakes("t", late, np.arange(2, 5002))
     assert "gap of" in mistake.what
+
+
+def test_the_table_of_loops_fits_80_columns(tmp_path, capsys, monkeypatch):
+    """Also for a long file name, a minor loop and numbers of many digits."""
+    monkeypatch.setenv("COLUMNS", "300")
+    t = np.arange(4000) / 4000
+    u = 10.0 * np.sin(2.0 * np.pi * 4.0 * t) * np.where(t < 0.75, 1.0, 0.123)
+    y = 123.456 * u + 1e-4 * np.cos(2.0 * np.pi * t)
+    path = tmp_path / "record_of_a_long_morning.csv"
+    np.savetxt(path, np.stack([t, u, y], axis=1), delimiter=",", header="time_s,u_x,x", comments="")
+    with pytest.raises(SystemExit) as caught:
+        main(
+            [
+                "loops",
+                str(path),
+                "--inputs",
+                "u_x",
+                "--outputs",
+                "x",
+                "--time",
+                "time_s",
+                "--out",
+                str(tmp_path / "o"),
+            ]
+        )
+    said = capsys.readouterr().out
+    assert not caught.value.code
+    lines = said[said.index("Loops") :].splitlines()
+    rows = [k for k, line in enumerate(lines) if line.rstrip().endswith(("yes", "no"))]
+    assert rows
+    table = lines[: rows[-1] + 1]
+    assert [line for line in table if len(line.rstrip()) > 80] == []

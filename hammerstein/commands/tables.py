@@ -40,6 +40,10 @@ RECOMMENDED = "*"
 _LEFT = 3  # the first columns hold words
 
 
+LOOP_FILE_WIDTH = 14
+"""Of the names of files in the table of loops; longer ones are folded."""
+
+
 def _table(title: str, columns: Sequence[str]) -> Table:
     from rich import box
     from rich.table import Table
@@ -196,18 +200,19 @@ def gains_table(gains: Sequence[Gain]) -> Table:
 
 
 def loops_table(found: Mapping[str, Sequence[Loop]]) -> Table:
-    """One line a loop of a measured record."""
-    columns = ("file", "input", "output", "start", "amplitude_v", "height_um", "width_um", "width_percent")
-    table = _table("Loops", (*columns, "area_v_um", "closure_um", "drift_um", "settled"))
+    """One line a loop of a measured record, in 80 columns; --json has start and area too."""
+    numbers = ("swing\nV", "height\num", "width\num", "width\n%", "closure\num", "drift\num", "settled")
+    table = _table("Loops", ("file", "input", "output", *numbers))
+    table.padding = 0
+    table.columns[0].max_width = LOOP_FILE_WIDTH
     for source, loops in found.items():
         for loop in loops:
-            numbers = (loop.amplitude_v, loop.height_um, loop.width_um, loop.width_percent, loop.area_v_um)
+            size = (loop.amplitude_v, loop.height_um, loop.width_um, loop.width_percent)
             table.add_row(
                 Path(source).name,
                 loop.input,
                 loop.output + (" (minor)" if loop.minor else ""),
-                str(loop.start),
-                *(f"{number:.4g}" for number in (*numbers, loop.closure_um, loop.drift_um)),
+                *(f"{round(number, 4) + 0.0:.4g}" for number in (*size, loop.closure_um, loop.drift_um)),
                 "yes" if loop.settled else "no",
             )
     return table
