@@ -19,7 +19,7 @@ from hammerstein.metrics import METRICS, Row
 from hammerstein.paper.judgements import ClaimJudgement, Simulated
 from hammerstein.regression.baseline import Baseline, key_of, numbers_of
 from hammerstein.regression.check import check_files
-from hammerstein.regression.compare import Finding, Kind, compare
+from hammerstein.regression.compare import Finding, Kind, compare, limit, tolerance_of
 from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.scenario import Tolerance
@@ -242,6 +242,15 @@ def test_the_figure_of_a_claim_on_every_actuator_is_guarded(loop: Report) -> Non
     line = result_of(finding).text().splitlines()[2]
     assert " ".join(line.split()) == "C1 other value 2 2.01 +0.5 % 0.1 %"
     assert kinds(compare(loop, Baseline.of(before))) == [Kind.MISSING_ROW] * 2
+
+
+def test_a_phase_near_zero_may_move_by_a_thousandth_of_a_degree() -> None:
+    # theory: seen from the origin, a turn by 0.001 degrees moves a point by 1.7e-5 of its distance
+    allowed = limit(-0.0013, tolerance_of("phase_deg", {}))
+    assert math.radians(allowed) == pytest.approx(1.745e-5, rel=1e-3)
+    assert limit(90.0, tolerance_of("phase_deg.median", {})) == pytest.approx(0.09)
+    assert limit(0.0, tolerance_of("rms_um", {})) == 1e-6
+    assert tolerance_of("phase_deg", {"default": Tolerance(relative=0.1)}).relative == 0.1
 
 
 def test_a_tolerance_for_an_unknown_number_is_refused(loop: Report) -> None:

@@ -22,6 +22,10 @@ from hammerstein.scenario.scenario import Tolerance
 # real changes. The floor of 1e-6 (one picometre) is for zeros of theory, such as the residue of an exact
 # inverse: they hold nothing but last bits.
 DEFAULT = Tolerance(relative=1e-3, absolute=1e-6)
+# A millionth of a degree is no length: it is a turn by 2e-8 of the radius. A phase that is nearly zero is what
+# is left of sums of samples, which the oldest and the newest NumPy order differently (1e-4 degrees in the
+# triangles). 0.001 degrees is a turn by 2e-5 of the radius, a fiftieth of what a length may move.
+ANGLE = Tolerance(relative=1e-3, absolute=1e-3)
 COUNT = Tolerance(relative=0.0, absolute=0.0)
 
 
@@ -81,7 +85,8 @@ def compare(
     ----------
     report : what a run found
     baseline : what was accepted
-    tolerances : by name of the number; others may move by 0.1 %, ``saturated_samples`` not at all
+    tolerances : by name of the number; others may move by 0.1 %, but 1e-6 (angles: 0.001 degrees) in any
+        case, and ``saturated_samples`` not at all
 
     Raises
     ------
@@ -139,7 +144,12 @@ def tolerance_of(metric: str, tolerances: Mapping[str, Tolerance]) -> Tolerance:
     >>> tolerance_of("rms_um.p5", {"default": Tolerance(relative=0.01)}).relative
     0.01
     """
-    return tolerances.get(metric.partition(".")[0], tolerances.get(OTHERS, DEFAULT))
+    name = metric.partition(".")[0]
+    return tolerances.get(name, tolerances.get(OTHERS, ANGLE if _is_angle(name) else DEFAULT))
+
+
+def _is_angle(name: str) -> bool:
+    return name.endswith("_deg")
 
 
 def deviation(metric: str, now: float, baseline: float) -> float:
@@ -149,7 +159,7 @@ def deviation(metric: str, now: float, baseline: float) -> float:
     -1.5
     """
     moved = now - baseline
-    return (moved + 180.0) % 360.0 - 180.0 if metric.endswith("_deg") else moved
+    return (moved + 180.0) % 360.0 - 180.0 if _is_angle(metric.partition(".")[0]) else moved
 
 
 def limit(baseline: float, tolerance: Tolerance) -> float:
