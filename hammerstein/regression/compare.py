@@ -22,9 +22,9 @@ from hammerstein.scenario.scenario import Tolerance
 # real changes. The floor of 1e-6 (one picometre) is for zeros of theory, such as the residue of an exact
 # inverse: they hold nothing but last bits.
 DEFAULT = Tolerance(relative=1e-3, absolute=1e-6)
-# A millionth of a degree is no length: it is a turn by 2e-8 of the radius. A phase that is nearly zero is what
-# is left of sums of samples, which the oldest and the newest NumPy order differently (1e-4 degrees in the
-# triangles). 0.001 degrees is a turn by 2e-5 of the radius, a fiftieth of what a length may move.
+# A millionth of a degree is no length: it is a turn by 2e-8 of the radius. A phase that is nearly zero is
+# what is left of sums of samples, which the oldest and the newest NumPy order differently (1e-4 degrees in
+# the triangles). 0.001 degrees is a turn by 2e-5 of the radius, a fiftieth of what a length may move.
 ANGLE = Tolerance(relative=1e-3, absolute=1e-3)
 COUNT = Tolerance(relative=0.0, absolute=0.0)
 
