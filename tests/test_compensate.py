@@ -245,7 +245,8 @@ def test_the_remedy_that_is_named_first_is_the_one_that_helps(tmp_path, capsys, 
     wave = 10.0 * np.cos(2.0 * np.pi * 20.0 * T * np.arange(2000))
     path = _path(tmp_path, wave + (40.0 if kind == "far" else 0.0))
     assert _call("compensate", "stage.json", path) == 3
-    said = capsys.readouterr().err.strip().splitlines()
+    lines = capsys.readouterr().err.strip().splitlines()
+    said = [line for line in lines if not line.startswith("compiling ")]  # on a machine that has not yet
     assert len(said) == 3
     assert "input u stands at its" in said[0]
     named = said[1].removeprefix("What helps, with the error that it leaves: ")

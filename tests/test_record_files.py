@@ -555,3 +555,12 @@ class TestLoggers:
         (tmp_path / name).write_bytes(b"TDSm" + bytes(range(200)))
         text = message(read, tmp_path / name)
         assert "can be read" in text or "no array of numbers" in text
+
+
+def test_a_time_column_has_the_limits_of_a_rate(tmp_path):
+    """Seconds under a header that says microseconds: 20 kHz became 20 GHz, and the fit an internal error."""
+    path = tmp_path / "r.csv"
+    rows = "".join(f"{k * 5e-5:.5f},{k % 7},{k % 5}\n" for k in range(200))
+    path.write_text("t [us],u [V],x [um]\n" + rows)
+    with pytest.raises(InputError, match=r"a rate of 2e\+10 Hz; it must be 1e-4 to 1e9. Is its"):
+        read_records([path], inputs=["u"], outputs=["x"], time="t")

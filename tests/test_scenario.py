@@ -1,4 +1,6 @@
 import json
+import tracemalloc
+from pathlib import Path
 
 import pytest
 
@@ -123,3 +125,27 @@ def test_digest_follows_what_the_files_hold(tmp_path):
         (tmp_path / "path.csv").write_text(f"time_s,x,y\n0,0,0\n0.1,{end},0\n")
         digests.append(load_scenario(tmp_path / "s.toml").digest())
     assert digests[0] == digests[2] != digests[1]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ".".join(["a"] * 500) + " = 1",
+        ".".join(["a"] * 20_000) + " = 1",
+        " . ".join(['"a b"', "'c.d'"] * 10_000) + " = 1",
+        "[" + ".".join(["a"] * 20_000) + "]",
+        "x = { " + ".".join(["a"] * 20_000) + " = 1 }",
+        "x = " + "[" * 60 + "]" * 60,
+    ],
+)
+def test_keys_without_end_are_no_scenario(tmp_path: Path, text: str) -> None:
+    """They overflowed the stack; 20,000 parts took 1.6 GB in the reader of TOML itself."""
+    path = tmp_path / "deep.toml"
+    path.write_text('question = "How. far. does. a. sentence. go?"\n' + text + "\n")
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match="too deep within each other"):
+            load_scenario(path)
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()

@@ -9,6 +9,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake
+from hammerstein.quantities import RATE_HZ
 from hammerstein.records.checks import hidden_gaps, sample_time, time_mistakes, where
 from hammerstein.records.readers import Columns, named_time
 from hammerstein.signals.units import BASE, Kind, unit_in
@@ -72,4 +73,11 @@ def sample_time_of(columns: Columns) -> tuple[list[Mistake], float]:
     if unit is not None and unit.kind == "time" and unit.factor != 1.0:
         time_s = np.round(unit.factor * time_s, 15)  # 0.05 ms in s, without the last digit's noise
     mistakes = time_mistakes(name, time_s, columns.rows)
-    return mistakes, 1.0 if mistakes else sample_time(time_s)
+    if mistakes:
+        return mistakes, 1.0
+    step = sample_time(time_s)
+    if not RATE_HZ.holds(1.0 / step):
+        what = f"goes on by {step:.6g} s a sample, which is a rate of {1.0 / step:.6g} Hz; it "
+        what += f"{RATE_HZ.words()}. Is its unit another than its name says?"
+        return [Mistake(where(name), what)], 1.0
+    return [], step

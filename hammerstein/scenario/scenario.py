@@ -6,6 +6,7 @@ import hashlib
 import itertools
 import json
 import math
+import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from functools import partial
@@ -93,6 +94,10 @@ SWEPT = tuple(name for name in Sweep.model_fields if name != "combine")
 """Keys that a sweep may give values for."""
 OF_COMPENSATORS = ("trial",)
 """Those of them that are options of compensators, not keys of a signal."""
+DEEPEST = 32
+"""Lists and tables within each other; a scenario has no more than 6."""
+LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\.[ \t]*+){32}""")
+"""A dotted key of more parts than that, quoted or not."""
 WORDS = frozenset({"question", "tolerances", "assessment", "study"})
 """Keys of a scenario that change none of its numbers."""
 
@@ -371,7 +376,11 @@ def _validated(data: Mapping[str, Any], source: str, folder: Path | None = None)
 def _parsed(text: str, path: Path) -> dict[str, Any]:
     """Content of a TOML file."""
     try:
-        return tomllib.loads(text)
+        if LONG_KEY.search(
+            text
+        ):  # before it is read: that takes memory with the square of the parts of a key
+            raise RecursionError
+        return _shallow(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
         what = f"is not TOML: {error}; a line is a [table], or key = value with text in quotes"
     except RecursionError:
@@ -379,6 +388,18 @@ def _parsed(text: str, path: Path) -> dict[str, Any]:
     except ValueError as error:  # a whole number of thousands of digits
         what = f"holds a number that cannot be read ({str(error).partition(';')[0].lower()})"
     raise InputError(str(path), what)
+
+
+def _shallow(data: dict[str, Any]) -> dict[str, Any]:
+    """The content itself; RecursionError where lists and tables lie deeper within each other than any key."""
+    level: list[Any] = [data]
+    for _ in range(DEEPEST):
+        level = [
+            x for y in level if isinstance(y, dict | list) for x in (y.values() if isinstance(y, dict) else y)
+        ]
+        if not level:
+            return data
+    raise RecursionError
 
 
 def _unknown_models(data: Mapping[str, Any], folder: Path) -> Iterator[Mistake]:
