@@ -1,5 +1,7 @@
 """Piezo stacks from data-sheet numbers, against the printed equations of Goldfarb and Celanovic."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from scipy.optimize import brentq
 
 import hammerstein
 from hammerstein import HammersteinModel
+from hammerstein.commands.contents import contents_of
 from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, on_grid
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
@@ -123,7 +126,46 @@ def test_a_scenario_runs_on_it(tmp_path):
     )
 
 
-@pytest.mark.parametrize("law", ["hammerstein_inverse", "feedback", "learned"])
+def slow_end(volts):
+    """Position at the end of a slow loop, from the static balance and the virgin curve of twice the size."""
+
+    def left(q):  # of the settled loop, whose tips are at half of what the virgin curve does for twice q
+        voltage = sum(k * min(abs(q), r) * np.sign(q) for k, r in STOPS)
+        return voltage + q / (2.0 + 1.2 * 1.2 / 3.16) - volts
+
+    return 1.2 / 3.16 * brentq(left, -1e4, 1e4) / (2.0 + 1.2 * 1.2 / 3.16)
+
+
+def test_gain_is_that_of_slow_settled_loops(tmp_path):
+    """By the balance of the stops at both ends of a loop, and by a slow run of the model itself."""
+    one = PrandtlIshlinskii([[Pair([0.0], [1.0])]])
+    model = HammersteinModel("stack", one, ElectromechanicalDynamics(axes=(axis(),)), 50.0, ("u",), ("x",))
+    expected = slow_end(50.0) / 50.0
+    assert model.gain(50.0)[0, 0] == pytest.approx(expected, rel=1e-9)
+    u = 50.0 * np.interp(np.arange(250_001) / 50_000, range(6), [0.0, 1.0, -1.0, 1.0, -1.0, -1.0])
+    x = model.simulate(u[None], 1e-5).position_um[0, 50_000:]
+    assert 0.5 * np.ptp(x) / 50.0 == pytest.approx(expected, rel=2e-3)
+    model.save(tmp_path / "stack.json")
+    shown = dict(contents_of(tmp_path / "stack.json").facts)
+    assert shown["gain of x [um/V]"] == f"{expected:.4g} from u"
+
+
+def test_without_a_compensator_the_drive_has_the_right_size(tmp_path):
+    """The sine of the model's amplitude is met but for its loop; the block in front has 1 um/V alone."""
+    asked = scenario(tmp_path, "none")
+    asked["reference"]["amplitude_um"] = slow_end(50.0)
+    stack = HammersteinModel.load(tmp_path / "stack.json")
+    wide = stack.instruments.drive.model_copy(update={"range_v": (-100.0, 100.0)})
+    wider = stack.instruments.model_copy(update={"drive": wide})
+    replace(stack, instruments=wider).save(tmp_path / "stack.json")
+    (row,) = hammerstein.run(asked).rows
+    assert row.figures["gain"] == pytest.approx(1.0, abs=0.05)
+
+
+STATIC_LAWS = ("exact_inverse", "inverse_multiplicative", "decoupled_inverse")
+
+
+@pytest.mark.parametrize("law", ["hammerstein_inverse", "feedback", "learned", *STATIC_LAWS])
 def test_laws_of_linear_dynamics_refuse_it_in_a_scenario(law, tmp_path):
     with pytest.raises(InputError, match="electromechanical is not linear"):
         hammerstein.run(scenario(tmp_path, law))

@@ -18,8 +18,8 @@ from hammerstein.identification.in_loop.search import Search, SettledPeriod
 WARM, SAMPLES = 300, 512
 
 
-def made_up(seed=3):
-    """Two modes, two axes, three plays in each of two loops."""
+def made_up(seed=3, curved=False):
+    """Two modes, two axes, three plays in each of two loops; products of their inputs where it is curved."""
     rng = np.random.default_rng(seed)
     angles, n = np.array([0.5, 1.3]), 4
     a = np.array([0.95 * np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]) for t in angles])
@@ -27,7 +27,10 @@ def made_up(seed=3):
     sizes = {"B": 0.3, "C": 1.0, "D": 0.1, "E": 0.1, "F": 1.0, "G": 0.3}
     numbers = {name: sizes[name] * rng.normal(size=shape) for name, shape in shapes.items()}
     c, r = 0.1 * rng.uniform(0.5, 1.5, size=(2, 3)), np.array([[0.1, 0.4, 1.0], [0.15, 0.5, 0.9]])
-    return LoopParameters(A=a, **numbers, c=c, r=r, beta=np.array([[0.9, 0.7, 0.3], [0.9, 0.6, 0.4]]))
+    beta = np.array([[0.9, 0.7, 0.3], [0.9, 0.6, 0.4]])
+    factors = np.array([[0, 0, 2], [0, 1, 1], [1, 1, 1]] if curved else np.zeros((0, 3)), dtype=np.int64)
+    k, limit = 0.05 * rng.uniform(-1.0, 1.0, size=(2, len(factors))), np.array([2.0, 3.0])
+    return LoopParameters(A=a, **numbers, c=c, r=r, beta=beta, K=k, limit=limit, factors=factors)
 
 
 def multisine(seed, amplitude=1.0):
@@ -46,7 +49,7 @@ def periods(truth, amplitudes=(0.4, 1.0, 2.0)):
 
 def test_derivatives_are_those_of_differences():
     """Of every kind of number; a play that changes sides between the two ends is the only difference."""
-    here, u = made_up(), multisine(1)
+    here, u = made_up(curved=True), multisine(1)
     period = SettledPeriod(u, np.zeros((2, SAMPLES)), 1.0)
     _, gradient = Search(warm=WARM)._of_period(here, period)
     vector = here.vector()
@@ -59,7 +62,7 @@ def test_derivatives_are_those_of_differences():
 
 
 def test_poles_beyond_the_bound_have_their_derivatives():
-    here, margin = made_up(), 0.2
+    here, margin = made_up(curved=True), 0.2
     beyond, moved = here.fastest(margin)
     assert len(beyond) > 0
     vector = here.vector()
@@ -113,7 +116,7 @@ def test_another_file_is_no_search(tmp_path):
 
 
 def test_the_dynamics_of_a_model_give_the_same_outputs():
-    here, u = made_up(), multisine(2)
+    here, u = made_up(curved=True), multisine(2)
     block = on_grid(here.dynamics(1e-3), 1e-3)
     twice, _ = block.respond(np.hstack([u[:, -WARM:], u]))
     expected = here.simulate(u, WARM)

@@ -170,7 +170,7 @@ def _model(path: Path) -> Iterator[tuple[str, str]]:
     yield "outputs", ", ".join(model.outputs)
     yield "hysteresis", model.hysteresis.describe()
     yield "dynamics", model.dynamics.describe()
-    gains = model.hysteresis.gain(model.amplitude_v)
+    gains = model.gain(model.amplitude_v)
     for o, output in enumerate(model.outputs):
         told = [f"{gains[o, k]:.4g} from {name}" for k, name in enumerate(model.inputs)]
         yield f"gain of {output} [um/V]", ", ".join(told)

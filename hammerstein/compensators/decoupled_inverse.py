@@ -13,6 +13,7 @@ from hammerstein.arrays import Array
 from hammerstein.blocks import Law, Memory, require_square
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.base import Compensator
+from hammerstein.dynamics import linear
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
@@ -158,4 +159,5 @@ class DecoupledInverse(Compensator):
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Build the law, see ``Compensator.design``."""
+        linear(model.dynamics)
         return DecoupledInverseLaw(model, range_v)

@@ -15,6 +15,7 @@ from hammerstein.arrays import Array
 from hammerstein.blocks import Law, Memory, require_square
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.base import Compensator
+from hammerstein.dynamics import linear
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Hysteresis, PlayState, PrandtlIshlinskii, slopes_of
 from hammerstein.hysteresis.slopes import slope_matrices
@@ -270,6 +271,7 @@ class InverseMultiplicative(Compensator):
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Build the law, see ``Compensator.design``."""
+        linear(model.dynamics)
         return InverseMultiplicativeLaw(
             model, range_v, sample_time_s, self.gain, self.filter_s, self.iterations, self.run_anyway
         )

@@ -25,7 +25,7 @@ class NoCompensationLaw(Law[Memory]):
     def __init__(self, model: HammersteinModel, range_v: RangeLike):
         self.n_inputs, self.n_outputs = model.hysteresis.n_inputs, model.hysteresis.n_outputs
         self.gain_v_per_um: Array = np.ascontiguousarray(
-            np.linalg.pinv(model.hysteresis.gain(model.amplitude_v)), dtype=np.float64
+            np.linalg.pinv(model.gain(model.amplitude_v)), dtype=np.float64
         )
         self.range = DriveRange.of(range_v, model)
         self.origin_um = np.zeros(self.n_outputs)

@@ -22,7 +22,7 @@ def model_error_um(model: HammersteinModel) -> Array | None:
     verdict, half = model.verdict, half_span_v(model)
     if verdict is None or len(verdict.nrmse_percent) != len(model.outputs) or not np.isfinite(half).all():
         return None
-    travel_um = 2.0 * np.abs(model.hysteresis.amplitude(half)).max(axis=1)
+    travel_um = 2.0 * np.abs(model.amplitude(half)).max(axis=1)
     return np.asarray(0.01 * np.array(verdict.nrmse_percent) * travel_um)
 
 
@@ -46,9 +46,7 @@ class Prediction:
         """Parts of a drive whose path is missed by so much (p,)."""
         half = half_span_v(model)
         volts = float(half.max()) if np.isfinite(half).all() else 1.0
-        step_um = (
-            0.5 * model.instruments.drive.resolution_v * np.abs(model.hysteresis.gain(volts)).sum(axis=1)
-        )
+        step_um = 0.5 * model.instruments.drive.resolution_v * np.abs(model.gain(volts)).sum(axis=1)
         validated = model.verdict is not None and model.verdict.held_out
         noise = float(model.instruments.sensor.noise_um)
         return cls(path_error_um, model_error_um(model), validated, np.asarray(step_um), noise)

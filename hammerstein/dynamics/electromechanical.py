@@ -106,7 +106,5 @@ class ElectromechanicalDynamics(Strict):
         none = Pair(np.zeros(1), np.zeros(1))
         charges = [axis.charge() for axis in self.axes]
         pairs = tuple(tuple(charges[i] if i == k else none for k in range(n)) for i in range(n))
-        zeros = {"B": np.zeros((2 * n, n)), "D": np.zeros((n, n))}
-        return FeedbackBlock(
-            A=a, C=c, E=e, F=f, G=g, **zeros, hysteresis=PrandtlIshlinskii(pairs), sample_time_s=CONTINUOUS
-        )
+        b, d, gamma = np.zeros((2 * n, n)), np.zeros((n, n)), PrandtlIshlinskii(pairs)
+        return FeedbackBlock(a, b, c, d, e, f, g, gamma, CONTINUOUS)

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array, ByValue, Indices, freeze_fields
 from hammerstein.blocks.interop.packing import Packing
-from hammerstein.blocks.sample_grid import require_grid
-from hammerstein.dynamics.linear_block import LinearBlock
-from hammerstein.errors import InputError
+from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, SteppedBlock
+from hammerstein.dynamics.products import Products
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 
-if TYPE_CHECKING:
-    from hammerstein.blocks.interop.block_system import BlockSystem
+TURNS_OF_SIZES = 50
+"""Turns in which the sizes of z and the gains that follow from them are found."""
+LEAST_SIZE = 1e-9
+"""Smallest size of a z, as a part of the input: its gain is that of small loops."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FeedbackBlock(ByValue):
+class FeedbackBlock(SteppedBlock, ByValue):
     """Hysteresis inside the loop of a linear block, on one sample grid.
 
-        z[k] = F x[k] + G u[k],    w[k] = Gamma(z[0 ... k])
+        z[k] = F x[k] + G u[k],    w[k] = Gamma(z[0 ... k]) + products of z[k]
         x[k+1] = A x[k] + B u[k] + E w[k],    y[k] = C x[k] + D u[k]
 
     There is no algebraic loop: z does not depend on w of the same sample, so w[k] is exact and not that of
@@ -34,9 +34,12 @@ class FeedbackBlock(ByValue):
     kind's memory. Zero is the block at rest.
 
     A : (n, n), B : (n, m), C : (p, n), D : (p, m), E : (n, q), F : (h, n), G : (h, m)
+    products : of z, none if not given
     hysteresis : h inputs, q outputs
     sample_time_s : 0 for matrices in continuous time, to be put on a grid by ``held``
     """
+
+    called: ClassVar[str] = "feedback block"
 
     A: Array
     B: Array
@@ -47,28 +50,44 @@ class FeedbackBlock(ByValue):
     G: Array
     hysteresis: Hysteresis[Any]
     sample_time_s: float
+    products: Products = field(default=None)  # type: ignore[assignment]  # none of them
 
     def __post_init__(self) -> None:
         freeze_fields(self, *"ABCDEFG")
+        if self.products is None:
+            none = Products.none(self.hysteresis.n_inputs, self.hysteresis.n_outputs)
+            object.__setattr__(self, "products", none)
 
     def __repr__(self) -> str:
         return f"FeedbackBlock(order {len(self.A)}, {self.hysteresis.describe()} in the loop)"
 
-    @property
-    def n_inputs(self) -> int:
-        """Number of inputs."""
-        return int(self.D.shape[1])
-
-    @property
-    def n_outputs(self) -> int:
-        """Number of outputs."""
-        return int(self.D.shape[0])
-
     def linearised(self, amplitude_v: float) -> LinearBlock:
         """Give the linear block with the gain of the settled loops at an amplitude of z in place of Gamma."""
-        gain = self.hysteresis.gain(amplitude_v)
+        return self._with_gain(self.hysteresis.gain(amplitude_v))
+
+    def _with_gain(self, gain: Array) -> LinearBlock:
         a, b = self.A + self.E @ gain @ self.F, self.B + self.E @ gain @ self.G
         return LinearBlock(a, b, self.C, self.D, self.sample_time_s)
+
+    def slow_ends(self, u: Array) -> Array:
+        """Outputs (p, number) at the ends of slow settled loops from -u to u, for inputs u (m, number) there.
+
+        All z turn together; their sizes are those that the loop itself gives them.
+        """
+        ends = [0.5 * (self._slow_end(end) - self._slow_end(-end)) for end in u.T]
+        return np.stack(ends, axis=1)
+
+    def _slow_end(self, u: Array) -> Array:
+        """Outputs (p,) at the end of a slow settled loop, at which the inputs are u (m,)."""
+        held = np.eye(len(self.A)) if self.sample_time_s != CONTINUOUS else np.zeros_like(self.A)
+        x, z = self.rest()[: len(self.A)], np.full(self.hysteresis.n_inputs, np.abs(u).max())
+        for _ in range(TURNS_OF_SIZES):
+            sizes = np.maximum(np.abs(z), LEAST_SIZE * np.abs(u).max())
+            block = self._with_gain(self.hysteresis.amplitude(sizes) / sizes)
+            pushed = block.B @ u + self.E @ self.products.at(z)
+            x = np.linalg.lstsq(held - block.A, pushed, rcond=None)[0]
+            z = self.F @ x + self.G @ u
+        return np.asarray(self.C @ x + self.D @ u)
 
     def held(self, sample_time_s: float, late_s: float = 0.0) -> FeedbackBlock:
         """Put a block in continuous time on a grid, exactly for u and w held over each sample.
@@ -83,7 +102,8 @@ class FeedbackBlock(ByValue):
             return replace(self, A=later.A, B=b, E=e, hysteresis=own, sample_time_s=sample_time_s)
         before = self._driven.held(late_s)
         first, push = before.B[:, :m], before.B[:, m:]
-        return FeedbackBlock(
+        return replace(
+            self,
             A=np.block([[np.zeros((m, m + n))], [later.A @ first, later.A @ before.A]]),
             B=np.vstack([np.eye(m), b]),
             C=np.hstack([self.D, self.C]),
@@ -134,19 +154,6 @@ class FeedbackBlock(ByValue):
         """Where the numbers of Gamma's memory stand in the state."""
         return Packing(self.hysteresis.rest().as_dict())
 
-    def respond(self, u_v: ArrayLike, start: Array | None = None) -> tuple[Array, Array]:
-        """Outputs (p, sample) for a held input (m, sample), and the state after it.
-
-        Raises InputError where the number of inputs is another.
-        """
-        u = np.ascontiguousarray(np.atleast_2d(np.asarray(u_v, dtype=np.float64)))
-        if u.shape[0] != self.n_inputs:
-            raise InputError("signal", f"has {u.shape[0]} axes, the block wants {self.n_inputs}")
-        state = self.rest() if start is None else np.array(start, dtype=np.float64)
-        y = np.empty((self.n_outputs, u.shape[1]))
-        self.carry_on(u, state, 0, u.shape[1], y)
-        return y, state
-
     def carry_on(self, u_v: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
         """Put outputs into y_um (p, sample) from one sample up to another; ``state`` is moved on."""
         if not isinstance(self.hysteresis, PrandtlIshlinskii):
@@ -157,9 +164,10 @@ class FeedbackBlock(ByValue):
 
         bank, n = self.hysteresis.bank, len(self.A)
         x, plays = state[:n], state[n:].reshape(bank.r.shape)
+        curved = self.products.limit, self.products.factors, self.products.weights
         for start, end in spans(stop - first, len(self.entries[2]) + bank.w.size):
             here = first + start, first + end
-            respond_plays(*self.entries, bank.r, bank.w, self._touched, x, plays, u_v, *here, y_um)
+            respond_plays(*self.entries, bank.r, bank.w, self._touched, *curved, x, plays, u_v, *here, y_um)
 
     @cached_property
     def _touched(self) -> Indices:
@@ -175,26 +183,10 @@ class FeedbackBlock(ByValue):
         for t in range(first, stop):
             u = u_v[:, t]
             y_um[:, t] = self.C @ x + self.D @ u
-            w, memory = self.hysteresis.step(self.F @ x + self.G @ u, memory)
-            x = self.A @ x + self.B @ u + self.E @ w
+            z = self.F @ x + self.G @ u
+            w, memory = self.hysteresis.step(z, memory)
+            x = self.A @ x + self.B @ u + self.E @ (w + self.products.at(z))
         state[:n], state[n:] = x, self._packing.pack(memory.as_dict())
-
-    def step(self, u_v: ArrayLike, state: Array) -> tuple[Array, Array]:
-        """Output (p,) for one sample (m,), and the state after it; equal to ``respond`` to the last bit."""
-        y, after = self.respond(np.reshape(np.asarray(u_v, dtype=np.float64), (-1, 1)), state)
-        return y[:, 0], after
-
-    def to_iosys(self, sample_time_s: float, name: str = "dynamics") -> BlockSystem:
-        """Give the block as a discrete python-control system, ``hysteresis_um[i]`` to ``position_um[o]``.
-
-        It stands on its own sample grid; InputError for another sample time.
-        """
-        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
-
-        require_grid(self.sample_time_s, sample_time_s, "feedback block")
-        block = Stepwise(self.rest(), self.step, lambda x: {"x": x}, lambda data: np.asarray(data["x"]))
-        wires = signals("hysteresis_um", self.n_inputs), signals("position_um", self.n_outputs)
-        return BlockSystem(block, *wires, sample_time_s, name)
 
     @cached_property
     def entries(self) -> tuple[Indices, Indices, Array]:

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from hammerstein.dynamics.feedback_block import FeedbackBlock
 from hammerstein.dynamics.linear_block import CONTINUOUS
+from hammerstein.dynamics.products import Products, ProductsFile
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
 from hammerstein.quantities import Delay, Entry, SampleTime
 from hammerstein.validation import Strict
@@ -22,7 +23,7 @@ FAR_V = 1e6
 class FeedbackHysteresisDynamics(Strict):
     """A linear block with hysteresis of any kind inside its loop, continuous or on a fixed sample time.
 
-        x' = A x + B u + E w,    z = F x + G u,    w = Gamma(z),    y = C x + D u
+        x' = A x + B u + E w,    z = F x + G u,    w = Gamma(z) + products,    y = C x + D u
 
     x' is x of the next sample where a sample time is given. Stiffness and damping follow the amplitude, as in
     a voltage-driven piezo, whose hysteresis is between voltage and charge (Goldfarb and Celanovic, IEEE
@@ -38,6 +39,7 @@ class FeedbackHysteresisDynamics(Strict):
     F: Matrix
     G: Matrix
     hysteresis: Annotated[HysteresisFile, HYSTERESIS.field(), Field(description="inside the loop")]
+    products: ProductsFile | None = Field(default=None, description="of inputs of the hysteresis, beside it")
     sample_time_s: SampleTime | None = Field(default=None, description="absent: continuous time")
     input_delay_s: Delay = 0.0
     allow_unstable: Literal[True] | None = Field(
@@ -56,15 +58,25 @@ class FeedbackHysteresisDynamics(Strict):
             matrix = getattr(self, name)
             if len(matrix) != rows or any(len(row) != columns for row in matrix):
                 raise ValueError(f"{name} must be {rows} x {columns}")
+        if self.products and any(len(term.weights) != q for term in self.products.terms):
+            raise ValueError(f"every product must have {q} weights, one an output of the hysteresis")
+        if self.products and len(self.products.limits) != h:
+            raise ValueError(f"products must have {h} limits, one an input of the hysteresis")
         return self
 
     @classmethod
     def of(
-        cls, hysteresis: Hysteresis[Any], *, sample_time_s: float | None = None, **matrices: ArrayLike
+        cls,
+        hysteresis: Hysteresis[Any],
+        *,
+        sample_time_s: float | None = None,
+        products: Products | None = None,
+        **matrices: ArrayLike,
     ) -> FeedbackHysteresisDynamics:
         """Keep matrices A to G and a hysteresis; ValueError where their shapes do not fit."""
         rows = {name: tuple(map(tuple, np.asarray(m).tolist())) for name, m in matrices.items()}
-        return cls(**rows, hysteresis=hysteresis.file(), sample_time_s=sample_time_s)
+        curved = ProductsFile.of(products) if products else None
+        return cls(**rows, hysteresis=hysteresis.file(), sample_time_s=sample_time_s, products=curved)
 
     @property
     def n_outputs(self) -> int:
@@ -88,7 +100,12 @@ class FeedbackHysteresisDynamics(Strict):
         h, q = gamma.n_inputs, gamma.n_outputs
         shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m), "E": (n, q), "F": (h, n), "G": (h, m)}
         matrices = {name: np.reshape(getattr(self, name), shape) for name, shape in shapes.items()}
-        return FeedbackBlock(**matrices, hysteresis=gamma, sample_time_s=self.sample_time_s or CONTINUOUS)
+        return FeedbackBlock(
+            **matrices,
+            hysteresis=gamma,
+            sample_time_s=self.sample_time_s or CONTINUOUS,
+            products=self.products.products() if self.products else Products.none(h, q),
+        )
 
     def instability(self) -> str:
         """Say that a pole of the loop at large amplitudes is not stable; empty if all are."""

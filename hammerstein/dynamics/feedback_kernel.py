@@ -10,18 +10,22 @@ at = np.uint64  # an index of unsigned type is not tested for Python's counting 
 
 
 @compiled()
-def respond_plays(start, column, value, r, weight, touched, x, p, u, first, end, y):  # type: ignore[no-untyped-def]
+def respond_plays(start, column, value, r, weight, touched, limit, factors, K, x, p, u, first, end, y):  # type: ignore[no-untyped-def]
     """z, x[k+1], y[k] = [[F, G, 0], [A, B, E], [C, D, 0]] (x[k], u[k], w[k]), w the weighted plays of z.
+
+    Weighted products of z, as parts of their limits and within them, are added to w.
 
     The rows of z come first: w follows from them within the sample, and no row of z holds w.
 
     start : (h+n+o+1,) first entry of each row; column, value : (entry,)
     r : (h, J) thresholds, filled up with infinity; weight : (h, J, q)
     touched : (h, 2) first and last + 1 of the w that a z moves
+    limit : (h,); factors : (M, 3) which z a product is of, h where there is none; K : (q, M) weights
     x : (n,) state and p : (h, J) plays, updated in place; u : (m, N); y : (o, N), from first up to end
     """
     n, m, (h, most), q = x.shape[0], u.shape[0], r.shape, weight.shape[2]
-    outputs = y.shape[0]
+    outputs, products = y.shape[0], factors.shape[0]
+    part = np.ones(h + 1)
     now, later = np.zeros(n + m + q), np.zeros(n + m + q)
     for i in range(n):
         now[i] = x[i]
@@ -44,12 +48,19 @@ def respond_plays(start, column, value, r, weight, touched, x, p, u, first, end,
                 total += value[e] * now[at(column[e])]
                 e += at(1)
             if i < h:
+                part[at(i)] = max(min(total / limit[at(i)], 1.0), -1.0)
                 low, high = touched[at(i), 0], touched[at(i), 1]
                 for j in range(most):
                     play = max(total - r[at(i), at(j)], min(total + r[at(i), at(j)], p[at(i), at(j)]))
                     p[at(i), at(j)] = play
                     for o in range(low, high):
                         now[at(n + m + o)] += weight[at(i), at(j), at(o)] * play
+                if i == h - 1:
+                    for j in range(products):
+                        product = part[at(factors[at(j), 0])] * part[at(factors[at(j), 1])]
+                        product *= part[at(factors[at(j), 2])]
+                        for o in range(q):
+                            now[at(n + m + o)] += K[at(o), at(j)] * product
             elif i < h + n:
                 later[at(i - h)] = total
             else:

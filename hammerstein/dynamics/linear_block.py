@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,14 +37,83 @@ def unit_gain(n: int) -> LinearBlock:
     return LinearBlock(np.empty((0, 0)), np.empty((0, n)), np.empty((n, 0)), np.eye(n), CONTINUOUS)
 
 
+class SteppedBlock(ABC):
+    """What all blocks on a sample grid share: one run of the compiled loop, batch or sample by sample."""
+
+    called: ClassVar[str]
+    """Its name in a message."""
+
+    if TYPE_CHECKING:  # a field of every block
+        D: Array
+        sample_time_s: float
+
+    @abstractmethod
+    def rest(self) -> Array:
+        """State of a block that was never driven."""
+
+    @abstractmethod
+    def carry_on(self, v_um: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
+        """Put outputs into y_um (p, sample) from one sample up to another; ``state`` is moved on."""
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return int(self.D.shape[1])
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return int(self.D.shape[0])
+
+    def respond(
+        self, v_um: ArrayLike, start: Array | None = None, *, sample_time_s: float | None = None
+    ) -> tuple[Array, Array]:
+        """Outputs (p, sample) for a held input (m, sample), and the state after it.
+
+        Raises InputError where ``sample_time_s`` of the signal is not the block's own, or shapes differ.
+        """
+        if sample_time_s is not None and not math.isclose(sample_time_s, self.sample_time_s, rel_tol=1e-9):
+            raise InputError(
+                "signal",
+                f"its sample time is {sample_time_s:g} s, the block was discretised for "
+                f"{self.sample_time_s:g} s; resample one or the other",
+            )
+        v = np.ascontiguousarray(np.atleast_2d(np.asarray(v_um, dtype=np.float64)))
+        if v.shape[0] != self.n_inputs:
+            raise InputError("signal", f"has {v.shape[0]} axes, the block wants {self.n_inputs}")
+        x = self.rest() if start is None else np.array(start, dtype=np.float64)
+        y = np.empty((self.n_outputs, v.shape[1]))
+        self.carry_on(v, x, 0, v.shape[1], y)
+        return y, x
+
+    def step(self, v_um: ArrayLike, state: Array) -> tuple[Array, Array]:
+        """Output (p,) for one sample (m,), and the state after it; equal to ``respond`` to the last bit."""
+        y, after = self.respond(np.reshape(np.asarray(v_um, dtype=np.float64), (-1, 1)), state)
+        return y[:, 0], after
+
+    def to_iosys(self, sample_time_s: float, name: str = "dynamics") -> BlockSystem:
+        """Give the block as a discrete python-control system, ``hysteresis_um[i]`` to ``position_um[o]``.
+
+        It stands on its own sample grid; InputError for another sample time.
+        """
+        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
+
+        require_grid(self.sample_time_s, sample_time_s, self.called)
+        block = Stepwise(self.rest(), self.step, lambda x: {"x": x}, lambda data: np.asarray(data["x"]))
+        wires = signals("hysteresis_um", self.n_inputs), signals("position_um", self.n_outputs)
+        return BlockSystem(block, *wires, sample_time_s, name)
+
+
 @dataclass(frozen=True, eq=False)
-class LinearBlock(ByValue):
+class LinearBlock(SteppedBlock, ByValue):
     """A discrete linear block on one sample grid: x[k+1] = A x[k] + B v[k], y[k] = C x[k] + D v[k].
 
     A : (n, n), B : (n, m), C : (p, n), D : (p, m)
 
     With ``sample_time_s`` = 0 the matrices are those of continuous time, to be put on a grid by ``held``.
     """
+
+    called: ClassVar[str] = "linear block"
 
     A: Array
     B: Array
@@ -57,16 +127,6 @@ class LinearBlock(ByValue):
     def __repr__(self) -> str:
         grid = f"{self.sample_time_s:g} s a sample" if self.sample_time_s else "continuous"
         return f"LinearBlock(order {len(self.A)}, {self.n_inputs} inputs, {self.n_outputs} outputs, {grid})"
-
-    @property
-    def n_inputs(self) -> int:
-        """Number of inputs."""
-        return int(self.D.shape[1])
-
-    @property
-    def n_outputs(self) -> int:
-        """Number of outputs."""
-        return int(self.D.shape[0])
 
     def system(self) -> control.StateSpace:
         """Give the block as a ``control.StateSpace``.
@@ -130,27 +190,6 @@ class LinearBlock(ByValue):
             return self.rest()
         return np.asarray(np.linalg.lstsq(np.eye(n) - self.A, held, rcond=None)[0])
 
-    def respond(
-        self, v_um: ArrayLike, start: Array | None = None, *, sample_time_s: float | None = None
-    ) -> tuple[Array, Array]:
-        """Outputs (p, sample) for a held input (m, sample), and the state (n,) after it.
-
-        Raises InputError where ``sample_time_s`` of the signal is not the block's own, or shapes differ.
-        """
-        if sample_time_s is not None and not math.isclose(sample_time_s, self.sample_time_s, rel_tol=1e-9):
-            raise InputError(
-                "signal",
-                f"its sample time is {sample_time_s:g} s, the block was discretised for "
-                f"{self.sample_time_s:g} s; resample one or the other",
-            )
-        v = np.ascontiguousarray(np.atleast_2d(np.asarray(v_um, dtype=np.float64)))
-        if v.shape[0] != self.n_inputs:
-            raise InputError("signal", f"has {v.shape[0]} axes, the block wants {self.n_inputs}")
-        x = self.rest() if start is None else np.array(start, dtype=np.float64)
-        y = np.empty((self.n_outputs, v.shape[1]))
-        self.carry_on(v, x, 0, v.shape[1], y)
-        return y, x
-
     def carry_on(self, v_um: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
         """Put outputs into y_um (p, sample) from one sample up to another; ``state`` (n,) is moved on."""
         from hammerstein.compiled import spans
@@ -158,23 +197,6 @@ class LinearBlock(ByValue):
 
         for start, end in spans(stop - first, len(self.entries[2])):
             respond_linear(*self.entries, state, v_um, first + start, first + end, y_um)
-
-    def step(self, v_um: ArrayLike, state: Array) -> tuple[Array, Array]:
-        """Output (p,) for one sample (m,), and the state after it; equal to ``respond`` to the last bit."""
-        y, after = self.respond(np.reshape(np.asarray(v_um, dtype=np.float64), (-1, 1)), state)
-        return y[:, 0], after
-
-    def to_iosys(self, sample_time_s: float, name: str = "dynamics") -> BlockSystem:
-        """Give the block as a discrete python-control system, ``hysteresis_um[i]`` to ``position_um[o]``.
-
-        It stands on its own sample grid; InputError for another sample time.
-        """
-        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
-
-        require_grid(self.sample_time_s, sample_time_s, "linear block")
-        block = Stepwise(self.rest(), self.step, lambda x: {"x": x}, lambda data: np.asarray(data["x"]))
-        wires = signals("hysteresis_um", self.n_inputs), signals("position_um", self.n_outputs)
-        return BlockSystem(block, *wires, sample_time_s, name)
 
     @cached_property
     def entries(self) -> tuple[Indices, Indices, Array]:

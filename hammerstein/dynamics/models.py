@@ -336,6 +336,21 @@ def _slow_modes(gains: Sequence[float], time_constants_s: Sequence[float]) -> St
     return -np.diag(slow), slow.reshape(n, 1), np.asarray(gains, dtype=float).reshape(1, n), np.eye(1)
 
 
+def linear(dynamics: Dynamics) -> Linear:
+    """Give the dynamics as linear ones; InputError where they have hysteresis in their loop.
+
+    What such a model does follows from the loop alone: nobody can work with the block in front of it as if
+    that were the whole.
+    """
+    if isinstance(dynamics, WithLoop):
+        raise InputError(
+            "dynamics",
+            f"{dynamics.kind} is not linear, and this needs linear dynamics; simulate it, or identify a "
+            "cascade from its records",
+        )
+    return dynamics
+
+
 def discretise(
     dynamics: Dynamics, sample_time_s: float, sensor_bandwidth_hz: float | None = None
 ) -> LinearBlock:
@@ -345,13 +360,7 @@ def discretise(
     ------
     InputError : the dynamics are not linear, or as ``on_grid`` raises it
     """
-    if isinstance(dynamics, WithLoop):
-        raise InputError(
-            "dynamics",
-            f"{dynamics.kind} is not linear, and this needs linear dynamics; simulate it, or identify a "
-            "cascade from its records",
-        )
-    return _gridded(dynamics.block(), dynamics.input_delay_s, sample_time_s, sensor_bandwidth_hz)
+    return _gridded(linear(dynamics).block(), dynamics.input_delay_s, sample_time_s, sensor_bandwidth_hz)
 
 
 def on_grid(

@@ -411,7 +411,7 @@ def _check_reach(scenario: Scenario, plant: Plant, source: str) -> None:
     model, limits = plant.model, plant.range
     if not np.isfinite(limits.span_v).all():
         return
-    low_um, high_um = _far_ends(model, limits)
+    low_um, high_um = model.extremes(*limits.counted)
     volts = limits.words(model.inputs)
     for signal in scenario.signals():
         window = Window.of(scenario, signal, plant.sample_time_s)
@@ -426,8 +426,3 @@ def _check_reach(scenario: Scenario, plant: Plant, source: str) -> None:
                         f"{low:.4g} to {high:.4g} um with {volts}. Use a smaller reference, another "
                         "offset_um, or a larger drive range."
                     )
-
-
-def _far_ends(model: HammersteinModel, limits: DriveRange) -> tuple[Array, Array]:
-    """Least and largest position (p,) of the static block from rest, whatever the other outputs do [um]."""
-    return model.hysteresis.extremes(*limits.counted)

@@ -21,7 +21,13 @@ from hammerstein.blocks.axis_names import unique
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.sample_grid import require_grid
 from hammerstein.blocks.voltages import Verdict, Voltages
-from hammerstein.dynamics import Dynamics, FeedbackHysteresisDynamics, StateSpaceDynamics, StaticDynamics
+from hammerstein.dynamics import (
+    Dynamics,
+    FeedbackHysteresisDynamics,
+    StateSpaceDynamics,
+    StaticDynamics,
+    WithLoop,
+)
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import is_there, read_limited, write_atomic
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
@@ -235,6 +241,27 @@ class HammersteinModel(ByValue, Pictured):
         """
         plant = self._plant(sample_time_s, instruments)
         return plant.to_iosys(seed, outputs, name)
+
+    def amplitude(self, amplitude_v: ArrayLike) -> Array:
+        """Half heights (output, input) [um] of the settled loops at slow voltages of an amplitude [V].
+
+        Linear dynamics have unit gain where the static block was found; a loop with hysteresis has its own.
+
+        amplitude_v : of all inputs, or of each of them (m,)
+        """
+        static = self.hysteresis.amplitude(amplitude_v)
+        return self.dynamics.block().slow_ends(static) if isinstance(self.dynamics, WithLoop) else static
+
+    def gain(self, amplitude_v: float) -> Array:
+        """Gain matrix (output, input) [um/V] of the settled loops at a slow voltage of an amplitude [V]."""
+        return self.amplitude(amplitude_v) / amplitude_v
+
+    def extremes(self, low_v: Array, high_v: Array) -> tuple[Array, Array]:
+        """Least and largest position (p,) [um] from rest at slow voltages between some (m,) [V]."""
+        if not isinstance(self.dynamics, WithLoop):
+            return self.hysteresis.extremes(low_v, high_v)
+        ends = np.stack([np.sign(end) * self.amplitude(np.abs(end)) for end in (low_v, high_v)])
+        return ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)
 
     def on_grid(self, sample_time_s: float) -> HammersteinModel:
         """Give the model whose hysteresis stands on a sample grid, as one that knows the rate must."""

@@ -164,7 +164,7 @@ class _Pair(NamedTuple):
 
 def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[_Pair]:
     """Every pair that has operators."""
-    hysteresis, gains = model.hysteresis, model.hysteresis.gain(model.amplitude_v)
+    hysteresis, gains = model.hysteresis, model.gain(model.amplitude_v)
     known: Sequence[Array | None] = hysteresis.weight_errors or [None] * len(fit.outputs)
     for o, (name, counts, errors) in enumerate(zip(fit.outputs, hysteresis.operators, known, strict=True)):
         stops = np.cumsum(counts)

@@ -16,6 +16,7 @@ from hammerstein.blocks import Memory
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.law import Law, S
 from hammerstein.compensators.base import Compensator
+from hammerstein.dynamics import linear
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Asymmetric, Hysteresis, PrandtlIshlinskii, play
 from hammerstein.hysteresis.invertibility import Invertibility, completed, invertibility, require_inverse
@@ -291,5 +292,6 @@ class ExactInverse(Compensator):
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Build the law, see ``Compensator.design``."""
+        linear(model.dynamics)
         here = model.hysteresis.on_grid(sample_time_s)
         return exact_inverse_of(here, model, range_v, self.softening_v, self.run_anyway)

@@ -1,8 +1,9 @@
 """Compiled loops of plays inside the loop: the path of a record, and its exact derivatives.
 
 One row of a *path* holds what a sample multiplies numbers of the model with: state x, input u, hysteresis w,
-and every play less its linear part, g = p - beta z. The derivative of anything by one number then starts from
-one entry of that row, and goes on through the same linear equations.
+every play less its linear part, g = p - beta z, every product of inputs of the hysteresis, and the inputs
+themselves as parts of their limits, with a 1 behind them. The derivative of anything by one number then
+starts from one entry of that row, and goes on through the same linear equations.
 """
 
 from __future__ import annotations
@@ -16,16 +17,17 @@ WIDTH = 64
 
 
 @compiled(fastmath=True, nogil=True, error_model="numpy")
-def follow(A, B, E, F, G, c, beta, r, u, warm, path, hits):  # type: ignore[no-untyped-def]
-    """Path (warm + N, n + m + h + h J) and hits (warm + N, h, J) of a periodic input u (m, N).
+def follow(A, B, E, F, G, c, K, beta, r, factors, limit, u, warm, path, hits):  # type: ignore[no-untyped-def]
+    """Path (warm + N, n + m + h + h J + M + h + 1) and hits (warm + N, h, J) of a periodic input u (m, N).
 
-    x+ = A x + B u + E w, z = F x + G u, w_i = sum over j of c_ij (p_ij - beta_ij z_i)
+    x+ = A x + B u + E w, z = F x + G u, w_i = sum over j of c_ij (p_ij - beta_ij z_i) + K_ij product_j
     A : (n / 2, 2, 2) blocks; hits : 1 or -1 where a play is pushed up or down, 0 where it stands
+    factors : (M, 3) which parts of limits are multiplied; h is the 1
     """
     n, m, h, J = B.shape[0], B.shape[1], F.shape[0], r.shape[1]
-    samples = u.shape[1]
+    samples, products = u.shape[1], K.shape[1]
     x, later, p = np.zeros(n), np.zeros(n), np.zeros((h, J))
-    iu, iw, ig = n, n + m, n + m + h
+    iu, iw, ig, im, iz = n, n + m, n + m + h, n + m + h + h * J, n + m + h + h * J + products
     for t in range(samples + warm):
         k = (t - warm) % samples
         row = path[t]
@@ -50,6 +52,13 @@ def follow(A, B, E, F, G, c, beta, r, u, warm, path, hits):  # type: ignore[no-u
                 row[ig + i * J + j] = g
                 w += c[i, j] * g
             row[iw + i] = w
+            row[iz + i] = min(max(z / limit[i], -1.0), 1.0)
+        row[iz + h] = 1.0
+        for j in range(products):
+            product = row[iz + factors[j, 0]] * row[iz + factors[j, 1]] * row[iz + factors[j, 2]]
+            row[im + j] = product
+            for i in range(h):
+                row[iw + i] += K[i, j] * product
         for a in range(n):
             b = a // 2
             s = A[b, a % 2, 0] * x[2 * b] + A[b, a % 2, 1] * x[2 * b + 1]
@@ -62,7 +71,7 @@ def follow(A, B, E, F, G, c, beta, r, u, warm, path, hits):  # type: ignore[no-u
 
 
 @compiled(fastmath=True, nogil=True, error_model="numpy")
-def differentiate(A, C, E, F, c, beta, r, path, hits, source, target, first, warm, out):  # type: ignore[no-untyped-def]
+def differentiate(A, C, E, F, c, K, beta, r, limit, factors, path, hits, source, target, first, warm, out):  # type: ignore[no-untyped-def]
     """Derivatives out (p, N, P) of the outputs by the numbers first, first + 1, ... first + WIDTH.
 
     All arrays of numbers are float32.
@@ -74,9 +83,10 @@ def differentiate(A, C, E, F, c, beta, r, path, hits, source, target, first, war
     S, later = np.zeros((n, WIDTH), np.float32), np.zeros((n, WIDTH), np.float32)
     dz, dw = np.zeros((h, WIDTH), np.float32), np.zeros((h, WIDTH), np.float32)
     dp, dy = np.zeros((h, J, WIDTH), np.float32), np.zeros((p, WIDTH), np.float32)
-    none = np.zeros(WIDTH, np.float32)
+    none, slope = np.zeros(WIDTH, np.float32), np.zeros((h, h), np.float32)
     for t in range(path.shape[0]):
         row = path[t]
+        _steepness(K, limit, factors, row[row.shape[0] - h - 1 :], slope)
         _weigh(F, S, dz)
         for q in range(count):
             to = target[first + q] - n
@@ -99,6 +109,11 @@ def differentiate(A, C, E, F, c, beta, r, path, hits, source, target, first, war
                 weight = c[i, j]
                 for q in range(WIDTH):
                     dw[i, q] += weight * dp[i, j, q]
+            for k in range(h):
+                if slope[i, k] != 0.0:
+                    weight = slope[i, k]
+                    for q in range(WIDTH):
+                        dw[i, q] += weight * dz[k, q]
         for q in range(count):
             to = target[first + q] - n - h
             if 0 <= to < h and source[first + q] >= 0:
@@ -128,6 +143,20 @@ def differentiate(A, C, E, F, c, beta, r, path, hits, source, target, first, war
             if to < n and source[first + q] >= 0:
                 later[to, q] += row[source[first + q]]
         S, later = later, S
+
+
+@compiled(fastmath=True, nogil=True, error_model="numpy")
+def _steepness(K, limit, factors, part, slope):  # type: ignore[no-untyped-def]
+    """Put the derivatives (h, h) of the weighted products by z into slope; 0 beyond a limit."""
+    h = limit.shape[0]
+    slope[:] = np.float32(0.0)
+    for j in range(factors.shape[0]):
+        for f in range(3):
+            k = factors[j, f]
+            if k < h and abs(part[k]) < 1.0:
+                others = part[factors[j, (f + 1) % 3]] * part[factors[j, (f + 2) % 3]] / limit[k]
+                for i in range(h):
+                    slope[i, k] += K[i, j] * others
 
 
 @compiled(fastmath=True, nogil=True, error_model="numpy")

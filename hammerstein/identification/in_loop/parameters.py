@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from hammerstein.arrays import Array, Complex, Indices
 from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics
+from hammerstein.dynamics.products import Products
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited, write_atomic
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
@@ -18,7 +19,7 @@ from hammerstein.identification.in_loop.kernels import follow
 
 FORMAT = "hammerstein-feedback-search/1"
 WHAT = "file of an interrupted search"
-SEARCHED = ("A", "B", "C", "D", "E", "F", "G", "c")
+SEARCHED = ("A", "B", "C", "D", "E", "F", "G", "c", "K")
 LEAST_THRESHOLD = 1e-4
 
 
@@ -26,13 +27,15 @@ LEAST_THRESHOLD = 1e-4
 class LoopParameters:
     """Numbers of a block with plays inside its loop, on one sample grid.
 
-        x+ = A x + B u + E w,  z = F x + G u,  w_i = sum over j of c_ij (p_ij - beta_ij z_i),  y = C x + D u
+        x+ = A x + B u + E w,  z = F x + G u,  y = C x + D u
+        w_i = sum over j of c_ij (p_ij - beta_ij z_i) + sum over j of K_ij product_j
 
     p_ij is the play of z_i with threshold r_ij. beta is held: the linear part of a play, which A, B, E, F
     and G explain, so that c changes the loop little.
 
     A : (n / 2, 2, 2) blocks; B : (n, m); C : (p, n); D : (p, m); E : (n, h); F : (h, n); G : (h, m)
-    c, r, beta : (h, J)
+    c, r, beta : (h, J); K : (h, M) weights of products of z_i / limit_i, each held within 1
+    factors : (M, 3) which z_i a product is of, h where there is none; limit : (h,)
     """
 
     A: Array
@@ -43,8 +46,11 @@ class LoopParameters:
     F: Array
     G: Array
     c: Array
+    K: Array
     r: Array
     beta: Array
+    limit: Array
+    factors: Indices
 
     def vector(self) -> Array:
         """Give all that is searched (P,): entries, weights, and logarithms of thresholds."""
@@ -59,7 +65,7 @@ class LoopParameters:
             found[name] = vector[first : first + like.size].reshape(like.shape).copy()
             first += like.size
         r = np.maximum(np.exp(vector[first:]), LEAST_THRESHOLD).reshape(self.r.shape)
-        return LoopParameters(**found, r=r, beta=self.beta)
+        return replace(self, **found, r=r)
 
     def tables(self) -> tuple[Indices, Indices]:
         """For every number the entry of the path it is multiplied with, and the row it is added to.
@@ -68,6 +74,7 @@ class LoopParameters:
         """
         (n, m), (h, plays), p = self.B.shape, self.r.shape, len(self.C)
         x, u, w = np.arange(n), n + np.arange(m), n + m + np.arange(h)
+        products = np.arange(self.K.shape[1])
         each, rows, out = np.arange(h * plays), n + np.arange(h), n + 2 * h + np.arange(p)
         pairs = np.repeat(x.reshape(-1, 2), 2, axis=0).ravel()
         table = [
@@ -79,6 +86,7 @@ class LoopParameters:
             (np.tile(x, h), np.repeat(rows, n)),
             (np.tile(u, h), np.repeat(rows, m)),
             (n + m + h + each, np.repeat(rows + h, plays)),
+            (np.tile(n + m + h + h * plays + products, h), np.repeat(rows + h, len(products))),
             (-1 - each, np.zeros_like(each)),
         ]
         source, target = (np.concatenate(column) for column in zip(*table, strict=True))
@@ -95,10 +103,10 @@ class LoopParameters:
     def path(self, u: Array, warm: int) -> tuple[Array, np.ndarray[Any, Any]]:
         """Give path and hits of a periodic input (m, N); see ``kernels.follow``."""
         (n, m), (h, plays) = self.B.shape, self.r.shape
-        path = np.empty((warm + u.shape[1], n + m + h + h * plays))
+        path = np.empty((warm + u.shape[1], n + m + h + h * plays + self.K.shape[1] + h + 1))
         hits = np.empty((len(path), h, plays), dtype=np.int8)
-        matrices = (self.A, self.B, self.E, self.F, self.G, self.c, self.beta, self.r)
-        follow(*matrices, np.ascontiguousarray(u), warm, path, hits)
+        matrices = (self.A, self.B, self.E, self.F, self.G, self.c, self.K, self.beta, self.r)
+        follow(*matrices, self.factors, self.limit, np.ascontiguousarray(u), warm, path, hits)
         return path, hits
 
     def simulate(self, u: Array, warm: int) -> Array:
@@ -144,7 +152,10 @@ class LoopParameters:
         pairs = tuple(tuple(self._pair(i) if i == k else none for k in h) for i in h)
         matrices = {name: getattr(self, name) for name in "BCDEFG"} | {"A": self.full()}
         return FeedbackHysteresisDynamics.of(
-            PrandtlIshlinskii(pairs), sample_time_s=sample_time_s, **matrices
+            PrandtlIshlinskii(pairs),
+            sample_time_s=sample_time_s,
+            products=Products(self.K, self.limit, self.factors),
+            **matrices,
         )
 
     def _pair(self, i: int) -> Pair:
@@ -163,7 +174,9 @@ class LoopParameters:
         """Read what ``save`` wrote; InputError for another file."""
         try:
             content = json.loads(read_limited(file, what=WHAT))
-            numbers = {one.name: np.array(content[one.name], dtype=np.float64) for one in fields(cls)}
+            numbers: dict[str, Any] = {one.name: np.array(content[one.name], float) for one in fields(cls)}
+            numbers["factors"] = numbers["factors"].reshape(-1, 3).astype(np.int64)
+            numbers["K"] = numbers["K"].reshape(len(numbers["r"]), -1)
         except (KeyError, TypeError, ValueError):
             raise InputError(str(file), f"is no {WHAT}; begin the search anew") from None
         return cls(**numbers)

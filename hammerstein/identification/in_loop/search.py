@@ -124,12 +124,12 @@ class Search:
         source, target = found.tables()
         n = len(found.B)
         error = period.y - (found.C @ path[self.warm :, :n].T + found.D @ period.u)
-        names = ("A", "C", "E", "F", "c", "beta", "r")
+        names = ("A", "C", "E", "F", "c", "K", "beta", "r", "limit")
         numbers = [np.ascontiguousarray(getattr(found, name), dtype=np.float32) for name in names]
         slopes = np.empty((len(found.C), period.u.shape[1], len(source)), dtype=np.float32)
         single = path.astype(np.float32)
         for first in range(0, len(source), WIDTH):
-            differentiate(*numbers, single, hits, source, target, first, self.warm, slopes)
+            differentiate(*numbers, found.factors, single, hits, source, target, first, self.warm, slopes)
         flat = slopes.reshape(-1, len(source))
         weight = period.weight**2
         right = flat.T @ error.ravel().astype(np.float32)
