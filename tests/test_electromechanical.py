@@ -1,7 +1,5 @@
 """Piezo stacks from data-sheet numbers, against the printed equations of Goldfarb and Celanovic."""
 
-from dataclasses import replace
-
 import control
 import numpy as np
 import pytest
@@ -11,7 +9,7 @@ import hammerstein
 from hammerstein import HammersteinModel
 from hammerstein.commands.contents import contents_of
 from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, on_grid
-from hammerstein.errors import InputError
+from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.reporting.folder import write_report
 
@@ -113,7 +111,7 @@ def scenario(tmp_path, law):
     return {
         "question": "How far does it move?",
         "actuator": stack,
-        "reference": {"kind": "sine", "amplitude_um": 2.0, "frequency_hz": 50.0},
+        "reference": {"kind": "sine", "amplitude_um": 1.0, "frequency_hz": 50.0},
         "compensators": [{"label": law, "law": law, "model": stack}],
     }
 
@@ -150,16 +148,20 @@ def test_gain_is_that_of_slow_settled_loops(tmp_path):
     assert shown["gain of x [um/V]"] == f"{expected:.4g} from u"
 
 
-def test_without_a_compensator_the_drive_has_the_right_size(tmp_path):
-    """The sine of the model's amplitude is met but for its loop; the block in front has 1 um/V alone."""
+def test_without_a_compensator_the_drive_has_the_right_size():
+    """50 V for the end of the slow loop of 50 V; the block in front of the loop has 1 V/um alone."""
+    one = PrandtlIshlinskii([[Pair([0.0], [1.0])]])
+    model = HammersteinModel("stack", one, ElectromechanicalDynamics(axes=(axis(),)), 50.0, ("u",), ("x",))
+    law = hammerstein.NoCompensation().design(model, 100.0, 1e-4)
+    assert law.drive_for([[0.0, slow_end(50.0)]])[0, 1] == pytest.approx(50.0, rel=1e-9)
+
+
+def test_a_path_beyond_the_slow_loops_is_out_of_reach(tmp_path):
+    """10 V go as far as the balance of the stops says, and not to 10 um as the block in front does."""
     asked = scenario(tmp_path, "none")
-    asked["reference"]["amplitude_um"] = slow_end(50.0)
-    stack = HammersteinModel.load(tmp_path / "stack.json")
-    wide = stack.instruments.drive.model_copy(update={"range_v": (-100.0, 100.0)})
-    wider = stack.instruments.model_copy(update={"drive": wide})
-    replace(stack, instruments=wider).save(tmp_path / "stack.json")
-    (row,) = hammerstein.run(asked).rows
-    assert row.figures["gain"] == pytest.approx(1.0, abs=0.05)
+    asked["reference"]["amplitude_um"] = 1.1 * slow_end(10.0)
+    with pytest.raises(SimulationError, match=f"reaches {-slow_end(10.0):.4g} to {slow_end(10.0):.4g} um"):
+        hammerstein.run(asked)
 
 
 STATIC_LAWS = ("exact_inverse", "inverse_multiplicative", "decoupled_inverse")

@@ -11,7 +11,7 @@ import numpy as np
 from hammerstein.arrays import Array, ByValue, Indices, freeze_fields
 from hammerstein.blocks.interop.packing import Packing
 from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, SteppedBlock
-from hammerstein.dynamics.products import Products
+from hammerstein.dynamics.products import InputProducts
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 
 TURNS_OF_SIZES = 50
@@ -50,12 +50,12 @@ class FeedbackBlock(SteppedBlock, ByValue):
     G: Array
     hysteresis: Hysteresis[Any]
     sample_time_s: float
-    products: Products = field(default=None)  # type: ignore[assignment]  # none of them
+    products: InputProducts = field(default=None)  # type: ignore[assignment]  # none of them
 
     def __post_init__(self) -> None:
         freeze_fields(self, *"ABCDEFG")
         if self.products is None:
-            none = Products.none(self.hysteresis.n_inputs, self.hysteresis.n_outputs)
+            none = InputProducts.none(self.hysteresis.n_inputs, self.hysteresis.n_outputs)
             object.__setattr__(self, "products", none)
 
     def __repr__(self) -> str:

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from hammerstein.dynamics.feedback_block import FeedbackBlock
 from hammerstein.dynamics.linear_block import CONTINUOUS
-from hammerstein.dynamics.products import Products, ProductsFile
+from hammerstein.dynamics.products import InputProducts, ProductsFile
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
 from hammerstein.quantities import Delay, Entry, SampleTime
 from hammerstein.validation import Strict
@@ -70,7 +70,7 @@ class FeedbackHysteresisDynamics(Strict):
         hysteresis: Hysteresis[Any],
         *,
         sample_time_s: float | None = None,
-        products: Products | None = None,
+        products: InputProducts | None = None,
         **matrices: ArrayLike,
     ) -> FeedbackHysteresisDynamics:
         """Keep matrices A to G and a hysteresis; ValueError where their shapes do not fit."""
@@ -104,7 +104,7 @@ class FeedbackHysteresisDynamics(Strict):
             **matrices,
             hysteresis=gamma,
             sample_time_s=self.sample_time_s or CONTINUOUS,
-            products=self.products.products() if self.products else Products.none(h, q),
+            products=self.products.products() if self.products else InputProducts.none(h, q),
         )
 
     def instability(self) -> str:

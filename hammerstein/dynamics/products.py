@@ -16,7 +16,7 @@ MOST_FACTORS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Products(ByValue):
+class InputProducts(ByValue):
     """Weighted products of up to three z, each taken as part of its limit and held within it.
 
         w_i = sum over j of K_ij part_a part_b part_c,    part_k = z_k / limit_k within -1 to 1
@@ -35,7 +35,7 @@ class Products(ByValue):
         freeze(self.factors)
 
     @classmethod
-    def none(cls, inputs: int, outputs: int) -> Products:
+    def none(cls, inputs: int, outputs: int) -> InputProducts:
         """No product of so many z for so many w."""
         return cls(np.zeros((outputs, 0)), np.ones(inputs), np.zeros((0, MOST_FACTORS), dtype=np.int64))
 
@@ -65,7 +65,7 @@ class ProductsFile(Strict):
         return self
 
     @classmethod
-    def of(cls, products: Products) -> ProductsFile | None:
+    def of(cls, products: InputProducts) -> ProductsFile | None:
         """Give the form of some products in a file; None if there is none."""
         if not len(products.factors):
             return None
@@ -76,9 +76,9 @@ class ProductsFile(Strict):
         ]
         return cls(limits=tuple(products.limit.tolist()), terms=tuple(terms))
 
-    def products(self) -> Products:
+    def products(self) -> InputProducts:
         """Give the products this describes."""
         h = len(self.limits)
         rows = [[k - 1 for k in term.of] + [h] * (MOST_FACTORS - len(term.of)) for term in self.terms]
         weights = np.array([term.weights for term in self.terms]).T
-        return Products(weights, np.array(self.limits), np.array(rows, dtype=np.int64))
+        return InputProducts(weights, np.array(self.limits), np.array(rows, dtype=np.int64))

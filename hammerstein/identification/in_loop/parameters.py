@@ -11,7 +11,7 @@ import numpy as np
 
 from hammerstein.arrays import Array, Complex, Indices
 from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics
-from hammerstein.dynamics.products import Products
+from hammerstein.dynamics.products import InputProducts
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited, write_atomic
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
@@ -154,7 +154,7 @@ class LoopParameters:
         return FeedbackHysteresisDynamics.of(
             PrandtlIshlinskii(pairs),
             sample_time_s=sample_time_s,
-            products=Products(self.K, self.limit, self.factors),
+            products=InputProducts(self.K, self.limit, self.factors),
             **matrices,
         )
 
