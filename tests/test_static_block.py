@@ -12,7 +12,7 @@ from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.linear.delay import shortest_delay, static_delay
 from hammerstein.identification.operators import CurvePoint, enough_operators, error_curve, input_grids
-from hammerstein.identification.static.normal_equations import Bounds, moments_of, pooled, solve
+from hammerstein.identification.static.normal_equations import Bounds, coefficients, moments_of, pooled, solve
 from hammerstein.identification.static.regressors import (
     PlayColumns,
     SideBySide,
@@ -395,3 +395,9 @@ def test_plays_that_are_kept_can_be_gone_through_again(kind):
         assert np.array_equal(np.hstack([x for _, x in kept.counted]), [wanted, 0.0 * wanted])
         assert sum(x.shape[1] for x in kept.before) == len(before)
     assert kept.moves().tolist() == [True, False]
+
+
+def test_a_column_of_rounding_errors_takes_no_part():
+    """Its own product can come out below zero: no number is lost for that (it was NaN)."""
+    gram, cross = np.array([[4.0, 0.0], [0.0, -1e-17]]), np.array([2.0, 0.0])
+    np.testing.assert_array_equal(coefficients(gram, cross), [0.5, 0.0])

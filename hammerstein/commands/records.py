@@ -121,7 +121,8 @@ def identify(
     held: HeldBack,
     identified: Identified,
     hysteresis: Annotated[
-        str, typer.Option(help="Static block: prandtl_ishlinskii, asymmetric, rate_dependent or bouc_wen.")
+        str,
+        typer.Option(help="Static block: prandtl_ishlinskii, asymmetric, generalised and others."),
     ] = "prandtl_ishlinskii",
     dead_zones: Annotated[
         int | None, typer.Option(help="Of each input, with asymmetric; found if not given.")

@@ -8,6 +8,7 @@ from hammerstein.hysteresis.asymmetric import Asymmetric, AsymmetricFile, Asymme
 from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.bouc_wen import BoucWen, BoucWenFile, BoucWenPair, BoucWenState
 from hammerstein.hysteresis.covariance import ThresholdCovariance
+from hammerstein.hysteresis.generalised import Envelope, Generalised, GeneralisedFile
 from hammerstein.hysteresis.kind import (
     HYSTERESIS,
     Hysteresis,
@@ -30,6 +31,8 @@ __all__ = [
     "BoucWenPair",
     "BoucWenState",
     "DeadZones",
+    "Envelope",
+    "Generalised",
     "Hysteresis",
     "HysteresisFile",
     "Memory",
@@ -53,4 +56,5 @@ HYSTERESIS.register(PrandtlIshlinskiiFile)
 HYSTERESIS.register(AsymmetricFile)
 HYSTERESIS.register(RateDependentFile)
 HYSTERESIS.register(BoucWenFile)
+HYSTERESIS.register(GeneralisedFile)
 HYSTERESIS.register(ParallelFile)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import singledispatch
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from hammerstein.hysteresis import (
     Asymmetric,
     BoucWen,
     DeadZones,
+    Generalised,
     Hysteresis,
     Pair,
     PrandtlIshlinskii,
@@ -205,6 +206,19 @@ def _(hysteresis: BoucWen, range_v: ArrayLike = math.inf, amplitude_v: float | N
     slopes = slope_matrices(hysteresis, 1.0)
     counts, first = _counted_signs(slopes)
     return Invertibility(*counts, (), (), slopes[first], np.zeros(m))
+
+
+@invertibility.register
+def _(
+    hysteresis: Generalised, range_v: ArrayLike = math.inf, amplitude_v: float | None = None
+) -> Invertibility:
+    """That of the plays, for envelopes have inverses."""
+    given = np.asarray(range_v, dtype=np.float64)
+    low, high = given if given.ndim == 2 else (-given, given)
+    ends = np.stack([np.broadcast_to(end, hysteresis.n_inputs) for end in (low, high)], axis=1)
+    found = invertibility(hysteresis.plays, hysteresis.inner(ends).T, amplitude_v)
+    least = np.array([one.all_slopes.min() for one in hysteresis.envelopes])
+    return replace(found, jump_v=found.jump_v / least)
 
 
 class _Reachable(NamedTuple):

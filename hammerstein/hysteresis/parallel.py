@@ -15,6 +15,7 @@ from hammerstein.blocks import Memory
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.asymmetric import AsymmetricFile
 from hammerstein.hysteresis.bouc_wen import BoucWenFile
+from hammerstein.hysteresis.generalised import GeneralisedFile
 from hammerstein.hysteresis.kind import SLOW_S, Hysteresis, HysteresisFile
 from hammerstein.hysteresis.pair import WeightCovariance
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiFile
@@ -147,7 +148,8 @@ class Parallel(Hysteresis[ParallelState]):
 
 
 Part = Annotated[
-    PrandtlIshlinskiiFile | AsymmetricFile | RateDependentFile | BoucWenFile, Field(discriminator="kind")
+    PrandtlIshlinskiiFile | AsymmetricFile | GeneralisedFile | RateDependentFile | BoucWenFile,
+    Field(discriminator="kind"),
 ]
 
 

@@ -126,7 +126,8 @@ def _late(task: Task, thresholds_v: Thresholds, free: bool) -> list[Whole]:
     found: list[Whole] = []
     left: list[float] = []
     for delay in range(MOST_DELAY + 1):
-        found.append(_before(task, thresholds_v, Behind((), delay)))
+        like = _again(found[-1].block) if found else None
+        found.append(_before(task, thresholds_v, Behind((), delay), like))
         left.append(score(found[-1].candidate, task.records, task.starts).mean_percent)
         if delay - int(np.argmin(left)) >= WORSE_DELAYS:
             break

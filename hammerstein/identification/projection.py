@@ -42,7 +42,7 @@ SEARCH_SAMPLES = 20_000
 """Samples of all records together with which the first guesses are tried."""
 SEARCHED = 4
 """First guesses that are refined; the best of them is refined with all samples."""
-MOST_STEPS, DAMPING = 30, Damping(most=1e6)
+MOST_STEPS, DAMPING = 60, Damping(most=1e6)
 ROUGHLY, ENOUGH = 1e-3, 1e-6
 """Gain of a step, in parts of the error, under which a search has arrived: of a first guess, of the best."""
 NOWHERE = 1e-6

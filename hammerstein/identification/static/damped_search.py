@@ -78,10 +78,14 @@ def damped_change(
 ) -> Array:
     """Change of some parameters from their normal equations, each scaled by its own curvature.
 
+    One that changes nothing, beside what the others do, stays where it is.
+
     largest : change up to which the normal equations are trusted
     least : curvature that a parameter has at least; rcond : what counts as singular once all are scaled
     """
-    scale = np.sqrt(np.maximum(np.diag(curvature), least))
+    told = np.diag(curvature) > TINY
+    scale = np.sqrt(np.where(told, np.maximum(np.diag(curvature), least), 1.0))
+    curvature, pull = np.where(np.outer(told, told), curvature, 0.0), np.where(told, pull, 0.0)
     scaled = curvature / np.outer(scale, scale) + damping * np.eye(len(scale))
     change = np.linalg.lstsq(scaled, pull / scale, rcond=rcond)[0] / scale
     return np.asarray(np.clip(change, -largest, largest))

@@ -167,7 +167,7 @@ class _Scaled(NamedTuple):
 
     @classmethod
     def of(cls, matrix: Array) -> _Scaled:
-        scale = 1.0 / not_nothing(np.sqrt(np.diag(matrix)))
+        scale = 1.0 / not_nothing(_sizes(matrix))
         values, vectors = np.linalg.eigh(scale[:, None] * matrix * scale)
         kept = values > DEPENDENT * max(values.max(initial=0.0), np.finfo(float).tiny)
         return cls(scale, np.sqrt(values[kept]), vectors[:, kept], vectors[:, ~kept])
@@ -183,7 +183,7 @@ class _Scaled(NamedTuple):
 
 def coefficients(gram: Array, cross: Array) -> Array:
     """Free least-squares coefficients (column,) or (column, problem) for right-hand sides of that shape."""
-    norm = np.sqrt(np.diag(gram))
+    norm = _sizes(gram)
     if norm.all():
         try:
             factor = cholesky(gram / np.outer(norm, norm), lower=True)
@@ -194,6 +194,11 @@ def coefficients(gram: Array, cross: Array) -> Array:
             return np.asarray((scaled.T / norm).T)
     problem = _Scaled.of(gram)
     return problem.coefficients(problem.target(cross))
+
+
+def _sizes(gram: Array) -> Array:
+    """Lengths of the columns; a product of rounding errors can come out below zero."""
+    return np.asarray(np.sqrt(np.maximum(np.diag(gram), 0.0)))
 
 
 def solve(
