@@ -36,6 +36,8 @@ from .hysteresis import (
     BoucWen as BoucWen,
     BoucWenPair as BoucWenPair,
     DeadZones as DeadZones,
+    Envelope as Envelope,
+    Generalised as Generalised,
     Hysteresis as Hysteresis,
     HysteresisFile as HysteresisFile,
     Pair as Pair,

@@ -53,6 +53,13 @@ def test_every_kind_has_its_place(found: hammerstein.Comparison) -> None:
     assert found["prandtl_ishlinskii"].parameters == 2 * len(R)
 
 
+def test_a_kind_of_the_one_fit_is_compared_by_its_name(found: hammerstein.Comparison) -> None:
+    ours = found["generalised"]
+    assert isinstance(ours.model.hysteresis, hammerstein.Generalised)
+    assert ours.held is not None
+    assert ours.held.rms_um[0] < found["prandtl_ishlinskii"].held.rms_um[0]
+
+
 def test_the_kind_that_the_actuator_is_leaves_its_noise_and_is_recommended(
     found: hammerstein.Comparison,
 ) -> None:

@@ -51,3 +51,9 @@ def test_it_is_given_up_where_no_damping_helps(most):
     tried = list(steps(np.array([1.0, 1.0]), lambda x, amount: x, cost, damping))
     assert len(tried) == round(np.log10(most / damping.first)) + 1
     assert not any(one.gained for one in tried)
+
+
+def test_a_number_that_changes_nothing_stays_where_it_is():
+    """Its pull is rounding; divided by a curvature of nothing it went as far as it could."""
+    curvature, pull = np.array([[4.0, 1e-170], [1e-170, 0.0]]), np.array([2.0, 1e-17])
+    np.testing.assert_allclose(damped_change(curvature, pull, 0.0), [0.5, 0.0], rtol=1e-12)
