@@ -381,6 +381,18 @@ def test_the_report_leads_with_the_trials(off):
             "whole number of samples",
         ),
         ({"measure": {"settle_cycles": 2, "measured_cycles": 2}}, "whole periods of 250, 3 or more"),
+        (
+            {
+                "reference": {
+                    "kind": "spiral",
+                    "radius_um": 5.0,
+                    "frequency_hz": 10.0,
+                    "trigger_s": 0.1,
+                    "decay_s": 0.2,
+                }
+            },
+            "this path does not repeat",
+        ),
     ],
 )
 def test_what_cannot_be_learnt_is_refused_with_one_message(changed, said):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from record_cases import TIME, N, U, X, message, read, table_text
 
+from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
-from hammerstein.records.gains import Gain, doubtful_gains, pair_gains
+from hammerstein.records.gains import Gain, doubtful_clocks, doubtful_gains, pair_gains
 from hammerstein.records.readers import read_columns
 from hammerstein.records.reading import read_records
 from hammerstein.records.record import Record
@@ -147,3 +148,31 @@ def test_a_column_is_found_without_its_unit(tmp_path):
         read_columns(path, ["Vx", "X"])
     with pytest.raises(InputError, match=r"Vy.*is not in the file"):
         read_columns(path, ["Vy"])
+
+
+def _run(words):
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert not ended.value.code
+
+
+@pytest.mark.parametrize(("factor", "told"), [(1.0, 0), (1e3, 1)])
+def test_milliseconds_taken_for_seconds_are_told_by_loops(tmp_path, capsys, factor, told):
+    """A record of 0.4 s at 10 kHz; and the same where its milliseconds stand under ``time_s``."""
+    time_s = np.arange(4000) * 1e-4
+    u = 50.0 * (1.0 - np.cos(2.0 * np.pi * 10.0 * time_s))
+    rows = np.c_[factor * time_s, u, 0.1 * u]
+    names = "time_s,drive_x_v,measured_x_um"
+    np.savetxt(tmp_path / "r.csv", rows, delimiter=",", header=names, comments="", fmt="%.9g")
+    loops = ["loops", str(tmp_path / "r.csv"), "--no-figures"]
+    _run(loops)
+    said = capsys.readouterr().err
+    assert said.count("If its times are milliseconds, name their column t_ms") == told
+    np.savetxt(tmp_path / "r.csv", rows, delimiter=",", header=names.replace("_s", "_ms"), comments="")
+    _run(loops)
+    assert "milliseconds" not in capsys.readouterr().err
+
+
+def test_a_slow_record_of_few_samples_a_cycle_is_not_doubted():
+    u = np.sin(2.0 * np.pi * 0.1 * np.arange(600) / 5.0)
+    assert doubtful_clocks([Record([u], [u], 0.2)]) == []

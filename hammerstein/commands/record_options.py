@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hammerstein.commands.terminal import complain
+
 if TYPE_CHECKING:
     from hammerstein.identification.settings import Settings
     from hammerstein.records.gains import Gain
@@ -110,8 +112,11 @@ class RecordFiles:
     def gains(self, records: Sequence[Record]) -> list[Gain]:
         """Gains of the records; a person is asked about those that no actuator has, a script is refused."""
         from hammerstein.errors import InputError
-        from hammerstein.records.gains import doubtful_gains, doubtful_responses, pair_gains
+        from hammerstein.records.gains import doubtful_clocks, doubtful_gains, doubtful_responses, pair_gains
 
+        if self.rate is None:
+            for clock in doubtful_clocks(records):
+                complain(clock)
         gains = pair_gains(records)
         doubts = [] if self.accept_gain else [*doubtful_responses(records), *doubtful_gains(gains)]
         if doubts:

@@ -18,12 +18,15 @@ WHOLE = 1e-6  # samples that a period may miss a whole number by
 
 def whole_period(samples: float, label: str) -> int:
     """Samples of a period; InputError where they are no whole number, which no table can hold."""
+    where = f"compensator {label!r}"
+    if not np.isfinite(samples):
+        raise InputError(where, "learns from one period to the next, and this path does not repeat")
     found = round(samples)
-    if not np.isfinite(samples) or abs(samples - found) > WHOLE or found < 2:
+    if abs(samples - found) > WHOLE or found < 2:
         raise InputError(
-            f"compensator {label!r}",
-            f"learns a path whose period is a whole number of samples; it has {samples:.6g}. Choose a signal "
-            "that repeats, and a frequency or sample time that fits",
+            where,
+            f"learns a path whose period is a whole number of samples; it has {samples:.6g}. Choose a "
+            "frequency or a sample time that fits",
         )
     return found
 

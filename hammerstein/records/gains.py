@@ -10,11 +10,17 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.records.driven import driven_inputs
 from hammerstein.records.record import Record
+from hammerstein.records.turning_points import turning_points
 
 USUAL_GAIN = 1e-3, 1e3
+"""Gains of piezo actuators from shear plates to amplified stages, with room on both sides [um/V]."""
 ANSWERED = 0.02
 """Part of an output's power that the voltages explain, below which it is noise or another signal."""
-"""Gains of piezo actuators from shear plates to amplified stages, with room on both sides [um/V]."""
+SLOW_HZ, FINE = 100.0, 100
+"""Converters run at 10 to 50 kHz; with times of 1000 times the size that is 10 to 50 Hz. A cycle of so many
+samples asks for no rate as slow as that."""
+SWING = 0.05
+"""Part of the range that a voltage goes back where it turns."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +102,33 @@ def doubtful_responses(records: Sequence[Record]) -> list[str]:
                 f"{100 * ANSWERED:g} % of each"
             )
     return found
+
+
+def doubtful_clocks(records: Sequence[Record]) -> list[str]:
+    """Sentences about records whose times may be milliseconds: sampled slowly, and yet finely.
+
+    Examples
+    --------
+    >>> u = np.sin(2.0 * np.pi * np.arange(4000.0) / 1000.0)
+    >>> doubtful_clocks([Record([u], [5.0 * u], 1e-4)])
+    []
+    >>> doubtful_clocks([Record([u], [5.0 * u], 0.1)])[0].partition(". ")[0]
+    'record: 10 Hz for 400 s, and the voltage turns 8 times'
+    """
+    found = []
+    for record in records:
+        rate_hz = 1.0 / record.sample_time_s
+        most = max(_reversals(u) for u in record.u_v[list(driven_inputs(record))])
+        if rate_hz < SLOW_HZ and 2.0 * record.samples > FINE * most:
+            found.append(
+                f"{record.source}: {rate_hz:.4g} Hz for {record.samples / rate_hz:.4g} s, and the voltage "
+                f"turns {most} times. If its times are milliseconds, name their column t_ms"
+            )
+    return found
+
+
+def _reversals(u: Array) -> int:
+    return len(turning_points(u, SWING * float(np.ptp(u)))) - 2
 
 
 def _explained(record: Record) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gzip
 import json
 import random
 import re
@@ -31,6 +32,8 @@ NAMES = ("a", "a b", f"[{MARK}]({MARK})", f"<{MARK}>", f"\u202e{MARK}", f"{MARK}
          "ü", "{{7}}", "$(x)", "n" * 120, "a,b", "#a", "a'b\"c")  # fmt: skip
 ORDERS = (b"IM", b"MI", b"XX", b"\0\0", b"II", b"\xff\xff")
 INFINITE = re.compile(r"(?i)(?<![\w.'\"])[-+]?(nan|inf)(?![\w'\"])")
+OWN_HTML = re.compile(r"</?(details|summary)>")
+"""Folds of the page of claims."""
 LARGEST = 2_000_000
 
 
@@ -167,7 +170,8 @@ def _markdown(text: str) -> bool:
     tokens = MarkdownIt("commonmark", {"html": True}).enable("table").parse(text)
     every = [part for token in tokens for part in (token, *(token.children or ()))]
     linked = [part for part in every if MARK in str(part.attrs)]
-    return bool(linked) or any(part.type in ("html_inline", "html_block") for part in every)
+    raw = [part.content for part in every if part.type in ("html_inline", "html_block")]
+    return bool(linked) or any(MARK in text or "<" in OWN_HTML.sub("", text) for text in raw)
 
 
 class _Tags(HTMLParser):
@@ -239,11 +243,16 @@ def _record(draw: random.Random, seeds: Seeds, work: Path) -> list[Any]:
         data = data[:126] + draw.choice(ORDERS) + campaign.mutated(data[128:], draw)
     else:
         data = campaign.mutated(data, draw)
+    if draw.random() < 0.1:
+        name, data = name + ".gz", data if draw.random() < 0.3 else gzip.compress(data, 1)
+        data = data if draw.random() < 0.5 else campaign.mutated(data, draw)
     (work / name).write_bytes(data if draw.random() < 0.95 else b"")
     given = ["--inputs", draw.choice((columns[0], "1")), "--outputs", draw.choice((columns[1], *TEXTS[:8]))]
     given = [word.replace("\0", "") for word in given]
     rate = ["--rate", draw.choice((1000, "1e308", "5e-324", 1000))]
     quick = ["--no-figures", "--operators", 3, "--dynamics", "none", "--out", _named(draw, "_.json")]
+    if draw.random() < 0.05:
+        return ["compare", name, *given, *rate, *quick[:-1], _named(draw, "_"), "--jobs", 1]
     return draw.choice(
         [["show", name], ["loops", name, *given, *rate], ["identify", name, *given, *rate, *quick]]
     )
