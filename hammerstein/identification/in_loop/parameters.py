@@ -164,10 +164,12 @@ class LoopParameters:
         weights = np.concatenate([[-(self.c[i] * self.beta[i]).sum()], self.c[i][order]])
         return Pair(np.concatenate([[0.0], self.r[i][order]]), weights)
 
-    def save(self, file: Path) -> None:
-        """Write all numbers, so that a search goes on from them; nothing is left half-written."""
+    def save(self, file: Path, search: dict[str, Any] | None = None) -> None:
+        """Write all numbers, and what is known of their search; nothing is left half-written."""
         content = {one.name: getattr(self, one.name).tolist() for one in fields(self)}
-        write_atomic(file, json.dumps({"format": FORMAT, **content}, sort_keys=True) + "\n")
+        write_atomic(
+            file, json.dumps({"format": FORMAT, "search": search or {}, **content}, sort_keys=True) + "\n"
+        )
 
     @classmethod
     def load(cls, file: Path) -> LoopParameters:

@@ -22,11 +22,15 @@ PENALTY = 1e3
 
 
 class SettledPeriod(NamedTuple):
-    """One settled period of a record: voltages (m, N), positions (p, N), and what an error of it counts."""
+    """One settled period of a record: voltages (m, N), positions (p, N), and what an error of it counts.
+
+    warm : samples of the period before from which a simulation starts; 0 for a record that began at rest
+    """
 
     u: Array
     y: Array
     weight: float
+    warm: int = 1500
 
 
 class Progress(NamedTuple):
@@ -46,12 +50,10 @@ class Search:
     Every step solves (H + mu diag H) d = g, H and g the sums over all records. A pole of the loop beyond
     1 - margin is one more error.
 
-    warm : samples of the period before from which a simulation starts
     steps : most of them
     enough : smallest part of the cost that a step must gain
     """
 
-    warm: int = 1500
     steps: int = 100
     enough: float = 2e-4
     margin: float = 5e-4
@@ -96,7 +98,7 @@ class Search:
 
     def _errors(self, found: LoopParameters, periods: Sequence[SettledPeriod], pool: Executor) -> list[Array]:
         def of(period: SettledPeriod) -> Array:
-            return period.weight * (period.y - found.simulate(period.u, self.warm))
+            return period.weight * (period.y - found.simulate(period.u, period.warm))
 
         with np.errstate(all="ignore"):  # a trial may diverge; its cost is then not finite
             return list(pool.map(of, periods))
@@ -120,16 +122,16 @@ class Search:
 
     def _of_period(self, found: LoopParameters, period: SettledPeriod) -> tuple[Array, Array]:
         """Parts of the normal equations of one record."""
-        path, hits = found.path(period.u, self.warm)
+        path, hits = found.path(period.u, period.warm)
         source, target = found.tables()
         n = len(found.B)
-        error = period.y - (found.C @ path[self.warm :, :n].T + found.D @ period.u)
+        error = period.y - (found.C @ path[period.warm :, :n].T + found.D @ period.u)
         names = ("A", "C", "E", "F", "c", "K", "beta", "r", "limit")
         numbers = [np.ascontiguousarray(getattr(found, name), dtype=np.float32) for name in names]
         slopes = np.empty((len(found.C), period.u.shape[1], len(source)), dtype=np.float32)
         single = path.astype(np.float32)
         for first in range(0, len(source), WIDTH):
-            differentiate(*numbers, found.factors, single, hits, source, target, first, self.warm, slopes)
+            differentiate(*numbers, found.factors, single, hits, source, target, first, period.warm, slopes)
         flat = slopes.reshape(-1, len(source))
         weight = period.weight**2
         right = flat.T @ error.ravel().astype(np.float32)
