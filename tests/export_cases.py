@@ -14,6 +14,8 @@ from hammerstein.hysteresis import (
     BoucWen,
     BoucWenPair,
     DeadZones,
+    Envelope,
+    Generalised,
     Pair,
     Parallel,
     PrandtlIshlinskii,
@@ -87,6 +89,16 @@ def asymmetric(smallest_v=0.0, working_point_v=40.0):
         ("x", "y"),
         instruments=Instruments(drive=Drive(range_v=(0.0, 120.0))),
         voltages=Voltages.of([working_point_v] * 2, [0.0] * 2, [120.0] * 2),
+    )
+
+
+def generalised():
+    """Two axes around 40 V whose plays see envelopes of three lines and of one."""
+    around = asymmetric()
+    bent = Envelope([-20.0, 30.0, 70.0, 140.0], [-20.0, 30.0, 90.0, 150.0])
+    straight = Envelope([0.0, 100.0], [0.0, 80.0])
+    return replace(
+        around, name="bent stage", hysteresis=Generalised((bent, straight), around.hysteresis.plays)
     )
 
 
@@ -188,6 +200,9 @@ def _cases():
         yield Export(f"asymmetric {law}", asymmetric(), law, {"start_v": (20.0, 60.0)})
     behind = asymmetric(smallest_v=1.5, working_point_v=0.0)
     yield Export("asymmetric behind plays", behind, "exact_inverse", {"options": {"softening_v": 0.5}})
+    yield Export("generalised model", generalised(), "model")
+    for law in ("exact_inverse", "hammerstein_inverse"):
+        yield Export(f"generalised {law}", generalised(), law, {"start_v": (20.0, 60.0)})
     yield Export("rate-dependent model", rate_dependent(), "model")
     yield Export("flattening model", rate_dependent(flattening=1e-3), "model")
     slower = rate_dependent(flattening=1e-3, bandwidth_hz=200.0)
@@ -198,6 +213,7 @@ def _cases():
     yield Export("parallel model", parallel(), "model")
     others = {
         "asymmetric": asymmetric(),
+        "generalised": generalised(),
         "rate-dependent": slower,
         "bouc-wen": bouc_wen(),
         "parallel": parallel(),

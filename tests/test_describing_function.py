@@ -10,7 +10,7 @@ from hammerstein.blocks.instruments import Drive, Instruments
 from hammerstein.blocks.interop.limit_cycles import limit_cycles
 from hammerstein.dynamics import AxesDynamics, Axis, discretise
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Envelope, Generalised, Pair, PrandtlIshlinskii
 from hammerstein.hysteresis.describing_function import describing_function
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant, PlantState
@@ -34,6 +34,22 @@ def test_it_is_the_first_harmonic(range_v):
     found = describing_function(Pair(R, W), AMPLITUDES, range_v)
     expected = [_first_harmonic(R, W, a, range_v) for a in AMPLITUDES]
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-7 * sum(np.abs(W)))
+
+
+@pytest.mark.parametrize("range_v", [np.inf, 10.0])
+def test_that_of_an_envelope_is_the_first_harmonic_of_its_loop(range_v):
+    """By theory: plays of the values of the lines, from the working point."""
+    u, g, rest, amplitude = [0.0, 12.0, 25.0, 60.0], [0.0, 6.0, 30.0, 50.0], 20.0, 15.0
+    block = Generalised((Envelope(u, g),), PrandtlIshlinskii([[Pair(R, W)]])).counted_from([rest])
+    points = 40000
+    angle = 2.0 * np.pi * np.arange(2 * points) / points
+    cut = np.clip(amplitude * np.sin(angle), -range_v, range_v)
+    seen = np.interp(rest + cut, u, g) - np.interp(rest, u, g)
+    v = theory.prandtl_ishlinskii([seen], [[R]], [[W]])[0, points:]
+    expected = 2j * np.mean(v * np.exp(-1j * angle[points:])) / amplitude
+    found = block.to_describing_function(range_v)
+    assert found.describing_function(amplitude) == pytest.approx(expected, rel=1e-6)
+    assert found(5.0) == block.respond([[5.0]])[0][0, 0]
 
 
 def test_without_a_range_it_is_python_controls_backlash():

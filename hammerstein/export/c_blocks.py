@@ -17,6 +17,7 @@ from hammerstein.hysteresis import (
     AsymmetricState,
     BoucWen,
     BoucWenState,
+    Generalised,
     PlayState,
     PrandtlIshlinskii,
     RateDependent,
@@ -160,6 +161,48 @@ def _(hysteresis: Asymmetric, state: AsymmetricState) -> CPart:
         values={"hysteresis": "asymmetric", "helpers": ("least", "most")},
     )
     return c_block_of(hysteresis.plays, state.plays) + own
+
+
+@c_block_of.register
+def _(hysteresis: Generalised, state: PlayState) -> CPart:
+    """The plays of the values of the envelopes."""
+    own = CPart(values={"hysteresis": "generalised"})
+    return c_block_of(hysteresis.plays, state) + envelopes_part(hysteresis) + own
+
+
+def envelopes_part(hysteresis: Generalised) -> CPart:
+    """Lines of the envelopes.
+
+    Raises
+    ------
+    InputError : an envelope with a hyperbolic tangent, for there is no mathematical library
+    """
+    each = hysteresis.envelopes
+    if any(one.bent for one in each):
+        what = "has no C code for an envelope with a hyperbolic tangent"
+        raise InputError("export", f"{what}; identify envelopes of lines, or give one of lines")
+    lines = max(len(one.slopes) for one in each)
+
+    def table(rows: list[Array], fill: float) -> Array:
+        padded = np.full((len(rows), lines), fill)
+        for out, row in zip(padded, rows, strict=True):
+            out[: len(row)] = row
+        return padded
+
+    return CPart(
+        sizes=(Size("LINES", lines, "that an envelope can have"),),
+        tables=(
+            Table(
+                "line_end",
+                table([one.voltages_v[1:-1] for one in each], np.inf),
+                "Upper end of each line [V]: input, line.",
+            ),
+            Table("line_slope", table([one.slopes for one in each], 1.0), "Its slope: input, line."),
+            Table("line_start", table([one.intercepts for one in each], 0.0), "Its value at 0 V [V]."),
+            Table("envelope_home", hysteresis.home_v, "Value of each envelope at the working point [V]."),
+            Table("envelope_zero", hysteresis.working_point_v, "Working point of each envelope [V]."),
+        ),
+    )
 
 
 @c_block_of.register

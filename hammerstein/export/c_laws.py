@@ -11,6 +11,7 @@ from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
 from hammerstein.compensators.exact import kernel as exact_kernel, piece_kernels as pieces
+from hammerstein.compensators.exact.generalised import GeneralisedInverseLaw
 from hammerstein.compensators.exact.inverse import ExactInverseLaw, StaticInverse, Tables
 from hammerstein.compensators.exact.rate_dependent import RateDependentInverseLaw
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
@@ -18,7 +19,15 @@ from hammerstein.compensators.kernels import STILL_V
 from hammerstein.compensators.no_compensation import NoCompensationLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.errors import InputError
-from hammerstein.export.c_blocks import CPart, Size, Table, c_block_of, c_moving_block_of, linear_part
+from hammerstein.export.c_blocks import (
+    CPart,
+    Size,
+    Table,
+    c_block_of,
+    c_moving_block_of,
+    envelopes_part,
+    linear_part,
+)
 from hammerstein.export.forward import ForwardModel
 from hammerstein.hysteresis.asymmetric import ZoneLines
 
@@ -108,6 +117,7 @@ def _(law: DecoupledInverseLaw) -> CPart:
 
 
 @c_law_of.register(ExactInverseLaw)
+@c_law_of.register(GeneralisedInverseLaw)
 @c_law_of.register(RateDependentInverseLaw)
 def _(law: StaticInverse[Any]) -> CPart:
     return c_inverse_of(law, law.rest()) + _range(law.range) + _origin(law.origin_um)
@@ -176,6 +186,26 @@ def _(law: RateDependentInverseLaw, start: Any) -> CPart:
         },
     )
     return c_block_of(law.hysteresis, start.model) + own
+
+
+@c_inverse_of.register
+def _(law: GeneralisedInverseLaw, start: Any) -> CPart:
+    """The walk of the plays, then the inverse of the envelopes."""
+    envelopes, (low, high), within = envelopes_part(law.hysteresis), law.range.counted, law.plays.range
+    values = np.full((law.n_inputs, envelopes.sizes[0].value), np.inf)
+    for out, one in zip(values, law.hysteresis.envelopes, strict=True):
+        out[: len(one.values_v) - 2] = one.values_v[1:-1]
+    own = CPart(
+        tables=(
+            Table("value_end", values, "Value of each line at its upper end [V]: input, line."),
+            Table("seen_lowest", within.low_v, "What the plays see at the lowest voltage [V]."),
+            Table("seen_highest", within.high_v, "The same at the highest [V]."),
+            Table("drive_lowest", low, "Lowest voltage, counted from the working point [V]."),
+            Table("drive_highest", high, "Highest voltage, counted from the working point [V]."),
+        ),
+        values={"inverse": "envelope_walk"},
+    )
+    return c_inverse_of(law.plays, start) + envelopes + own
 
 
 def _walk_tables(design: Tables, m: int) -> tuple[Table, ...]:

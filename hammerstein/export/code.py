@@ -30,7 +30,8 @@ from hammerstein.export.request import MODEL, Request
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V
 
-INWARDS = {"low": 1.0, "lowest_v": 1.0, "high": -1.0, "highest_v": -1.0}
+LOWEST, HIGHEST = ("low", "lowest_v", "drive_lowest"), ("high", "highest_v", "drive_highest")
+INWARDS = dict.fromkeys(LOWEST, 1.0) | dict.fromkeys(HIGHEST, -1.0)
 """Ends of the range: in single precision they are rounded to its inside."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +14,11 @@ from hammerstein.hysteresis.pair import Pair
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
+    from hammerstein.hysteresis.kind import Hysteresis
+
+
+HARMONIC_SAMPLES = 8192
+"""Samples of a cycle from which a first harmonic is taken; its error falls with their square."""
 
 
 def describing_function(pair: Pair, amplitude_v: ArrayLike, range_v: float = np.inf) -> Complex:
@@ -75,22 +80,49 @@ def _share(x: Array) -> Array:
     return np.asarray(2.0 / np.pi * (np.arcsin(within) + within * np.sqrt(1.0 - within**2)))
 
 
-def nonlinearity_of(pair: Pair, respond: Callable[[float], float], range_v: float) -> HysteresisNonlinearity:
-    """Give one pair behind a drive for python-control; see ``PrandtlIshlinskii.to_describing_function``.
+def first_harmonic(hysteresis: Hysteresis[Any], amplitude_v: float, range_v: float = np.inf) -> complex:
+    """Gain of the first harmonic [um/V] of the settled loop of a block of one pair, from its samples.
 
-    respond : from the next voltage [V] to the position [um]; it remembers those before
+    For a kind that wipes out: the second cycle of a sine, cut at the range, is settled.
+
+    amplitude_v : amplitude of the sine asked for, about the working point [V]
+    range_v : range of the drive, the same on both sides [V]
+    """
+    angle = 2.0 * np.pi * np.arange(2 * HARMONIC_SAMPLES) / HARMONIC_SAMPLES
+    u = np.clip(amplitude_v * np.sin(angle), -range_v, range_v)
+    settled = hysteresis.respond(u[None])[0][0, HARMONIC_SAMPLES:]
+    return complex(2j * np.mean(settled * np.exp(-1j * angle[HARMONIC_SAMPLES:])) / amplitude_v)
+
+
+def nonlinearity_of(
+    hysteresis: Hysteresis[Any],
+    of_amplitude: Callable[[float], complex],
+    thresholds_v: Array,
+    range_v: float,
+) -> HysteresisNonlinearity:
+    """Give a block of one pair behind a drive for python-control.
+
+    of_amplitude : its describing function behind that drive
+    thresholds_v : voltages by which a way must reverse until its operators move, sorted [V]
+
+    Raises InputError for more than one input or output, or a range within which no operator moves.
     """
     from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
 
-    smallest, largest = float(pair.thresholds_v[0]), float(pair.thresholds_v[-1])
+    if (hysteresis.n_outputs, hysteresis.n_inputs) != (1, 1):
+        axes = f"{hysteresis.n_inputs} inputs and {hysteresis.n_outputs} outputs"
+        raise InputError(
+            "describing function", f"is that of one pair; the block has {axes}: give one pair of it"
+        )
+    state: Any = hysteresis.rest()
+    smallest, largest = float(thresholds_v[0]), float(thresholds_v[-1])
     if not range_v > smallest:
         raise InputError("range_v", f"is {range_v:g}: nothing moves up to {smallest:g} V")
 
     def move(u_v: float) -> float:
-        return respond(min(max(u_v, -range_v), range_v))
-
-    def of_amplitude(amplitude_v: float) -> complex:
-        return complex(describing_function(pair, amplitude_v, range_v))
+        nonlocal state
+        v_um, state = hysteresis.step([min(max(u_v, -range_v), range_v)], state)
+        return float(v_um[0])
 
     scale = max(largest, 1.0) if np.isinf(range_v) else range_v
     return HysteresisNonlinearity(of_amplitude, move, (smallest or 1e-3 * scale, 100.0 * scale))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,12 +14,16 @@ from pydantic import Field
 from hammerstein.arrays import Array, ByValue, freeze_fields, frozen
 from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.bank import PlayState
+from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import Pair, WeightCovariance
 from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, PartFile, covariances
 from hammerstein.hysteresis.prandtl_ishlinskii import LEAST_ENGAGED, PrandtlIshlinskii
 from hammerstein.quantities import Offset, PerVolt
+
+if TYPE_CHECKING:
+    from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
 
 FIRST_KNOTS = (0.25, 0.5, 0.75)
 """Where the slope of the first envelopes changes, in parts of the range."""
@@ -379,6 +383,22 @@ class Generalised(Hysteresis[PlayState], Identifiable):
             least, most = one.all_slopes.min(), one.all_slopes.max()
             found.append(f"plays of {name} see an envelope of slopes {least:.3g} to {most:.3g}")
         return found
+
+    def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
+        """Give a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
+
+        Sines go about the working point; the first harmonic is that of the samples of the settled loop.
+
+        range_v : range of the drive, the same on both sides of the working point [V]; inf: none
+
+        Raises InputError for more than one input or output, or a range within which nothing moves.
+        """
+
+        def of_amplitude(amplitude_v: float) -> complex:
+            return first_harmonic(self, amplitude_v, range_v)
+
+        soonest = self.plays.pairs[0][0].thresholds_v / self.envelopes[0].all_slopes.max()
+        return nonlinearity_of(self, of_amplitude, soonest, range_v)
 
     def file(self) -> GeneralisedFile:
         """Give its form in a model file."""

@@ -15,7 +15,7 @@ from hammerstein.arrays import Array, frozen
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.covariance import ThresholdCovariance, refuse_other_sizes
-from hammerstein.hysteresis.describing_function import nonlinearity_of
+from hammerstein.hysteresis.describing_function import describing_function, nonlinearity_of
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, Normals, refuse_not_finite
 from hammerstein.hysteresis.pair import Pair, WeightCovariance, play, played
@@ -308,19 +308,12 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
         ------
         InputError : more than one input or output, or a range within which no operator moves
         """
-        if (self.n_outputs, self.n_inputs) != (1, 1):
-            axes = f"{self.n_inputs} inputs and {self.n_outputs} outputs"
-            raise InputError(
-                "describing function", f"is that of one pair; the block has {axes}: give one pair of it"
-            )
-        state = self.rest()
+        pair = self.pairs[0][0]
 
-        def respond(u_v: float) -> float:
-            nonlocal state
-            v_um, state = self.step([u_v], state)
-            return float(v_um[0])
+        def of_amplitude(amplitude_v: float) -> complex:
+            return complex(describing_function(pair, amplitude_v, range_v))
 
-        return nonlinearity_of(self.pairs[0][0], respond, range_v)
+        return nonlinearity_of(self, of_amplitude, pair.thresholds_v, range_v)
 
 
 def _named_pair(r: Array, w: Array, output: int, input_: int) -> Pair:
