@@ -127,6 +127,16 @@ def identify(
     dead_zones: Annotated[
         int | None, typer.Option(help="Of each input, with asymmetric; found if not given.")
     ] = None,
+    hysteresis_in_loop: Annotated[
+        bool,
+        typer.Option(
+            "--hysteresis-in-loop",
+            help="Plays in the loop of a state space, for resonances that move with the amplitude.",
+        ),
+    ] = False,
+    minutes: Annotated[
+        float, typer.Option(min=0.1, max=1440.0, help="Time for --hysteresis-in-loop.")
+    ] = 60.0,
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where the model goes.")] = Path("model.json"),
     report: Annotated[
         Path | None,
@@ -139,6 +149,7 @@ def identify(
     """Identify a model from measured records, and say how far it can be trusted."""
     from hammerstein.commands.tables import gains_table, kept_aside
     from hammerstein.compiled import announce_compiling
+    from hammerstein.errors import InputError
     from hammerstein.escaping import one_line
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.identify import identify as identify_model
@@ -147,6 +158,13 @@ def identify(
     from hammerstein.reporting.fit_page import fit_json
     from hammerstein.runtime.storage.staging import prepare
 
+    if hysteresis_in_loop:
+        refuse_output(out, recorded.files, MODEL, overwrite)
+        if held.validate:
+            what = "cannot be had with --hysteresis-in-loop, which holds back a third of the records itself"
+            raise InputError("--validate", what)
+        _identify_in_loop(recorded, identified.order, minutes, out, as_json)
+        return
     settings = identified.settings(hysteresis=hysteresis, dead_zones=dead_zones)
     refuse_output(out, [*recorded.files, *(held.validate or [])], MODEL, overwrite)
     held.refuse_fitted(recorded.files)
@@ -172,6 +190,36 @@ def identify(
     show(gains_table(gains))
     _show_fit(fit)
     tell(f"model in {out}, fit report in {folder}")
+
+
+def _identify_in_loop(
+    recorded: RecordFiles, order: int | None, minutes: float, out: Path, as_json: bool
+) -> None:
+    """Identify hysteresis in the loop; what is found so far is kept beside the model until that is there."""
+    from hammerstein.compiled import announce_compiling
+    from hammerstein.escaping import one_line
+    from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
+    from hammerstein.quantities import LONGEST_NAME
+
+    announce_compiling(complain)
+    records = recorded.read()
+    recorded.gains(records)
+    kept = out.with_name(f"{out.stem}.search.json")
+    with Spinner(f"searching; {kept} keeps what is found, and the same command goes on from it") as spinner:
+        model, fit = identify_in_loop(
+            records,
+            LoopSettings(order, minutes),
+            name=one_line(out.stem)[:LONGEST_NAME],
+            kept=kept,
+            progress=spinner.tell,
+        )
+    model.save(out)
+    kept.unlink(missing_ok=True)
+    if as_json:
+        tell_json({"model": str(out), "held_um": fit.held_um, "linear_um": fit.linear_um})
+        return
+    tell(fit.statement())
+    tell(f"model in {out}")
 
 
 def _show_fit(fit: Fit) -> None:

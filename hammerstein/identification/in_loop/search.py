@@ -104,7 +104,8 @@ class Search:
             return list(pool.map(of, periods))
 
     def _cost(self, found: LoopParameters, errors: Sequence[Array], scale: float) -> float:
-        total = sum(float((e * e).sum()) for e in errors)
+        with np.errstate(all="ignore"):  # of a trial that diverged
+            total = sum(float((e * e).sum()) for e in errors)
         return (
             total + float(((scale * found.fastest(self.margin)[0]) ** 2).sum())
             if np.isfinite(total)

@@ -1,0 +1,283 @@
+"""From records to a model with hysteresis inside its loop, judged on what it has not seen."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hammerstein.arrays import Array
+from hammerstein.dynamics import LinearBlock
+from hammerstein.errors import IdentificationError, InputError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.identification.identify import from_last_rest
+from hammerstein.identification.in_loop.parameters import LoopParameters
+from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
+from hammerstein.identification.in_loop.start import linear_start, with_band, with_products
+from hammerstein.identification.linear.coupled import measured_response
+from hammerstein.identification.linear.state_space import fit_state_space
+from hammerstein.model import HammersteinModel
+from hammerstein.records.record import Record
+from hammerstein.runtime.one_thread import one_blas_thread
+
+STATES = 6
+"""Of each output, where no order is given."""
+HELD = 3
+"""One of so many experiments is held back while the structure is chosen."""
+FEWEST = 3
+"""Experiments that this takes."""
+PATIENCE = 4
+"""Steps in a row after which a search ends that lowers the error of what is held back no more."""
+GAINED = 0.99
+"""Part of the error held back that must be left, or more paths are not worth their numbers."""
+SETTLED = 1e-4
+"""Part of a transient that may be left of the period before."""
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """How hysteresis in a loop is identified.
+
+    order : states of the linear block, even; found from the number of outputs if not given
+    minutes : after which the best model found is given
+    """
+
+    order: int | None = None
+    minutes: float = 60.0
+
+
+@dataclass(frozen=True, eq=False)
+class LoopFit:
+    """What was found: numbers, steps of the last search, and errors of what was held back [um]."""
+
+    found: LoopParameters
+    held_um: float
+    linear_um: float
+    steps: int
+
+    def statement(self) -> str:
+        """Say how good it is, and against which rival."""
+        h, plays = self.found.r.shape
+        return (
+            f"order {len(self.found.B)}, {h} paths of {plays} plays, {self.found.K.shape[1]} products: "
+            f"{self.held_um:.4g} um rms of experiments held back; linear dynamics {self.linear_um:.4g} um"
+        )
+
+
+@one_blas_thread()
+def identify_in_loop(
+    records: Sequence[Record],
+    settings: LoopSettings | None = None,
+    *,
+    name: str = "identified",
+    kept: Path | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> tuple[HammersteinModel, LoopFit]:
+    """Identify a model with plays and products inside its loop from the simulated output.
+
+    Linear dynamics of the records are the start. Plays, then more paths for the upper and the lower modes,
+    then products of z are tried on two thirds of the experiments, and kept where they lower the error of the
+    third. The number of steps is chosen there, too. Then all experiments are fitted with what was chosen.
+
+    Parameters
+    ----------
+    records : experiments at several amplitudes, on one sample time
+    kept : file of the numbers found so far, written after every step; a search goes on from it
+
+    Raises
+    ------
+    IdentificationError : too few experiments, or linear dynamics are as good on what was held back
+    InputError : records of several sample times, or a file of other records
+    """
+    asked, ready = settings or LoopSettings(), from_last_rest(records)
+    _refuse(ready)
+    work = _Work(asked, time.monotonic() + 60.0 * asked.minutes, kept, _digest(ready), progress)
+    with ThreadPoolExecutor(2) as pool:
+        fit = work.resumed(ready, pool) if kept is not None and kept.is_file() else work.chosen(ready, pool)
+    if not fit.held_um < fit.linear_um:
+        raise IdentificationError(
+            f"hysteresis in the loop leaves {fit.held_um:.4g} um of what is held back, linear dynamics "
+            f"alone {fit.linear_um:.4g} um: it is worth nothing here. Identify without --hysteresis-in-loop"
+        )
+    return _model(fit.found, ready[0], name, max(float(np.abs(r.u_v).max()) for r in ready)), fit
+
+
+@dataclass(frozen=True)
+class _Work:
+    settings: LoopSettings
+    end_s: float
+    kept: Path | None
+    digest: str
+    tell: Callable[[str], None]
+
+    def chosen(self, records: Sequence[Record], pool: Executor) -> LoopFit:
+        """Choose structure and steps on a third of the experiments, and fit all of them."""
+        self.tell("fitting linear dynamics")
+        block = _linear(records, self.settings.order)
+        periods = _periods(records, block)
+        seen = [p for k, p in enumerate(periods) if k % HELD != HELD - 1]
+        held = [p for k, p in enumerate(periods) if k % HELD == HELD - 1]
+        best = LoopFit(linear_start(block, seen), np.inf, _linear_rms(block, held), 0)
+        middle = float(np.median(np.abs(np.angle(np.linalg.eigvals(block.A)))))
+        for grow in (lambda p: p, _band(middle, np.pi, seen), _band(0.0, middle, seen), with_products):
+            begun = grow(best.found)
+            if begun is None or time.monotonic() > self.end_s - 30.0 * self.settings.minutes:
+                continue
+            trial = self._tried(begun, best, seen, held, pool)
+            best = trial if trial.held_um < GAINED * best.held_um else best
+        return self._all(best, periods, pool)
+
+    def _tried(
+        self,
+        begun: LoopParameters,
+        best: LoopFit,
+        seen: Sequence[SettledPeriod],
+        held: Sequence[SettledPeriod],
+        pool: Executor,
+    ) -> LoopFit:
+        """Search until the error held back falls no more."""
+        trial = replace(best, found=begun, held_um=np.inf)
+
+        def tell(progress: Progress) -> None:
+            nonlocal trial
+            now = _rms(progress.found, held, pool)
+            self.tell(f"{len(begun.r)} paths, step {progress.step}: {now:.4g} um of what is held back")
+            if now < trial.held_um:
+                trial = LoopFit(progress.found, now, best.linear_um, progress.step + 1)
+                if now < GAINED * best.held_um:
+                    self._keep(trial)
+            late = time.monotonic() > self.end_s - 30.0 * self.settings.minutes
+            if late or progress.step + 1 - trial.steps >= PATIENCE:
+                raise StopIteration
+
+        self._run(begun, seen, pool, tell, Search())
+        return trial
+
+    def _all(self, best: LoopFit, periods: Sequence[SettledPeriod], pool: Executor) -> LoopFit:
+        """Fit all experiments with the structure chosen, by as many steps."""
+        found = best.found
+
+        def tell(progress: Progress) -> None:
+            nonlocal found
+            found = progress.found
+            self._keep(replace(best, found=found, steps=best.steps - progress.step - 1))
+            left = float(np.sqrt(np.mean(progress.rms**2)))
+            self.tell(f"all experiments, step {progress.step + 1} of {best.steps}: {left:.4g} um")
+            if time.monotonic() > self.end_s:
+                raise StopIteration
+
+        self._keep(best)
+        self._run(found, periods, pool, tell, Search(steps=best.steps))
+        return replace(best, found=found)
+
+    def resumed(self, records: Sequence[Record], pool: Executor) -> LoopFit:
+        """Go on with the file of an interrupted search."""
+        assert self.kept is not None
+        found = LoopParameters.load(self.kept)
+        more = json.loads(self.kept.read_text(encoding="utf-8")).get("search", {})
+        if more.get("of") != self.digest:
+            raise InputError(str(self.kept), "is the search of other records; remove it to begin anew")
+        self.tell("going on with the search that was interrupted")
+        periods = _periods(records, _linear(records, len(found.B)))
+        return self._all(LoopFit(found, more["held_um"], more["linear_um"], more["steps"]), periods, pool)
+
+    def _keep(self, fit: LoopFit) -> None:
+        if self.kept is not None:
+            more = {"of": self.digest, "held_um": fit.held_um, "linear_um": fit.linear_um, "steps": fit.steps}
+            fit.found.save(self.kept, more)
+
+    @staticmethod
+    def _run(
+        begun: LoopParameters,
+        periods: Sequence[SettledPeriod],
+        pool: Executor,
+        tell: Callable[[Progress], None],
+        search: Search,
+    ) -> None:
+        try:
+            search.run(begun, periods, pool, tell)
+        except StopIteration:
+            return
+
+
+def _band(
+    low: float, high: float, periods: Sequence[SettledPeriod]
+) -> Callable[[LoopParameters], LoopParameters | None]:
+    return lambda found: with_band(found, low, high, periods)
+
+
+def _refuse(records: Sequence[Record]) -> None:
+    if len(records) < FEWEST:
+        raise IdentificationError(
+            f"hysteresis in the loop takes {FEWEST} experiments, for some are held back; there "
+            f"{'is' if len(records) == 1 else 'are'} {len(records)}. Record more, at several amplitudes"
+        )
+    if len({record.sample_time_s for record in records}) > 1:
+        raise InputError("records", "have several sample times; resample them to one")
+
+
+def _linear(records: Sequence[Record], order: int | None) -> LinearBlock:
+    """State space of all experiments, of an even order."""
+    states = order or STATES * len(records[0].y_um)
+    return fit_state_space(measured_response(records), states + states % 2)
+
+
+def _periods(records: Sequence[Record], block: LinearBlock) -> list[SettledPeriod]:
+    """Settled periods, or whole records that began at rest, without the offsets of their readings."""
+    slowest = float(np.abs(np.linalg.eigvals(block.A)).max())
+    ring = int(np.ceil(np.log(SETTLED) / np.log(min(slowest, 1.0 - 1e-6))))
+    found = []
+    for record in records:
+        n = record.period_samples
+        u, y, warm = record.u_v, record.y_um, 0
+        if n and record.samples >= n:
+            count = record.samples // n
+            first = record.samples - max(count - 1, 1) * n
+            u = record.u_v[:, -n:]
+            y = record.y_um[:, first:].reshape(len(y), -1, n).mean(axis=1)
+            warm = min(ring, n)
+        linear = block.respond(np.hstack([u[:, len(u.T) - warm :], u]))[0][:, warm:]
+        offset = (y - linear).mean(axis=1, keepdims=True)
+        found.append(SettledPeriod(np.ascontiguousarray(u), np.ascontiguousarray(y - offset), 1.0, warm))
+    return found
+
+
+def _linear_rms(block: LinearBlock, held: Sequence[SettledPeriod]) -> float:
+    errors = [
+        p.y - block.respond(np.hstack([p.u[:, len(p.u.T) - p.warm :], p.u]))[0][:, p.warm :] for p in held
+    ]
+    return _of(errors)
+
+
+def _rms(found: LoopParameters, periods: Sequence[SettledPeriod], pool: Executor) -> float:
+    with np.errstate(all="ignore"):
+        return _of(list(pool.map(lambda p: p.y - found.simulate(p.u, p.warm), periods)))
+
+
+def _of(errors: Sequence[Array]) -> float:
+    return float(np.sqrt(np.mean([np.mean(e * e) for e in errors])))
+
+
+def _digest(records: Sequence[Record]) -> str:
+    told = hashlib.sha256()
+    for record in records:
+        told.update(record.u_v.tobytes() + record.y_um.tobytes())
+    return told.hexdigest()[:16]
+
+
+def _model(found: LoopParameters, record: Record, name: str, amplitude_v: float) -> HammersteinModel:
+    """Model file of the numbers; nothing is in front of the loop."""
+    m, p = len(record.u_v), len(record.y_um)
+    if m != p:
+        raise InputError("records", f"have {m} inputs and {p} outputs; a loop takes as many of both")
+    zero, one = (Pair(np.zeros(1), np.array([w])) for w in (0.0, 1.0))
+    straight = PrandtlIshlinskii(tuple(tuple(one if i == k else zero for k in range(m)) for i in range(p)))
+    return HammersteinModel(
+        name, straight, found.dynamics(record.sample_time_s), amplitude_v, record.inputs, record.outputs
+    )

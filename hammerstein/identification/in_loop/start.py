@@ -1,0 +1,123 @@
+"""Where a search for plays in a loop begins: linear dynamics of the records, and plays of what they move."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hammerstein.arrays import Array
+from hammerstein.dynamics import LinearBlock
+from hammerstein.hysteresis import play
+from hammerstein.identification.in_loop.parameters import LoopParameters
+from hammerstein.identification.in_loop.search import SettledPeriod
+
+THRESHOLDS = (0.1, 0.3, 0.8, 1.8)
+"""Of the plays of a path at first, as parts of the rms of its z where that is largest."""
+BEYOND = 1.2
+"""Limit of a z in products, as a part of the largest one."""
+
+
+def linear_start(block: LinearBlock, periods: Sequence[SettledPeriod]) -> LoopParameters:
+    """Numbers that do what a linear block does, with a path of plays for each input that do nothing yet.
+
+    The z of a path is the position in the coordinates of the inputs: there the charge of a stack is, but for
+    its scale. Its hysteresis pushes as the input does; how much is left to the search.
+    """
+    to_blocks = _coordinates(block.A)
+    a = np.linalg.solve(to_blocks, block.A @ to_blocks)
+    b, c = np.linalg.solve(to_blocks, block.B), block.C @ to_blocks
+    back = np.linalg.pinv(block.response(0.0)[0].real)
+    pairs = [a[k : k + 2, k : k + 2] for k in range(0, len(a), 2)]
+    h, m = 0, b.shape[1]
+    none = LoopParameters(
+        np.array(pairs),
+        b,
+        c,
+        block.D,
+        E=np.zeros((len(a), h)),
+        F=np.zeros((h, len(a))),
+        G=np.zeros((h, m)),
+        c=np.zeros((h, len(THRESHOLDS))),
+        K=np.zeros((h, 0)),
+        r=np.zeros((h, len(THRESHOLDS))),
+        beta=np.zeros((h, len(THRESHOLDS))),
+        limit=np.ones(h),
+        factors=np.zeros((0, 3), dtype=np.int64),
+    )
+    return with_paths(none, b, back @ c, back @ block.D, periods)
+
+
+def with_paths(
+    found: LoopParameters, e: Array, f: Array, g: Array, periods: Sequence[SettledPeriod]
+) -> LoopParameters:
+    """Numbers with more paths, whose weights are 0; their z are scaled to an rms of 1.
+
+    e : (n, more); f : (more, n); g : (more, m)
+    """
+    z = _largest(found, f, g, periods)
+    size = z.std(axis=1)[:, None] + 1e-300
+    z, grid = z / size, np.array(THRESHOLDS)
+    plays = np.stack([play(row, grid)[:, len(row) // 2 :] for row in np.hstack([z, z])])
+    late = np.hstack([z, z])[:, None, z.shape[1] :]
+    beta = (plays * late).sum(axis=2) / (late * late).sum(axis=2)
+    h = len(found.r)
+    factors = np.where(found.factors == h, h + len(e.T), found.factors)
+    return replace(
+        found,
+        E=np.hstack([found.E, e]),
+        F=np.vstack([found.F, f / size]),
+        G=np.vstack([found.G, g / size]),
+        c=np.vstack([found.c, np.zeros(beta.shape)]),
+        K=np.vstack([found.K, np.zeros((len(beta), found.K.shape[1]))]),
+        r=np.vstack([found.r, np.tile(grid, (len(beta), 1))]),
+        beta=np.vstack([found.beta, beta]),
+        limit=np.concatenate([found.limit, BEYOND * np.abs(z).max(axis=1)]),
+        factors=factors,
+    )
+
+
+def with_band(
+    found: LoopParameters, low: float, high: float, periods: Sequence[SettledPeriod]
+) -> LoopParameters | None:
+    """Numbers with a path more for each input, that sees and drives the modes of a band alone [rad/sample].
+
+    None where the band holds no mode.
+    """
+    angles = np.array([np.abs(np.angle(np.linalg.eigvals(block))).max() for block in found.A])
+    within = np.repeat((angles >= low) & (angles < high), 2)
+    if not within.any():
+        return None
+    m = found.B.shape[1]
+    return with_paths(found, found.B * within[:, None], found.F[:m] * within, np.zeros((m, m)), periods)
+
+
+def with_products(found: LoopParameters) -> LoopParameters:
+    """Numbers with all products of two and three z of the first paths, of weight 0."""
+    m, h = found.B.shape[1], len(found.r)
+    several = [itertools.combinations_with_replacement(range(m), count) for count in (2, 3)]
+    rows = [[*some, *[h] * (3 - len(some))] for each in several for some in each]
+    return replace(found, factors=np.array(rows, dtype=np.int64), K=np.zeros((h, len(rows))))
+
+
+def _largest(found: LoopParameters, f: Array, g: Array, periods: Sequence[SettledPeriod]) -> Array:
+    """Signals z (more, sample) of the period that moves most."""
+    period = max(periods, key=lambda one: float(np.var(one.y)))
+    path, _ = found.path(period.u, period.warm)
+    return np.asarray(f @ path[period.warm :, : len(found.B)].T + g @ period.u)
+
+
+def _coordinates(a: Array) -> Array:
+    """Real coordinates in which a matrix has blocks of two rows: a pair of poles, or two real ones."""
+    poles, vectors = np.linalg.eig(a)
+    real = np.flatnonzero(np.abs(poles.imag) <= 1e-12 * np.abs(poles))
+    pairs = [
+        part for i in np.flatnonzero(poles.imag > 1e-12 * np.abs(poles)) for part in _parts(vectors[:, i])
+    ]
+    return np.array([*pairs, *(vectors[:, i].real for i in real)]).T
+
+
+def _parts(vector: np.ndarray[tuple[int, ...], np.dtype[np.complex128]]) -> tuple[Array, Array]:
+    return vector.real, vector.imag

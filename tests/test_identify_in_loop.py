@@ -1,0 +1,128 @@
+"""From records to hysteresis in the loop: the command, its rival, its resumption and what it refuses."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from hammerstein import HammersteinModel
+from hammerstein.commands.cli import app
+from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, on_grid
+from hammerstein.errors import IdentificationError, InputError
+from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
+from hammerstein.records.record import Record
+
+TIME_S, SAMPLES = 1e-4, 1024
+LEVELS_V = (3.0, 6.0, 12.0)
+SHORT = LoopSettings(order=4, minutes=5.0)
+
+
+def stack(soft=1.0):
+    """One axis of 400 Hz whose stops take ten percent of the voltage or so."""
+    slips = tuple(
+        ElastoSlip(stiffness_v_per_uc=0.1 * soft * k, threshold_uc=3.0 * r)
+        for k, r in ((3, 0.3), (2, 1), (1, 4))
+    )
+    numbers = {"mass_kg": 0.5, "stiffness_n_per_um": 3.16, "damping_ns_per_m": 120.0}
+    axis = StackAxis(**numbers, capacitance_uf=2.0, force_n_per_v=1.2, stops=slips)
+    return on_grid(ElectromechanicalDynamics(axes=(axis,)), TIME_S)
+
+
+def multisine(seed, amplitude):
+    lines = np.zeros((1, SAMPLES // 2 + 1), dtype=complex)
+    lines[:, 1:110] = np.exp(2j * np.pi * np.random.default_rng(seed).uniform(size=(1, 109)))
+    u = np.fft.irfft(lines)
+    return amplitude * u / u.std()
+
+
+def settled(block, u):
+    return block.respond(np.hstack([u, u, u]))[0][:, -SAMPLES:]
+
+
+def records(block=None, count=6):
+    """Two settled periods of each experiment, with half a percent of noise."""
+    block, found = block or stack(), []
+    for k in range(count):
+        u = multisine(k, LEVELS_V[k % 3])
+        y = np.tile(settled(block, u), 2)
+        y = y + 0.005 * y.std() * np.random.default_rng(100 + k).normal(size=y.shape)
+        found.append(Record(np.tile(u, 2), y, TIME_S, source=f"record {k}", period_samples=SAMPLES))
+    return found
+
+
+def test_what_is_found_holds_between_the_amplitudes_of_the_records():
+    """At 9 V, which no record has: a tenth of what the best linear model leaves on what was held back."""
+    truth = stack()
+    model, fit = identify_in_loop(records(truth), SHORT)
+    assert fit.held_um < 0.3 * fit.linear_um
+    u = multisine(50, 9.0)
+    expected = settled(truth, u)
+    found = model.simulate(np.tile(u, 3), TIME_S).position_um[:, -SAMPLES:]
+    assert (found - expected).std() < 0.02 * expected.std()
+    assert model.dynamics.instability() == ""
+
+
+def test_linear_records_keep_the_linear_model():
+    """Stops that never slip, and take nearly nothing: a loop has nothing to tell."""
+    with pytest.raises(IdentificationError, match="worth nothing here"):
+        identify_in_loop(records(stack(1e-9)), SHORT)
+
+
+def test_an_interrupted_search_goes_on_where_it_was(tmp_path):
+    kept, here = tmp_path / "search.json", records()
+
+    def interrupted(text):
+        if text.startswith("all experiments, step 1 "):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        identify_in_loop(here, SHORT, kept=kept, progress=interrupted)
+    left = json.loads(kept.read_text())["search"]["steps"]
+    told = []
+    _, fit = identify_in_loop(here, SHORT, kept=kept, progress=told.append)
+    assert told[0] == "going on with the search that was interrupted"
+    assert sum(text.startswith("all experiments") for text in told) <= left
+    assert fit.held_um < 0.3 * fit.linear_um
+    with pytest.raises(InputError, match="search of other records"):
+        identify_in_loop([replace(r, y_um=2.0 * r.y_um) for r in here], SHORT, kept=kept)
+
+
+def test_too_few_experiments_are_refused():
+    with pytest.raises(IdentificationError, match="there are 2"):
+        identify_in_loop(records(count=2), SHORT)
+
+
+@pytest.fixture
+def arrays(tmp_path):
+    here = records()
+    shape = (len(here), 1, 2, SAMPLES)
+    places = SimpleNamespace(u=tmp_path / "u.npy", y=tmp_path / "y.npy", out=tmp_path / "m.json")
+    np.save(places.u, np.array([r.u_v for r in here]).reshape(shape))
+    np.save(places.y, np.array([r.y_um for r in here]).reshape(shape))
+    return places
+
+
+def test_the_command_writes_a_model_and_no_search(arrays):
+    words = ["identify", str(arrays.u), str(arrays.y), "--axes", "experiment,channel,period,sample"]
+    words += [
+        "--rate",
+        "10000",
+        "--hysteresis-in-loop",
+        "--order",
+        "4",
+        "--minutes",
+        "5",
+        "--out",
+        str(arrays.out),
+    ]
+    done = CliRunner().invoke(app, [*words, "--validate", str(arrays.u)])
+    assert done.exit_code != 0
+    assert not arrays.out.exists()
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert "linear dynamics" in done.output
+    assert HammersteinModel.load(arrays.out).dynamics.kind == "feedback_hysteresis"
+    assert not list(arrays.out.parent.glob("*.search.json"))
