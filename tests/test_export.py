@@ -14,6 +14,7 @@ from export_cases import CASES, NAMES, case
 from hypothesis import HealthCheck, given, settings, strategies as st, target
 
 from hammerstein.commands.cli import main
+from hammerstein.dynamics.linear_block import LinearBlock
 from hammerstein.errors import InputError, InternalError, SimulationError, ToleranceError
 from hammerstein.export.code import CCode
 from hammerstein.export.compiling import FLAGS, compiler
@@ -397,3 +398,37 @@ def test_a_law_that_takes_the_dynamics_for_none_says_what_that_leaves(law, model
             r, zeta = hertz / 280.0, loaded.dynamics.axes[0].damping_ratio
             lag = abs(np.exp(-0.5j * 2 * np.pi * hertz * 50e-6) / (1.0 - r**2 + 2j * zeta * r) - 1.0)
             assert lag == pytest.approx(share, rel=0.3)
+
+
+def test_a_full_temporary_folder_is_no_fault_of_the_code(tmp_path, monkeypatch, capsys):
+    """A compiler that says what gcc says on a full disk; its words do not depend on the language."""
+    full = tmp_path / "cc"
+    full.write_text('#!/bin/sh\necho "law.c: fatal error: $LC_ALL: No space left on device" >&2\nexit 1\n')
+    full.chmod(0o755)
+    monkeypatch.setenv("CC", str(full))
+    monkeypatch.setenv("LC_ALL", "de_DE")
+    with pytest.raises(SystemExit) as ended:
+        main(["export", "duo_bimorph_static", "--law", "exact_inverse", "--out", str(tmp_path / "code")])
+    assert ended.value.code == 2
+    assert "is full" in capsys.readouterr().err
+    assert not (tmp_path / "code").exists()
+
+
+def test_an_export_that_says_nothing_of_what_single_precision_loses_is_refused(tmp_path, capsys):
+    request, model = request_of("duo_bimorph_static", "exact_inverse", 5e-5)
+    write_export(request, model, tmp_path / "code")
+    place = tmp_path / "code" / REQUEST_FILE
+    content = json.loads(place.read_text())
+    content["request"]["float32"] = True
+    place.write_text(json.dumps(content))
+    with pytest.raises(SystemExit) as ended:
+        main(["export", "--check", str(tmp_path / "code")])
+    assert ended.value.code == 2
+    assert "float32" in capsys.readouterr().err
+
+
+def test_dynamics_without_a_gain_at_rest_lag_without_bound():
+    """A washout passes no constant voltage: G(1) has no inverse."""
+    washout = LinearBlock([[0.9]], [[1.0]], [[-0.1]], [[1.0]], 5e-5)  # G(z) = (z - 1) / (z - 0.9)
+    assert washout.response([0.0])[0, 0, 0] == pytest.approx(0.0, abs=1e-12)
+    assert np.isinf(washout.lag([10.0, 100.0])).all()

@@ -160,7 +160,8 @@ def comparison_table(found: Comparison) -> Table:
     table = _table(f"Models compared: errors in % of the range, {RECOMMENDED} recommended", COMPARED)
     for entry in found.entries:
         marked = RECOMMENDED if entry.name == found.recommended else ""
-        table.add_row(marked, entry.name, *cells(entry))
+        times = (f"{entry.seconds:.2g}", f"{entry.ns_a_sample:.3g}")
+        table.add_row(marked, entry.name, *cells(entry), *times)
     return _narrow(table)
 
 

@@ -98,7 +98,7 @@ class Compared:
         return self.held_at or self.fitted_at
 
     def as_dict(self) -> dict[str, Any]:
-        """Give plain values for JSON."""
+        """Give plain values for JSON: all but the times, which no two runs share."""
         own = ("name", "hysteresis", "dynamics", "parameters", "as_good", "has_inverse", "inverse")
         plain: dict[str, Any] = {name: getattr(self, name) for name in own}
         plain["folds_percent"] = finite(self.folds_percent)
@@ -106,8 +106,7 @@ class Compared:
             score, at = getattr(self, name), getattr(self, f"{name}_at")
             plain[name] = None if score is None else _plain(score)
             plain[f"{name}_at"] = [{"frequency_hz": f, **_plain(one)} for f, one in at.items()]
-        measured = {"seconds": self.seconds, "ns_a_sample": self.ns_a_sample}
-        return plain | measured | {"left": asdict(self.left), "flags": list(self.flags)}
+        return plain | {"left": asdict(self.left), "flags": list(self.flags)}
 
 
 def _plain(score: Score) -> dict[str, Any]:
@@ -188,7 +187,7 @@ class Comparison:
         }
 
     def to_json(self) -> str:
-        """Text of ``compare.json``: full precision, sorted keys; times are of this machine."""
+        """Text of ``compare.json``: full precision, sorted keys."""
         return json.dumps(self.as_dict(), indent=1, sort_keys=True, allow_nan=False) + "\n"
 
     def to_frame(self) -> pd.DataFrame:

@@ -176,6 +176,8 @@ class LinearBlock(SteppedBlock, ByValue):
         The largest entry of |G(z) G(1)^-1 - 1| at z = exp(j 2 pi f T), of a block on a grid.
         """
         gain = self.response(np.concatenate([[0.0], np.atleast_1d(frequency_hz)]))
+        if np.linalg.matrix_rank(gain[0]) < len(gain[0]):
+            return np.full(len(gain) - 1, np.inf)  # at rest an axis stands still
         return np.asarray(np.abs(gain[1:] @ np.linalg.inv(gain[0]) - np.eye(len(gain[0]))).max(axis=(1, 2)))
 
     def rest(self) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import shutil
 import subprocess
@@ -119,12 +120,16 @@ def build(arguments: Sequence[str], flags: Sequence[str] = FLAGS, command: str |
 
     Raises
     ------
-    InputError : there is none
+    InputError : there is none, or its temporary folder is full
     InternalError : it refuses our code
     """
     command = command or compiler()
     if command is None:
         raise InputError("C compiler", "cc, gcc or clang is needed here; install one, or name it in CC")
-    done = subprocess.run([command, *flags, *arguments], capture_output=True, text=True, check=False)
+    line, english = [command, *flags, *arguments], {**os.environ, "LC_ALL": "C"}
+    done = subprocess.run(line, capture_output=True, text=True, check=False, env=english)
     if done.returncode != 0:
+        if os.strerror(errno.ENOSPC) in done.stderr:
+            folder = tempfile.gettempdir()
+            raise InputError(folder, f"is full: {command} cannot write there; make room, or set TMPDIR")
         raise InternalError(f"{command} refuses the exported code: {done.stderr.strip()[:2000]}")

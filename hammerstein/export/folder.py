@@ -6,10 +6,10 @@ import json
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import ValidationError, model_validator
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import column
@@ -38,6 +38,12 @@ class ExportFile(Strict):
 
     request: Request
     measured: MeasuredCode
+
+    @model_validator(mode="after")
+    def _loses_as_it_says(self) -> Self:
+        if self.request.float32 == (self.measured.loss_rms is None or self.measured.loss_max is None):
+            raise ValueError("measured has loss_rms and loss_max if request.float32 is true, else neither")
+        return self
 
 
 def files_of(code: CCode, measured: MeasuredCode | None = None) -> dict[str, str]:
