@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 CONTINUOUS = 0.0  # sample time [s] of a block in continuous time, as python-control writes it
 MOST_DELAY_STATES = 2000
+ROUNDING = 1e-12  # part of its largest gain below which a block passes nothing
 
 
 def low_pass(bandwidth_hz: float, n: int) -> LinearBlock:
@@ -176,7 +177,7 @@ class LinearBlock(SteppedBlock, ByValue):
         The largest entry of |G(z) G(1)^-1 - 1| at z = exp(j 2 pi f T), of a block on a grid.
         """
         gain = self.response(np.concatenate([[0.0], np.atleast_1d(frequency_hz)]))
-        if np.linalg.matrix_rank(gain[0]) < len(gain[0]):
+        if np.linalg.svd(gain[0], compute_uv=False).min() <= ROUNDING * np.abs(gain).max():
             return np.full(len(gain) - 1, np.inf)  # at rest an axis stands still
         return np.asarray(np.abs(gain[1:] @ np.linalg.inv(gain[0]) - np.eye(len(gain[0]))).max(axis=(1, 2)))
 
