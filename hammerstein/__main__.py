@@ -6,7 +6,7 @@ What must hold from the first line on is here, and nothing else is imported befo
 import os
 import sys
 
-from hammerstein.runtime.leaving import leave_on_interrupts
+from hammerstein.runtime.signals import leave_on_interrupts
 
 
 def main() -> None:

@@ -21,7 +21,7 @@ from hammerstein.export.compiling import FLAGS, compiler
 from hammerstein.export.folder import REQUEST_FILE, check_export, files_of, write_export
 from hammerstein.export.operations import Code
 from hammerstein.export.request import request_of
-from hammerstein.export.worst import dearest
+from hammerstein.export.worst_case_step import worst_case_step
 from hammerstein.hysteresis.busy_kernels import WINDOW
 
 MILLION = 1_000_000
@@ -156,7 +156,7 @@ def test_no_signal_costs_more_than_the_bound(name, record_property):
             assert operations <= code.cost.operations
 
         search()
-        told, _ = dearest(lambda signal: library.respond(signal)[1], scale)
+        told, _ = worst_case_step(lambda signal: library.respond(signal)[1], scale)
     record_property("worst step", worst[0])
     assert 0.9 * worst[0] < told <= code.cost.operations  # what an export reports is no smaller story
 

@@ -17,7 +17,7 @@ import pytest
 import hammerstein
 from hammerstein.compiled import spans
 from hammerstein.dynamics import discretise
-from hammerstein.runtime import leaving
+from hammerstein.runtime import signals
 
 SLOW = """
 question = "?"
@@ -185,18 +185,18 @@ def test_who_waits_for_a_signal_imports_nothing(monkeypatch):
         return real(name, *rest, **more)
 
     monkeypatch.setattr(builtins, "__import__", noted)
-    monkeypatch.setattr(leaving, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(signals, "PATIENCE_S", 0.0)
     monkeypatch.setattr(os, "_exit", left.append)
     monkeypatch.setattr("multiprocessing.process.active_children", list)
     reader, writer = socket.socketpair()
     with writer:
         waits = threading.Thread(
-            target=leaving._wait, args=(reader, lambda: left.append("told")), name="waits"
+            target=signals._wait, args=(reader, lambda: left.append("told")), name="waits"
         )
         waits.start()
         writer.send(bytes([signal.SIGINT]))
         waits.join(10.0)
-    assert left == ["told", leaving.INTERRUPTED]
+    assert left == ["told", signals.INTERRUPTED]
     assert [name for thread, name in asked if thread == "waits"] == []
 
 

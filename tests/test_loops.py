@@ -10,7 +10,6 @@ import theory
 
 from hammerstein.commands.cli import main
 from hammerstein.records.checks import time_mistakes
-from hammerstein.records.leads import leads
 from hammerstein.records.loops import (
     _path,
     loop_table,
@@ -22,6 +21,7 @@ from hammerstein.records.loops import (
 from hammerstein.records.noise import dead_band, noise_rms, quantum
 from hammerstein.records.reading import read_paired_records, read_records
 from hammerstein.records.record import Record
+from hammerstein.records.swapped_columns import leads
 from hammerstein.records.turning_points import Excursion, find_cycles, turning_points
 from hammerstein.reporting.figures.measured import chosen_loops
 

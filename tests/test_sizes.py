@@ -10,7 +10,7 @@ from hammerstein.experiment.plan import Part, Plan, jobs_that_fit, longest_first
 from hammerstein.experiment.run import run, simulate
 from hammerstein.plugins import load_plugins
 from hammerstein.runtime import control_groups, memory
-from hammerstein.runtime.room import PAGE, room
+from hammerstein.runtime.allocate_wires import PAGE, allocate_wires
 from hammerstein.scenario import Scenario
 
 
@@ -208,7 +208,7 @@ def test_what_takes_long_says_so_and_wants_yes_of_a_person(tmp_path, monkeypatch
 
 
 def test_memory_for_long_signals_lies_on_large_pages():
-    few, many = room(3, 1000), room(6, 900_000)
+    few, many = allocate_wires(3, 1000), allocate_wires(6, 900_000)
     assert few.shape == (3, 1000)
     assert many.shape == (6, 900_000)
     assert many.ctypes.data % PAGE == 0

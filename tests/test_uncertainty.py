@@ -3,7 +3,7 @@ import pytest
 
 import hammerstein
 from hammerstein.blocks.instruments import Instruments
-from hammerstein.commands.crew import WORTH_PROCESSES_S, apart
+from hammerstein.commands.jobs import WORTH_PROCESSES_S, process_pool
 from hammerstein.errors import InputError
 from hammerstein.experiment.draws import Figures, drawn_metrics
 from hammerstein.experiment.run import run
@@ -134,6 +134,6 @@ def test_draws_in_processes_are_those_of_this_process():
 
 
 def test_many_short_runs_that_take_long_together_have_processes():
-    with apart(2, 1.1 * WORTH_PROCESSES_S) as crew:
+    with process_pool(2, 1.1 * WORTH_PROCESSES_S) as crew:
         assert isinstance(crew, Processes)
-    assert [apart(*asked).__enter__() for asked in ((2, 0.9 * WORTH_PROCESSES_S), (1, 1e9))] == [2, 1]
+    assert [process_pool(*asked).__enter__() for asked in ((2, 0.9 * WORTH_PROCESSES_S), (1, 1e9))] == [2, 1]

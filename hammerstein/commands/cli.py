@@ -23,7 +23,7 @@ from hammerstein.commands import (
 from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.smallest_memory import refuse_small_limit
 from hammerstein.commands.terminal import complain, show, tell, tell_json
-from hammerstein.runtime.leaving import (
+from hammerstein.runtime.signals import (
     INTERRUPTED,
     INTERRUPTS,
     LEFT,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hammerstein.commands.crew import PROCESSORS
 from hammerstein.commands.grouped import grouped
+from hammerstein.commands.jobs import PROCESSORS
 from hammerstein.commands.record_options import AsJson, HeldBack, Identified, Overwrite, RecordFiles
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Spinner

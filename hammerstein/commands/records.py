@@ -54,8 +54,8 @@ def loops(
     from hammerstein.commands.tables import gains_table
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
-    from hammerstein.records.leads import refuse_swapped
     from hammerstein.records.loops import loop_table, move_at_once, without_loops
+    from hammerstein.records.swapped_columns import refuse_swapped
     from hammerstein.reporting.figures.measured import LOOPS, LOOPS_FILES, loops_of_records
     from hammerstein.runtime.storage.manifest import refuse_name
     from hammerstein.runtime.storage.staging import prepare

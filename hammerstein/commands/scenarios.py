@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from hammerstein.commands.crew import PROCESSORS, Address, Jobs, Yes, announce, apart, workers
+from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, process_pool, workers
 from hammerstein.commands.record_options import AsJson, Overwrite
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Watch
@@ -242,7 +242,7 @@ def _planned(
             complain(f"{jobs} jobs do not fit the memory together: {fitting} run side by side")
         jobs = fitting
     drawn = len(scenarios) == 1 and all(one.uncertainty is not None for one in scenarios.values())
-    return apart(jobs, whole.seconds if drawn else 0.0)
+    return process_pool(jobs, whole.seconds if drawn else 0.0)
 
 
 def _fail_with(outcomes: list[Outcome]) -> None:

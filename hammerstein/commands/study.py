@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Protocol
 
 import typer
 
-from hammerstein.commands.crew import PROCESSORS, Address, Jobs, Yes, announce, apart, workers
+from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, process_pool, workers
 from hammerstein.commands.record_options import Overwrite
 from hammerstein.commands.terminal import complain, tell
 from hammerstein.commands.watch import Watch
@@ -65,7 +65,7 @@ def sweep(
         if store is not None:
             store = store.computed(getattr(asked, "elsewhere", ""))
         announce_compiling(complain)
-        with apart(asked, workers_of(asked) * seconds) as crew, Watch(1) as watch:
+        with process_pool(asked, workers_of(asked) * seconds) as crew, Watch(1) as watch:
             for one in sampled(scenario, str(path), crew, watch.progress, store):
                 failed += bool(one.error)
                 table.add(one)

@@ -24,9 +24,9 @@ from hammerstein.experiment.trials import Course, Courses, whole_period
 from hammerstein.files import read_limited
 from hammerstein.model import HammersteinModel, place_of
 from hammerstein.model.simulation import BLOCK, AppliedDrive, Plant, Response
+from hammerstein.runtime.allocate_wires import allocate_wires
 from hammerstein.runtime.fanning import Jobs, on_workers
 from hammerstein.runtime.memory import refuse_too_long
-from hammerstein.runtime.room import room
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ModelSource
@@ -139,7 +139,7 @@ class SetUp:
         refuse_too_long(window.total, hysteresis.n_inputs, hysteresis.n_outputs)
         law = None if scenario.drive is not None else self.laws[case.label]
         m, p = hysteresis.n_inputs, hysteresis.n_outputs
-        wires = room(2 * m + p * (law is not None), window.total)
+        wires = allocate_wires(2 * m + p * (law is not None), window.total)
         drive_v, asked_v, path_um = np.split(wires, [m, 2 * m])
         if law is None:
             self._sample(case, asked_v)

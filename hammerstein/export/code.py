@@ -17,7 +17,6 @@ from hammerstein.blocks import Law
 from hammerstein.compensators import COMPENSATORS
 from hammerstein.dynamics import discretise
 from hammerstein.escaping import C, Markdown, templates_of
-from hammerstein.export.beside import Beside
 from hammerstein.export.c_blocks import CPart, Table
 from hammerstein.export.c_laws import c_law_of
 from hammerstein.export.compiling import FLAGS, CallShape, Library
@@ -26,6 +25,7 @@ from hammerstein.export.golden import adverse
 from hammerstein.export.literals import identifier, in_single_precision, initializer
 from hammerstein.export.measured import MeasuredCode
 from hammerstein.export.operations import Code, Cost
+from hammerstein.export.parallel_blocks import Beside
 from hammerstein.export.request import MODEL, Request
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V

@@ -20,7 +20,7 @@ from hammerstein.export.fmu import BUILD, DESCRIPTION, UNIT, fmu_context, fmu_of
 from hammerstein.export.golden import SAMPLES, entering
 from hammerstein.export.measured import MeasuredCode
 from hammerstein.export.request import Request
-from hammerstein.export.worst import dearest
+from hammerstein.export.worst_case_step import worst_case_step
 from hammerstein.files import read_limited
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.storage.manifest import Owner
@@ -102,7 +102,7 @@ def measure(code: CCode, signal: Array, output: Array) -> MeasuredCode:
         return MeasuredCode()
     with code.library(counting=True) as library:
         wild = code.adverse(SEARCHED)
-        climbed, tried = dearest(lambda made: library.respond(made)[1], np.abs(wild).max(axis=1))
+        climbed, tried = worst_case_step(lambda made: library.respond(made)[1], np.abs(wild).max(axis=1))
         most = max(library.respond(wild)[1], climbed)
         lost = np.abs(library.respond(signal)[0] - output)
     loss = {}

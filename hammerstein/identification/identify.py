@@ -33,8 +33,8 @@ from hammerstein.identification.task import Built, Found, Progress, Task
 from hammerstein.identification.verdict import axis_identified, invertibility_of
 from hammerstein.model import HammersteinModel
 from hammerstein.records.driven import FEWEST_AT_REST, dead_start
-from hammerstein.records.leads import refuse_swapped
 from hammerstein.records.record import Record
+from hammerstein.records.swapped_columns import refuse_swapped
 from hammerstein.runtime.one_thread import one_blas_thread
 
 P = ParamSpec("P")

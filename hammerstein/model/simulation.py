@@ -22,7 +22,7 @@ from hammerstein.hysteresis.kind import refuse_not_finite
 from hammerstein.model import HammersteinModel
 from hammerstein.pictured import Pictured
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V, Range
-from hammerstein.runtime.room import room
+from hammerstein.runtime.allocate_wires import allocate_wires
 
 if TYPE_CHECKING:
     import control
@@ -338,7 +338,7 @@ class Plant:
         p = self.model.hysteresis.n_outputs
         paths = [] if reference_um is None else [reference_um]
         given = ((VOLTAGE_V, [driven.requested_v]), (POSITION_UM, paths))  # the drive stays within its range
-        wires = room(3 * p, samples)
+        wires = allocate_wires(3 * p, samples)
         v_um, moved_um, reading_um = wires[:p], wires[p:], wires[2 * p :]
         memory, linear, known = start.memory, start.linear.copy(), True
         for first in range(0, samples, BLOCK):

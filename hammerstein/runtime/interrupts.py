@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from hammerstein.runtime.leaving import INTERRUPTS
+from hammerstein.runtime.signals import INTERRUPTS
 
 
 @contextmanager

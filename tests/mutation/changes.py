@@ -19,7 +19,7 @@ NUMERICAL = (
     "hammerstein/records/noise.py",
     "hammerstein/records/outliers.py",
     "hammerstein/records/driven.py",
-    "hammerstein/records/leads.py",
+    "hammerstein/records/swapped_columns.py",
     "hammerstein/records/robust_fit.py",
     "hammerstein/records/turning_points.py",
     "hammerstein/signals/units.py",

@@ -13,7 +13,7 @@ STARTS, ROUNDS, SAMPLES = 8, 80, 60
 LEVELS = 40  # from the middle to the reach, and a quarter of that beyond it
 
 
-def dearest(operations: Callable[[Array], int], reach: Array) -> tuple[int, int]:
+def worst_case_step(operations: Callable[[Array], int], reach: Array) -> tuple[int, int]:
     """Most operations of a step that a climbing search finds, and the samples it tried.
 
     Sequences of levels are changed in a few samples at a time, and kept where their dearest step is no

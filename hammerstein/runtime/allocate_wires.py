@@ -14,7 +14,7 @@ KEPT = 15 * PAGE
 """Bytes of the largest piece of memory that glibc lends again without giving it back to the system."""
 
 
-def room(rows: int, samples: int) -> Array:
+def allocate_wires(rows: int, samples: int) -> Array:
     """Memory (row, sample) for long signals, not yet written to, in the way that costs the system least.
 
     What is new from the system is cleared page by page as it is first written to, which takes as long as

@@ -46,7 +46,7 @@ def workers(jobs: int, cluster: str | None) -> Iterator[fanning.Jobs]:
         yield crew
 
 
-def apart(jobs: fanning.Jobs, seconds: float) -> AbstractContextManager[fanning.Jobs]:
+def process_pool(jobs: fanning.Jobs, seconds: float) -> AbstractContextManager[fanning.Jobs]:
     """Give processes for many short runs that take so long together on one processor, as planned.
 
     Threads of one process share Python's interpreter, but begin at once.
