@@ -138,6 +138,7 @@ Trial = Annotated[int, Range(1, 1000)]  # the first one is without learning
 Passes = Annotated[int, Range(1, 10**7)]
 Operators = Annotated[int, Range(1, 200)]
 Axes = Annotated[int, Range(1, 100)]
+InputNumber = Annotated[int, Range(1, 100)]  # counted from 1
 Modes = Annotated[int, Range(0, 5)]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields
-from hammerstein.quantities import Entry
+from hammerstein.quantities import Entry, InputNumber
 from hammerstein.validation import Strict
 
 MOST_FACTORS = 3
@@ -48,7 +48,7 @@ class InputProducts(ByValue):
 class ProductFile(Strict):
     """One product of inputs of the hysteresis in the loop, numbered from 1, and its weight on each output."""
 
-    of: Annotated[tuple[int, ...], Field(min_length=1, max_length=MOST_FACTORS)]
+    of: Annotated[tuple[InputNumber, ...], Field(min_length=1, max_length=MOST_FACTORS)]
     weights: tuple[Entry, ...]
 
 

@@ -4,7 +4,7 @@
     python tests/harness/test_harness.py actuators 0 25
 
 tries a part of them, one line each, and tells the rates; ``pytest tests/harness`` tries all and asserts. It
-is not part of the ordinary tests, of which tests/test_first_command.py tries a few of the same.
+is not part of the ordinary tests, of which tests/commands/test_first_command.py tries a few of the same.
 """
 
 import sys

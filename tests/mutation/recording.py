@@ -16,13 +16,9 @@ from typing import Any
 ROOT = Path(__file__).parents[2]
 ALL = ("tests", "hammerstein", "scenarios")
 BESIDE = (
-    "faults", "fuzz", "mutation", "test_cache.py", "test_campaign.py", "test_cli.py", "test_cluster.py",
-    "test_damaged_files.py", "test_examples.py", "test_export_targets.py", "test_fanning.py",
-    "test_faults.py", "test_figure_files.py", "test_figures.py", "test_first_command.py", "test_fmu.py",
-    "test_guide.py", "test_interrupted.py", "test_kept.py", "test_narrow_figures.py", "test_notebook.py",
-    "test_nothing_lost.py", "test_packaging.py", "test_pages.py", "test_parallel.py", "test_plugins.py",
-    "test_pytest_plugin.py", "test_readme.py", "test_rooms.py", "test_silence.py", "test_staging.py",
-    "test_start.py", "test_strangers.py", "test_terminal.py",
+    "commands", "faults", "fuzz", "house", "mutation", "reporting", "runtime",
+    "export/test_export_targets.py", "export/test_fmu.py", "export/test_strangers.py", "hysteresis/test_parallel.py",
+    "records/test_damaged_files.py", "regression/test_pytest_plugin.py",
 )  # fmt: skip
 """Tests of files, pages, processes and terminals, half of the time of all: they reach numbers on their way to
 something else, so that they are not recorded unless they are named."""

@@ -62,8 +62,8 @@ def test_known_survivors_still_stand_in_their_files():
 
 def test_what_is_beside_the_numbers_is_recorded_only_where_it_is_named():
     assert [name for name in BESIDE if not (ROOT / "tests" / name).exists()] == []
-    assert "--ignore=tests/test_cli.py" in asked_of_pytest([])
-    assert asked_of_pytest(["tests/test_cli.py"]) == ["tests/test_cli.py"]
+    assert "--ignore=tests/commands" in asked_of_pytest([])
+    assert asked_of_pytest(["tests/commands/test_cli.py"]) == ["tests/commands/test_cli.py"]
 
 
 def test_lines_are_touched_by_tests_by_fixtures_of_their_file_and_through_names(tmp_path):

@@ -25,7 +25,7 @@ from hammerstein.records.swapped_columns import leads
 from hammerstein.records.turning_points import Excursion, find_cycles, turning_points
 from hammerstein.reporting.figures.measured import chosen_loops
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 # the printed table of the published actuator, x voltage to x displacement (paper, equations 12 and 13)
 R = np.array([0.07, 0.32, 0.74, 1.3, 2, 2.8, 3.67, 4.61, 5.54, 6.5, 7.34, 8.1, 8.8, 9.3, 9.7])

@@ -13,7 +13,7 @@ from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.linear.frequency_response import frequency_response
 
 Array = NDArray[np.float64]
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "cubespec_fsm"
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "cubespec_fsm"
 T = 5e-5
 
 

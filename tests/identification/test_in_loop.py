@@ -141,7 +141,7 @@ def test_thresholds_stay_above_zero():
 
 def test_the_committed_model_of_the_mirror_is_stable_and_knows_no_level():
     """Its page has the benchmark's figures; the model has one set of numbers, in the grid of the records."""
-    page = Path(__file__).parents[1] / "reports" / "measured" / "one_model"
+    page = Path(__file__).parents[2] / "reports" / "measured" / "one_model"
     model = HammersteinModel.load(page / "model.json")
     assert model.dynamics.instability() == ""
     u = 0.3 * np.random.default_rng(0).normal(size=(3, 4000))

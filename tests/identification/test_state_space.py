@@ -19,7 +19,7 @@ from hammerstein.identification.linear.subspace import stable, subspace
 from hammerstein.identification.linear.weighted_lines import Matrices, WeightedLines, weigh
 
 Array = NDArray[np.float64]
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "cubespec_fsm"
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "cubespec_fsm"
 T = 5e-5
 
 

@@ -60,7 +60,7 @@ def room_of(file):
 def contract(key):
     """Lines of the contract of layers in .importlinter, without comments."""
     read = configparser.ConfigParser()
-    read.read(Path(__file__).parents[1] / ".importlinter")
+    read.read(Path(__file__).parents[2] / ".importlinter")
     lines = read["importlinter:contract:layers"][key].split("\n")
     return [line for line in lines if line and not line.startswith("#")]
 

@@ -118,7 +118,7 @@ def test_the_paper_comes_with_its_accepted_numbers(tmp_path: Path) -> None:
     assert call("init", tmp_path / "paper", "--of", "paper") == 0
     names = {path.stem for path in (tmp_path / "paper").glob("*.toml")}
     held = {path.stem for path in (tmp_path / "paper/reports/baseline").glob("*.json")}
-    assert names == held == {path.stem for path in (Path(__file__).parents[1] / "scenarios").glob("*.toml")}
+    assert names == held == {path.stem for path in (Path(__file__).parents[2] / "scenarios").glob("*.toml")}
     assert call("init", tmp_path / "paper", "--of", "paper") == 2
 
 

@@ -17,7 +17,7 @@ from hammerstein.records.reading import read_paired_records, read_records
 from hammerstein.records.record import Record
 from hammerstein.records.swapped_columns import leads
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 DBO = DATA / "dbo_piezo_micromanipulator"
 JA = DATA / "ja_magnetic_loops"
 CUBESPEC = DATA / "cubespec_fsm"
@@ -203,7 +203,7 @@ class TestRecords:
 
 
 def test_committed_reports_call_records_by_their_names_alone():
-    pages = Path(__file__).resolve().parents[1] / "reports" / "measured"
+    pages = Path(__file__).resolve().parents[2] / "reports" / "measured"
     written = [path for path in pages.rglob("*") if path.suffix in {".json", ".md", ".svg"}]
     assert len(written) > 10
     for path in written:

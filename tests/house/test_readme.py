@@ -14,7 +14,7 @@ from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
 from hammerstein.signals import Multisine, Sine
 
-TOP = Path(__file__).parents[1]
+TOP = Path(__file__).parents[2]
 README = (TOP / "README.md").read_text(encoding="utf-8")
 T = 50e-6
 

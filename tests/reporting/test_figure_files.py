@@ -58,7 +58,7 @@ def test_a_line_drawing_is_a_small_file_in_the_hues_of_its_inks() -> None:
 
 
 def test_the_pictures_of_this_repository_are_small() -> None:
-    reports = Path(__file__).parents[1] / "reports"
+    reports = Path(__file__).parents[2] / "reports"
     pictures = [path for kept in ("paper", "measured") for path in (reports / kept).rglob("*.png")]
     assert 20 < len(pictures) < 40
     assert [path.name for path in pictures if path.stat().st_size > LARGEST_PNG_BYTES] == []

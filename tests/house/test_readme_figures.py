@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from readme_figures import FIGURES, printed
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 ROUNDED = 0.05  # of two digits
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-TOP = Path(__file__).parents[1]
+TOP = Path(__file__).parents[2]
 PAGE = (TOP / "hammerstein/guide/architecture.md").read_text(encoding="utf-8")
 SCENARIO = {
     "question": "Does it plug in?",

@@ -289,7 +289,7 @@ def test_report_is_plain_json_with_the_scenario_inside():
 def test_shipped_scenarios_are_valid():
     from pathlib import Path
 
-    files = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
+    files = sorted((Path(__file__).parents[2] / "scenarios").glob("*.toml"))
     assert len(files) >= 10
     assert len({load_scenario(file).digest() for file in files}) == len(files)
 

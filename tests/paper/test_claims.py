@@ -18,7 +18,7 @@ from hammerstein.paper.judgements import Change, judgements
 from hammerstein.paper.page import write_page
 from hammerstein.scenario import Scenario, load_scenario
 
-SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
+SCENARIOS = sorted((Path(__file__).parents[2] / "scenarios").glob("*.toml"))
 ASSESSMENTS = [a for path in SCENARIOS if isinstance(a := load_scenario(path).assessment, Paper)]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-TESTS = Path(__file__).parent
+TESTS = Path(__file__).parents[1]
 WARNS = "import warnings\ndef old(levels=1): warnings.warn('old', DeprecationWarning, stacklevel=levels)\n"
 
 

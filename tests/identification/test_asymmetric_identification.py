@@ -227,7 +227,7 @@ def test_records_without_noise_bear_hardly_any_penalty():
     assert fit.rms_um.max() < 2e-3 * 20.0
 
 
-DBO = Path(__file__).parents[2] / "shared" / "data" / "dbo_piezo_micromanipulator"
+DBO = Path(__file__).parents[3] / "shared" / "data" / "dbo_piezo_micromanipulator"
 
 
 @pytest.mark.skipif(not DBO.is_dir(), reason="the records of the micromanipulator are not here")

@@ -7,7 +7,7 @@ import pytest
 from hammerstein.experiment.run import run
 from hammerstein.scenario import Scenario
 
-SCENARIOS = Path(__file__).parents[1] / "scenarios"
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
 JOINT = {"method": "hammerstein"}
 DYNAMIC = {"label": "with dynamics", "law": "hammerstein_inverse", "identification": JOINT}
 

@@ -17,7 +17,7 @@ from hammerstein.commands.start import guide_pages
 from hammerstein.experiment.plan import plan_of
 from hammerstein.scenario import Scenario
 
-TOP = Path(__file__).parents[1]
+TOP = Path(__file__).parents[2]
 PAGES = guide_pages()
 WITH_RECORDS = ("kinds",)
 """Pages whose commands need a record that init does not make: their Python alone is run."""
@@ -49,7 +49,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(
     "name", [name for name in PAGES if name != "deploy"]
-)  # tests/test_export_targets.py runs it
+)  # tests/export/test_export_targets.py runs it
 def test_a_page_does_what_it_says(
     name: str, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

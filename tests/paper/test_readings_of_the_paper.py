@@ -9,7 +9,7 @@ import pytest
 from hammerstein.paper import Paper
 from hammerstein.scenario import load_scenario
 
-REPORTS = Path(__file__).parents[1] / "reports"
+REPORTS = Path(__file__).parents[2] / "reports"
 SCENARIOS = REPORTS.parent / "scenarios"
 SCAN = REPORTS / "paper/readings/readings.csv"
 

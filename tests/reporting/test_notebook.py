@@ -21,7 +21,7 @@ from hammerstein.reporting.notebook import picture_of
 
 TIME = 1e-4 * np.arange(2000)
 SINE = 8.0 * np.sin(2.0 * np.pi * 20.0 * TIME)
-README = Path(__file__).resolve().parents[1] / "README.md"
+README = Path(__file__).resolve().parents[2] / "README.md"
 
 
 @pytest.fixture(scope="module")
