@@ -17,8 +17,8 @@ ROOT = Path(__file__).parents[2]
 ALL = ("tests", "hammerstein", "scenarios")
 BESIDE = (
     "commands", "faults", "fuzz", "house", "mutation", "reporting", "runtime",
-    "export/test_export_targets.py", "export/test_fmu.py", "export/test_strangers.py", "hysteresis/test_parallel.py",
-    "records/test_damaged_files.py", "regression/test_pytest_plugin.py",
+    "export/test_export_targets.py", "export/test_fmu.py", "export/test_strangers.py",
+    "hysteresis/test_parallel.py", "records/test_damaged_files.py", "regression/test_pytest_plugin.py",
 )  # fmt: skip
 """Tests of files, pages, processes and terminals, half of the time of all: they reach numbers on their way to
 something else, so that they are not recorded unless they are named."""
