@@ -68,6 +68,7 @@ def test_a_changed_helper_in_another_file_counts_in_a_loop_that_was_kept(tmp_pat
     caller, part = tmp_path / "hammerstein/other_kernel.py", tmp_path / "hammerstein/some_kernel.py"
     caller.write_text(CALLER)
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "loops"), "PYTHONPATH": str(tmp_path)}
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"  # Python itself knows a source by its second and its size
 
     def run(factor):
         part.write_text(PART.format(factor))
