@@ -17,7 +17,7 @@ array([[58.4 ,  1.41],
        [ 2.08, 50.57]])
 """
 
-from hammerstein.pictured import show_with
+from hammerstein.notebook_repr import show_with
 
 # Nothing else is imported here: the command line must answer at once, and Ctrl-C must work from the start.
 

@@ -85,7 +85,7 @@ def write_atomic(path: Path, content: str | bytes, private: bool = False) -> Non
         prefix = f".{path.name[:100]}."
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=UNFINISHED)
         temporary = Path(name)
-        begun(temporary, temporary.unlink)
+        register_cleanup(temporary, temporary.unlink)
         _write(handle, data, through=not private)
         if not private:
             umask = os.umask(0)
@@ -97,7 +97,7 @@ def write_atomic(path: Path, content: str | bytes, private: bool = False) -> Non
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
-            ended(temporary)
+            drop_cleanup(temporary)
 
 
 def _write(handle: int, data: bytes, through: bool = True) -> None:
@@ -142,12 +142,12 @@ def refuse_unwritable(option: str, folder: Path) -> None:
         raise InputError(option, f"the folder {place} cannot be written; choose another place")
 
 
-def begun(place: Path, discard: Callable[[], None]) -> None:
+def register_cleanup(place: Path, discard: Callable[[], None]) -> None:
     """Take note of a file or folder that is half-written, and of what removes it."""
     _UNFINISHED[place] = discard
 
 
-def ended(place: Path) -> None:
+def drop_cleanup(place: Path) -> None:
     """Take note that a file or folder is half-written no more."""
     _UNFINISHED.pop(place, None)
 

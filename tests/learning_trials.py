@@ -10,8 +10,8 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law
 from hammerstein.compensators.cycle import centred
-from hammerstein.compensators.learning.lesson import Lesson, lesson
-from hammerstein.compensators.learning.unsure import Unsure
+from hammerstein.compensators.learning.ilc_update import IlcUpdate, ilc_update
+from hammerstein.compensators.learning.model_uncertainty import ModelUncertainty
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
@@ -24,7 +24,7 @@ class SimulatedTrial:
     """One trial: the true error of its last period, which no learner sees, and what it taught."""
 
     true_rms_um: float
-    lesson: Lesson
+    ilc_update: IlcUpdate
 
 
 def simulated_trials(
@@ -34,7 +34,7 @@ def simulated_trials(
     reference_um: Array,
     trials: int,
     seed: int = 0,
-    unsure: Unsure | None = None,
+    uncertainty: ModelUncertainty | None = None,
 ) -> list[SimulatedTrial]:
     """Play, measure and learn on an actuator that is not the model.
 
@@ -55,7 +55,7 @@ def simulated_trials(
         response = plant.respond(np.tile(drive, (1, SETTLING + MEASURED)), [seed, number])
         true = rms(response.position_um[:, -samples:] - reference_um)
         read = response.reading_um[:, SETTLING * samples :]
-        taught = lesson(model, law, reference_um, drive, read, unsure, bandwidth)
+        taught = ilc_update(model, law, reference_um, drive, read, uncertainty, bandwidth)
         done.append(SimulatedTrial(true, taught))
         if taught.finished:
             break

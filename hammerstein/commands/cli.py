@@ -215,7 +215,7 @@ def schema() -> None:
 
 def actuators(as_json: AsJson = False) -> None:
     """List the actuators that come with the package."""
-    from hammerstein.commands.tables import actuator_table
+    from hammerstein.commands.terminal_tables import actuator_table
     from hammerstein.model import HammersteinModel, packaged_actuators
 
     models = [HammersteinModel.load(name) for name in packaged_actuators()]

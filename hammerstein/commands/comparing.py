@@ -32,7 +32,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Fit every kind of hysteresis and the linear models to the same records, and recommend one."""
-    from hammerstein.commands.tables import kept_aside
+    from hammerstein.commands.terminal_tables import kept_aside
     from hammerstein.comparison.compare import compare as compared
     from hammerstein.compiled import announce_compiling
     from hammerstein.files import refuse_unwritable
@@ -65,7 +65,7 @@ def compare(
 
 def _show_comparison(found: Comparison) -> None:
     """Print the tables, and what is recommended."""
-    from hammerstein.commands.tables import comparison_table, failed_table, rates_table
+    from hammerstein.commands.terminal_tables import comparison_table, failed_table, rates_table
 
     show(comparison_table(found))
     if len(found.frequencies_hz) > 1:

@@ -82,7 +82,7 @@ def _write(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    from hammerstein.commands.tables import kept_aside
+    from hammerstein.commands.terminal_tables import kept_aside
     from hammerstein.compiled import announce_compiling
     from hammerstein.errors import InputError
     from hammerstein.export.folder import ALWAYS, EXPORT, write_export

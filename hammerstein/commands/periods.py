@@ -108,24 +108,26 @@ def write_cycle(asked: Period) -> None:
     _tell(asked, {"rms_um": errors}, said, "one period")
 
 
-def write_lesson(
-    asked: Period, trial: tuple[Path, Path], unsure: str, before: tuple[Path, Path] | None = None
+def write_ilc_update(
+    asked: Period, trial: tuple[Path, Path], uncertainty: str, before: tuple[Path, Path] | None = None
 ) -> None:
     """Write the next period of a periodic path, from a trial."""
     from hammerstein.compensators.learning.files import learn_from_files
-    from hammerstein.compensators.learning.unsure import Unsure
+    from hammerstein.compensators.learning.model_uncertainty import ModelUncertainty
     from hammerstein.errors import InputError
 
-    deviations = volts("--unsure", unsure) or ()
+    deviations = volts("--uncertainty", uncertainty) or ()
     if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):
-        raise InputError("--unsure", f"{unsure!r} are not two relative deviations, such as 0.05,0.01")
+        raise InputError(
+            "--uncertainty", f"{uncertainty!r} are not two relative deviations, such as 0.05,0.01"
+        )
     found, taught = learn_from_files(
         asked.model,
         asked.path,
         asked.law,
         asked.options,
         trial,
-        Unsure(*deviations),
+        ModelUncertainty(*deviations),
         asked.terms,
         asked.onlooker,
         before,

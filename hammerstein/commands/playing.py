@@ -15,7 +15,7 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response
 from hammerstein.runtime.storage.manifest import Owner
-from hammerstein.signals.tables import chosen, read_signal
+from hammerstein.signals.signal_files import chosen, read_signal
 
 PLAYED = Owner("play", single=True)
 EVENLY = 1e-3

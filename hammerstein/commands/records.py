@@ -51,7 +51,7 @@ def loops(
     as_json: AsJson = False,
 ) -> None:
     """Find the loops in measured records: height, width, area, closure, drift."""
-    from hammerstein.commands.tables import gains_table
+    from hammerstein.commands.terminal_tables import gains_table
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
     from hammerstein.records.loops import loop_table, move_at_once, without_loops
@@ -103,7 +103,7 @@ def _plain(found: Mapping[str, Sequence[Loop]]) -> list[dict[str, Any]]:
 
 def _show_loops(found: Mapping[str, Sequence[Loop]]) -> None:
     """Print the loops of each file that tell most of it."""
-    from hammerstein.commands.tables import loops_table
+    from hammerstein.commands.terminal_tables import loops_table
     from hammerstein.records.loops import telling_loops
 
     shown = {source: telling_loops(loops, MOST_LOOPS) for source, loops in found.items()}
@@ -147,7 +147,7 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify a model from measured records, and say how far it can be trusted."""
-    from hammerstein.commands.tables import gains_table, kept_aside
+    from hammerstein.commands.terminal_tables import gains_table, kept_aside
     from hammerstein.compiled import announce_compiling
     from hammerstein.errors import InputError
     from hammerstein.escaping import one_line
@@ -224,7 +224,7 @@ def _identify_in_loop(
 
 def _show_fit(fit: Fit) -> None:
     """Print the errors, the verdict, and what else must be known of a model."""
-    from hammerstein.commands.tables import fit_table
+    from hammerstein.commands.terminal_tables import fit_table
 
     show(fit_table(fit))
     tell(fit.verdict)
@@ -270,7 +270,7 @@ def compensate(
             help="The trial before that of --learn: its drive is kept if the new trial is worse.",
         ),
     ] = None,
-    unsure: Annotated[
+    uncertainty: Annotated[
         str | None,
         typer.Option(
             metavar="W,R",
@@ -283,14 +283,14 @@ def compensate(
 ) -> None:
     """Turn a reference into the voltages to send, with the predicted response."""
     from hammerstein.commands.path_watch import watched
-    from hammerstein.commands.periods import Period, TableRequest, run_up_of, write_cycle, write_lesson
-    from hammerstein.commands.tables import compensation_table
+    from hammerstein.commands.periods import Period, TableRequest, run_up_of, write_cycle, write_ilc_update
+    from hammerstein.commands.terminal_tables import compensation_table
     from hammerstein.compensators.drive_file import DRIVE, compensate as compensated
     from hammerstein.compiled import announce_compiling
     from hammerstein.errors import InputError
 
-    if unsure is not None and learn is None:
-        raise InputError("--unsure", "says what --learn counts on; give --learn DRIVE MEASURED too")
+    if uncertainty is not None and learn is None:
+        raise InputError("--uncertainty", "says what --learn counts on; give --learn DRIVE MEASURED too")
     if before is not None and learn is None:
         raise InputError("--before", "is the trial before that of --learn; give --learn DRIVE MEASURED too")
     options = words.options()
@@ -308,7 +308,7 @@ def compensate(
         if periodic:
             reached.refuse_with_period()
         if learn is not None:
-            write_lesson(period, learn, unsure or "0.05,0.01", before)
+            write_ilc_update(period, learn, uncertainty or "0.05,0.01", before)
             return
         if periodic:
             write_cycle(period)

@@ -126,7 +126,7 @@ def _assessed(scenarios: Iterable[Scenario], page: Path | None) -> list[type[Ass
 
 def _show_plan(paths: Sequence[Path], jobs: int) -> None:
     """Print what would be run."""
-    from hammerstein.commands.tables import plan_table
+    from hammerstein.commands.terminal_tables import plan_table
     from hammerstein.experiment.batch import load_all
     from hammerstein.experiment.plan import plan_of
 
@@ -135,7 +135,7 @@ def _show_plan(paths: Sequence[Path], jobs: int) -> None:
 
 def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None, overwrite: bool) -> list[Report]:
     """Write what stands over several reports: what was asked of them, the overview."""
-    from hammerstein.commands.tables import kept_aside
+    from hammerstein.commands.terminal_tables import kept_aside
     from hammerstein.reporting.html.overview import write_overview
 
     reports = [outcome.report for outcome in outcomes if outcome.report is not None]
@@ -155,7 +155,7 @@ def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None, overwr
 
 def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: Path, as_json: bool) -> None:
     """Print the results, and where the reports are."""
-    from hammerstein.commands.tables import judgement_tables, result_table
+    from hammerstein.commands.terminal_tables import judgement_tables, result_table
     from hammerstein.reporting.html.overview import digest
     from hammerstein.reporting.summary import doubts
 

@@ -52,7 +52,7 @@ def show(
 ) -> None:
     """Print what a file holds, before anything runs."""
     from hammerstein.commands.contents import contents_of
-    from hammerstein.commands.tables import facts_table
+    from hammerstein.commands.terminal_tables import facts_table
     from hammerstein.model import packaged_actuators, place_of
 
     found = contents_of(place_of(str(file)) if str(file) in packaged_actuators() else file)
@@ -66,7 +66,7 @@ def guide(
     topic: Annotated[str | None, typer.Argument(help="Name of a page; all are listed if not given.")] = None,
 ) -> None:
     """Read the guide."""
-    from hammerstein.commands.tables import facts_table
+    from hammerstein.commands.terminal_tables import facts_table
     from hammerstein.errors import InputError
 
     pages = guide_pages()
@@ -116,7 +116,7 @@ def play(
     from hammerstein.commands.path_watch import watched
     from hammerstein.commands.playing import PLAYED, played
     from hammerstein.commands.refusals import refuse_output, write_output
-    from hammerstein.commands.tables import played_table
+    from hammerstein.commands.terminal_tables import played_table
     from hammerstein.compiled import announce_compiling
 
     refuse_output(out, [Path(model), drive], PLAYED, overwrite)

@@ -13,7 +13,7 @@ import numpy as np
 
 from hammerstein.actuators import DEFAULT
 from hammerstein.errors import InputError
-from hammerstein.files import begun, ended, reason_of, remove_empty
+from hammerstein.files import drop_cleanup, reason_of, register_cleanup, remove_empty
 from hammerstein.plugins import load_plugins
 from hammerstein.runtime.storage.manifest import MANIFEST, Manifest
 from hammerstein.scenario.assessment import ASSESSMENTS
@@ -83,13 +83,13 @@ def _made(target: Path) -> Iterator[Path]:
         shutil.rmtree(room, ignore_errors=True)
         remove_empty(made)
 
-    begun(room, undone)
+    register_cleanup(room, undone)
     try:
         yield room
         _move(room, target)
     finally:
         undone()
-        ended(room)
+        drop_cleanup(room)
 
 
 def _move(room: Path, target: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.experiment.kept import KeptCases, rows_from
+from hammerstein.experiment.case_cache import CaseCache, rows_from
 from hammerstein.experiment.measure import drawn_rows
 from hammerstein.experiment.set_up import Case, Experiment, Progress, SetUp
 from hammerstein.metrics import Row, metrics_of
@@ -68,7 +68,7 @@ def drawn_metrics() -> list[str]:
 
 
 def figures_on(
-    actuators: Actuators, kept: KeptCases, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
+    actuators: Actuators, kept: CaseCache, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
 ) -> list[Figures]:
     """Figures of every case on all actuators.
 
@@ -142,7 +142,7 @@ def _over(runs: Sequence[_Run], numbers: range) -> list[Figures]:
     return [run.over(plants, numbers) for run in runs]
 
 
-def _known(kept: KeptCases, runs: Sequence[_Run], numbers: range) -> list[Figures | None]:
+def _known(kept: CaseCache, runs: Sequence[_Run], numbers: range) -> list[Figures | None]:
     """Figures of every case on these actuators, as far as they were kept."""
     entries = [kept.read(run.case, "draws", run.which(numbers)) for run in runs]
     return [

@@ -12,7 +12,7 @@ from hammerstein.blocks.instruments import Instruments
 from hammerstein.escaping import cell
 from hammerstein.metrics import Keyed, Row
 from hammerstein.model.simulation import Response
-from hammerstein.pictured import Pictured
+from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.assessment import Judgement
 from hammerstein.signals import Excitation, Reference
@@ -83,7 +83,7 @@ class Trace:
 
 
 @dataclass(frozen=True, eq=False)
-class Report(Pictured):
+class Report(NotebookRepr):
     """Result of one scenario.
 
     rows : figures, one row for each case and measured axis

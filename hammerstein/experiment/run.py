@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.experiment.kept import KeptCases
+from hammerstein.experiment.case_cache import CaseCache
 from hammerstein.experiment.measure import Result, statements_of
 from hammerstein.experiment.plan import Plan, identification_parts, plan_of
 from hammerstein.experiment.report import Report
@@ -182,11 +182,11 @@ def _worked_out(
     jobs: Jobs = 1,
     progress: Progress | None = None,
     store: Store | None = None,
-) -> tuple[KeptCases, list[Case], list[Result]]:
+) -> tuple[CaseCache, list[Case], list[Result]]:
     """Every case of a scenario and what came out."""
     plan_of(scenario, jobs if isinstance(jobs, int) else 1).refuse_too_large()
     setup = set_up(scenario, name, progress, store=store, jobs=jobs)
-    cases, kept = list(setup.cases()), KeptCases(setup, store)
+    cases, kept = list(setup.cases()), CaseCache(setup, store)
     return kept, cases, kept.results(cases, jobs, progress)
 
 

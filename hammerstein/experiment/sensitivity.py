@@ -17,8 +17,8 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError
+from hammerstein.experiment.case_cache import CaseCache
 from hammerstein.experiment.draws import Actuators, Figures, drawn_metrics, figures_on
-from hammerstein.experiment.kept import KeptCases
 from hammerstein.experiment.report import Sensitivity
 from hammerstein.experiment.set_up import Case, Progress
 from hammerstein.experiment.uncertainty_bands import NO_PART
@@ -83,7 +83,7 @@ class _Exchanged(Actuators):
 
 
 def sensitivities_of(
-    kept: KeptCases, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
+    kept: CaseCache, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
 ) -> tuple[Sensitivity, ...]:
     """Indices of every row and figure for every parameter; nothing where the scenario asks for none.
 

@@ -20,7 +20,7 @@ from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators.feedback.pid import closed_loop
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, Mistake, SimulationError
-from hammerstein.experiment.trials import Course, Courses, whole_period
+from hammerstein.experiment.trials import IlcRun, IlcRuns, whole_period
 from hammerstein.files import read_limited
 from hammerstein.model import HammersteinModel, place_of
 from hammerstein.model.simulation import BLOCK, AppliedDrive, Plant, Response
@@ -32,7 +32,7 @@ from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ModelSource
 from hammerstein.scenario.tested import TestedCompensator
 from hammerstein.signals import Excitation, FromFile, OnAxes, Reference
-from hammerstein.signals.tables import chosen
+from hammerstein.signals.signal_files import chosen
 from hammerstein.signals.units import Kind
 
 AnyLaw = Law[Any] | Controller[Any] | Learner
@@ -117,9 +117,9 @@ class SetUp:
                     yield Case(signal, axis, label, trial, (positions[signal], i))
 
     @cached_property
-    def courses(self) -> Courses:
+    def ilc_runs(self) -> IlcRuns:
         """Trials that were done, of compensators that learn: each goes on from the one before."""
-        return Courses()
+        return IlcRuns()
 
     def simulate(self, case: Case) -> Response:
         """Response of one case.
@@ -169,8 +169,8 @@ class SetUp:
         def experiment(tested: Plant, seed: int) -> Response:
             own = case.seed(seed)
             key = (case.label, *own)
-            course = self.courses.of(tested, key, lambda: Course(law, values, window.first, period, own))
-            return course.trial(tested, number)
+            ilc_run = self.ilc_runs.of(tested, key, lambda: IlcRun(law, values, window.first, period, own))
+            return ilc_run.trial(tested, number)
 
         return experiment
 

@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from hammerstein.errors import HammersteinError, InputError, Mistake
-from hammerstein.experiment.kept import rows_from
+from hammerstein.experiment.case_cache import rows_from
 from hammerstein.experiment.plan import Part, Plan, experiments_of, plan_of
 from hammerstein.experiment.run import rows_alone
 from hammerstein.experiment.set_up import Progress

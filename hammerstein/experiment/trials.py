@@ -31,7 +31,7 @@ def whole_period(samples: float, label: str) -> int:
     return found
 
 
-class Course:
+class IlcRun:
     """The trials of one learner on one actuator.
 
     In each one period of voltages is played from rest as long as a run of the scenario takes, and what the
@@ -83,21 +83,21 @@ class Course:
         return plant.respond(requested, [*self._seed, number], self._whole)
 
 
-class Courses:
-    """Courses by actuator, as long as there is the actuator."""
+class IlcRuns:
+    """IlcRuns by actuator, as long as there is the actuator."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._found: WeakKeyDictionary[Plant, dict[Hashable, Course]] = WeakKeyDictionary()
+        self._found: WeakKeyDictionary[Plant, dict[Hashable, IlcRun]] = WeakKeyDictionary()
 
-    def __reduce__(self) -> tuple[type[Courses], tuple[()]]:
+    def __reduce__(self) -> tuple[type[IlcRuns], tuple[()]]:
         """Another process begins its own: the numbers are the same."""
-        return Courses, ()
+        return IlcRuns, ()
 
-    def of(self, plant: Plant, key: Hashable, new: Callable[[], Course]) -> Course:
-        """The course of a key on an actuator; begun where there is none."""
+    def of(self, plant: Plant, key: Hashable, new: Callable[[], IlcRun]) -> IlcRun:
+        """The run of a key on an actuator; begun where there is none."""
         with self._lock:
-            courses = self._found.setdefault(plant, {})
-            if key not in courses:
-                courses[key] = new()
-            return courses[key]
+            ilc_runs = self._found.setdefault(plant, {})
+            if key not in ilc_runs:
+                ilc_runs[key] = new()
+            return ilc_runs[key]

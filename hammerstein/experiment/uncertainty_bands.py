@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hammerstein.experiment.case_cache import CaseCache
 from hammerstein.experiment.draws import Actuators, Figures, drawn_metrics, figures_on
-from hammerstein.experiment.kept import KeptCases
 from hammerstein.experiment.report import Band
 from hammerstein.experiment.set_up import Case, Progress
 from hammerstein.model.simulation import Plant
@@ -49,7 +49,7 @@ class DrawnActuators(Actuators):
 
 
 def bands_of(
-    kept: KeptCases, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
+    kept: CaseCache, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
 ) -> tuple[Band, ...]:
     """Median and 5-95 % band of every row over the draws; nothing where the scenario has no uncertainty."""
     scenario = kept.setup.scenario

@@ -10,7 +10,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
-from hammerstein.compensators.exact import kernel as exact_kernel, piece_kernels as pieces
+from hammerstein.compensators.exact import inverse_kernel as exact_kernel, piece_kernels as pieces
 from hammerstein.compensators.exact.generalised import GeneralisedInverseLaw
 from hammerstein.compensators.exact.inverse import ExactInverseLaw, StaticInverse, Tables
 from hammerstein.compensators.exact.rate_dependent import RateDependentInverseLaw

@@ -23,7 +23,7 @@ from hammerstein.export.compiling import FLAGS, CallShape, Library
 from hammerstein.export.forward import ForwardModel
 from hammerstein.export.golden import adverse
 from hammerstein.export.literals import identifier, in_single_precision, initializer
-from hammerstein.export.measured import MeasuredCode
+from hammerstein.export.measured_code import MeasuredCode
 from hammerstein.export.operations import Code, Cost
 from hammerstein.export.parallel_blocks import Beside
 from hammerstein.export.request import MODEL, Request

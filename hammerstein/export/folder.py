@@ -18,7 +18,7 @@ from hammerstein.export.code import CCode, rendered
 from hammerstein.export.compiling import compiler
 from hammerstein.export.fmu import BUILD, DESCRIPTION, UNIT, fmu_context, fmu_of
 from hammerstein.export.golden import SAMPLES, entering
-from hammerstein.export.measured import MeasuredCode
+from hammerstein.export.measured_code import MeasuredCode
 from hammerstein.export.request import Request
 from hammerstein.export.worst_case_step import worst_case_step
 from hammerstein.files import read_limited

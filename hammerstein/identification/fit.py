@@ -13,7 +13,7 @@ from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.regressors import Start
-from hammerstein.pictured import Pictured
+from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.records.record import Record
 
 Kind = Literal["linear", "static_hysteresis", "linear_dynamics", "classical", "hammerstein"]
@@ -44,7 +44,7 @@ _OWN_FORM = frozenset(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit(Pictured):
+class Fit(NotebookRepr):
     """How a model was found and how far it can be trusted.
 
     Parameters

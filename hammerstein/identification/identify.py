@@ -32,7 +32,7 @@ from hammerstein.identification.static_candidates import build_static, with_erro
 from hammerstein.identification.task import Built, Found, Progress, Task
 from hammerstein.identification.verdict import axis_identified, invertibility_of
 from hammerstein.model import HammersteinModel
-from hammerstein.records.driven import FEWEST_AT_REST, dead_start
+from hammerstein.records.excitation import FEWEST_AT_REST, dead_start
 from hammerstein.records.record import Record
 from hammerstein.records.swapped_columns import refuse_swapped
 from hammerstein.runtime.one_thread import one_blas_thread

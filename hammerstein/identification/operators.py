@@ -25,7 +25,7 @@ from hammerstein.identification.static.partition import (
 )
 from hammerstein.identification.static.regressors import Filter, Start, delayed, regressor_blocks
 from hammerstein.identification.static.static_block import half_swing, path_filters
-from hammerstein.records.driven import driven_inputs
+from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import find_cycles
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.identification.static.regressors import Start
-from hammerstein.records.driven import FEWEST_AT_REST, dead_start, driven_inputs
+from hammerstein.records.excitation import FEWEST_AT_REST, dead_start, driven_inputs
 from hammerstein.records.record import Record
 
 AT_AN_END = 0.01

@@ -21,7 +21,7 @@ from hammerstein.identification.rates import drive_hz
 from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import StaticFit
-from hammerstein.records.driven import driven_inputs
+from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.loops import pair_loops
 from hammerstein.records.record import Record
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hammerstein.errors import InputError
 from hammerstein.metrics.arrays import LoopFigures, drift, worst
-from hammerstein.metrics.measured import Measured
+from hammerstein.metrics.measured_window import Measured
 
 Values = Sequence[float | None] | float | None
 """One value an output, or one for all of them; None where the figure has no meaning."""

@@ -26,7 +26,7 @@ class PathErrors:
     @classmethod
     def of(cls, path: Array, target: Array) -> Self:
         """Errors of a path (output, sample) against a target (output, sample) [um]."""
-        from hammerstein.metrics.kernel import error_sums
+        from hammerstein.metrics.error_sums_kernel import error_sums
 
         squares, largest = np.zeros(len(path) + 1), np.zeros(len(path) + 1)
         error_sums(_rows(path), _rows(target), squares, largest)
@@ -45,7 +45,7 @@ class PlaneErrors:
     @classmethod
     def of(cls, reference: Array, reading: Array, position: Array, middle: Array) -> Self:
         """Errors of reading and position (2, sample) against a reference, all counted from a middle (2,)."""
-        from hammerstein.metrics.kernel import plane_errors
+        from hammerstein.metrics.error_sums_kernel import plane_errors
 
         rows = (*_rows(reference), *_rows(reading), *_rows(position))
         radial, true = plane_errors(*rows, middle)

@@ -31,7 +31,7 @@ from hammerstein.dynamics import (
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import is_there, read_limited, write_atomic
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
-from hammerstein.pictured import Pictured
+from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.plugins import looked_up
 from hammerstein.quantities import Name, Plain, Size, no_name
 from hammerstein.validation import Strict, mistakes_of, suggestion
@@ -48,7 +48,7 @@ MATRICES = StateSpaceDynamics, FeedbackHysteresisDynamics
 
 
 @dataclass(frozen=True, eq=False)
-class HammersteinModel(ByValue, Pictured):
+class HammersteinModel(ByValue, NotebookRepr):
     """An actuator or a model of one: hysteresis of some kind followed by linear dynamics.
 
         v = Gamma(u - u_0),    y = G v            (Hammerstein structure: paper, section 6)

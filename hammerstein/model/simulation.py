@@ -20,7 +20,7 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Memory
 from hammerstein.hysteresis.kind import refuse_not_finite
 from hammerstein.model import HammersteinModel
-from hammerstein.pictured import Pictured
+from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V, Range
 from hammerstein.runtime.allocate_wires import allocate_wires
 
@@ -73,7 +73,7 @@ def refuse_unbounded(name: str, wire: Array, sample_time_s: float) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Response(Pictured):
+class Response(NotebookRepr):
     """One run, every wire kept; rows are axes, columns samples.
 
     reference_um : what was asked for (output, sample) [um]; None for a run in volts

@@ -11,7 +11,7 @@ from typing import Any
 from hammerstein.blocks.instruments import Drive, Instruments
 from hammerstein.compensators import InverseMultiplicative
 from hammerstein.errors import HammersteinError
-from hammerstein.experiment.kept import KeptCases
+from hammerstein.experiment.case_cache import CaseCache
 from hammerstein.experiment.measure import empty_rows_of
 from hammerstein.experiment.set_up import set_up
 from hammerstein.metrics import Row
@@ -159,7 +159,7 @@ def rows_needed(
         for case in setup.cases()
         if any(claim.selects(row) for row in empty_rows_of(setup, case) for claim in claims)
     ]
-    kept = KeptCases(setup, store)
+    kept = CaseCache(setup, store)
     return [row for result in kept.results(cases) for row in result.rows]
 
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from hammerstein.arrays import Array, Indices
 from hammerstein.records.checks import runs
-from hammerstein.records.driven import driven_inputs, run_in
+from hammerstein.records.excitation import driven_inputs, run_in
 from hammerstein.records.noise import noise_rms
 from hammerstein.records.record import Record
-from hammerstein.records.robust_fit import FITTED, Products, copies
+from hammerstein.records.robust_fit import FITTED, Products, regressors
 
 PLAYS = 16
 REMAINS = 0.25
@@ -80,7 +80,7 @@ def faults(record: Record) -> list[Fault]:
     ['y1 of record drifts by 6.6']
     """
     stride = max(record.samples // FITTED, 1)
-    blocks = {k: copies(record.u_v[k], PLAYS, stride) for k in driven_inputs(record)}
+    blocks = {k: regressors(record.u_v[k], PLAYS, stride) for k in driven_inputs(record)}
     found = [*_clipped_commands(record, stride, blocks), *_clipped_readings(record)]
     first = run_in(record) // stride  # what was before the record is forgotten there
     samples = len(range(0, record.samples, stride))

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.records.driven import driven_alone, driven_inputs
+from hammerstein.records.excitation import driven_alone, driven_inputs
 from hammerstein.records.noise import noise_rms, quantum
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import Excursion, find_cycles

@@ -17,7 +17,7 @@ import numpy as np
 from hammerstein.arrays import Array, Flags, Indices
 from hammerstein.errors import Mistake
 from hammerstein.records.checks import SHOWN, runs, where
-from hammerstein.records.robust_fit import FITTED, LAGS, Products, copies
+from hammerstein.records.robust_fit import FITTED, LAGS, Products, regressors
 
 MOST = 0.01
 """Part of the samples that may be left out."""
@@ -270,7 +270,7 @@ def _widened(flags: Flags) -> Flags:
 
 def _fit(u: Array, y: Array, aside: Flags) -> Array:
     """Outputs (output, sample) by plays and delayed copies of the voltages, fitted without some samples."""
-    x = np.vstack([*(copies(row, PLAYS) for row in u if np.ptp(row) > 0.0), np.ones((1, y.shape[1]))])
+    x = np.vstack([*(regressors(row, PLAYS) for row in u if np.ptp(row) > 0.0), np.ones((1, y.shape[1]))])
     stride = max(y.shape[1] // FITTED, 1)
     fit = np.empty_like(y)
     for o, row in enumerate(y):

@@ -23,7 +23,7 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.records.array_files import SUFFIXES, array_columns, refuse_large, whole_array
 from hammerstein.records.checks import gap_mistakes, where
 from hammerstein.records.text_files import find_layout, read_text
-from hammerstein.signals.tables import OF_TIME
+from hammerstein.signals.signal_files import OF_TIME
 from hammerstein.signals.units import Kind, Unit, unit_in, without_unit
 
 TIME_NAMES = (*OF_TIME, "x-axis")

@@ -11,7 +11,7 @@ from hammerstein.arrays import Array, Indices, freeze, frozen
 from hammerstein.blocks.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.escaping import clean
-from hammerstein.pictured import Pictured
+from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V, no_name
 from hammerstein.records.checks import (
     clipping_mistakes,
@@ -26,7 +26,7 @@ from hammerstein.records.outliers import Outliers, listed, outlier_mistakes, wit
 
 
 @dataclass(frozen=True, eq=False)
-class Record(Pictured):
+class Record(NotebookRepr):
     """One experiment on one actuator.
 
     Parameters

@@ -18,7 +18,7 @@ CHUNK = 256
 """Samples of one product: small enough that BLAS does it on one core."""
 
 
-def copies(u: Array, plays: int, stride: int = 1) -> Array:
+def regressors(u: Array, plays: int, stride: int = 1) -> Array:
     """Plays of a voltage whose thresholds divide half its range, from rest, and the voltage some samples ago.
 
     Parameters

@@ -9,7 +9,7 @@ import numpy as np
 from hammerstein.arrays import Array, Complex
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.checks import where
-from hammerstein.records.driven import driven_inputs
+from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.record import Record
 
 ALIKE = 0.5

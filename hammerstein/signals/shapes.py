@@ -21,7 +21,7 @@ from hammerstein.arrays import Array, Flags
 from hammerstein.errors import InputError
 from hammerstein.plugins import Family
 from hammerstein.quantities import Axes, FileName, Frequency, Length, Offset, Phase, Scale, Seed, Size, Wait
-from hammerstein.signals.tables import read_signal
+from hammerstein.signals.signal_files import read_signal
 from hammerstein.validation import Strict
 
 MOST_LINES = 2000  # of a multisine

@@ -164,7 +164,7 @@ def test_a_fault_of_ours_is_one_line_a_code_of_its_own_and_a_file(run, tmp_path,
     def broken(*_):
         raise ZeroDivisionError("a fault put in by a test")
 
-    monkeypatch.setattr("hammerstein.experiment.kept.rows_of", broken)
+    monkeypatch.setattr("hammerstein.experiment.case_cache.rows_of", broken)
     code, said = run(DRIVE.format(actuator="duo_bimorph"))
     assert code == 70
     (line,) = [line for line in said.splitlines() if "internal error" in line]

@@ -263,7 +263,7 @@ def test_a_flagged_model_needs_a_word(stage, capsys):
 
 def test_the_drive_file_is_read_by_pandas_and_by_us(stage):
     from hammerstein.records.reading import read_records
-    from hammerstein.signals.tables import read_signal
+    from hammerstein.signals.signal_files import read_signal
 
     assert compensate(stage, "--law", "exact_inverse") == 0
     out = stage / "drive.csv"

@@ -17,14 +17,14 @@ from learning_trials import simulated_trials
 
 from hammerstein.commands.cli import main
 from hammerstein.compensators.cycle import centred
-from hammerstein.compensators.learning import Unsure, lesson
+from hammerstein.compensators.learning import ModelUncertainty, ilc_update
 from hammerstein.compensators.learning.learned import LearnedLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.errors import InputError
 from hammerstein.experiment.run import run
 from hammerstein.experiment.selection import TRIAL
 from hammerstein.experiment.set_up import set_up
-from hammerstein.experiment.trials import Course
+from hammerstein.experiment.trials import IlcRun
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
@@ -73,7 +73,7 @@ def test_drawn_actuators_are_learnt_to_the_noise_in_five_trials(model, law, reco
         for path in (circle(), scan()):
             found = _trials(model, law, path, number)
             errors = [trial.true_rms_um for trial in found]
-            noise = max(trial.lesson.noise_um for trial in found)
+            noise = max(trial.ilc_update.noise_um for trial in found)
             first.append(errors[0])
             last.append(errors[-1])
             worse.append(max(np.diff(errors), default=0.0) - noise)
@@ -99,7 +99,7 @@ def test_the_error_is_that_of_the_path_behind_the_sensor(model, law):
     quiet = instruments.model_copy(update={"sensor": sensor})
     path = circle()
     found = simulated_trials(Plant(drawn, quiet), model, law, path, 1)[0]
-    assert found.lesson.error_rms_um == pytest.approx(found.true_rms_um, rel=0.02)
+    assert found.ilc_update.error_rms_um == pytest.approx(found.true_rms_um, rel=0.02)
 
 
 def test_the_error_that_is_stated_is_the_true_one_down_to_the_noise(model, law):
@@ -107,24 +107,24 @@ def test_the_error_that_is_stated_is_the_true_one_down_to_the_noise(model, law):
     stated, true = [], []
     for number in range(4):
         last = _trials(model, law, scan(), number)[-1]
-        stated.append(last.lesson.error_rms_um)
+        stated.append(last.ilc_update.error_rms_um)
         true.append(last.true_rms_um)
-        assert last.lesson.lifted > 2.5
-    assert np.mean(stated) == pytest.approx(np.mean(true), abs=last.lesson.noise_um)
+        assert last.ilc_update.lifted > 2.5
+    assert np.mean(stated) == pytest.approx(np.mean(true), abs=last.ilc_update.noise_um)
 
 
 def test_what_a_trial_leaves_is_bounded_by_the_statement(model, law):
     """The contraction that is stated holds for the lines that were learnt."""
     for number in range(4):
         found = _trials(model, law, circle(), number, trials=2)
-        before, after = (rms(trial.lesson.error_um) for trial in found)
-        assert after <= found[0].lesson.slowest * before + 4.0 * found[0].lesson.noise_um
+        before, after = (rms(trial.ilc_update.error_um) for trial in found)
+        assert after <= found[0].ilc_update.slowest * before + 4.0 * found[0].ilc_update.noise_um
 
 
 def test_where_the_model_is_unsure_nothing_is_learnt(model, law):
     frequency = np.linspace(0.0, 2000.0, 401)
-    delta = Unsure(weights=0.05, resonance=0.2).relative(model, frequency, T)
-    share = Unsure.share(delta)
+    delta = ModelUncertainty(weights=0.05, resonance=0.2).relative(model, frequency, T)
+    share = ModelUncertainty.share(delta)
     assert (share[0] == 1.0).all()
     assert (share.min(axis=0) < 1.0).all()  # near the resonance it cannot be
     assert ((share == 0.0) == (delta >= 1.0)).all()
@@ -133,19 +133,19 @@ def test_where_the_model_is_unsure_nothing_is_learnt(model, law):
 
 
 def test_from_where_on_the_model_is_too_unsure_is_told(model, law):
-    unsure, path = Unsure(weights=0.05, resonance=0.2), circle()
+    uncertainty, path = ModelUncertainty(weights=0.05, resonance=0.2), circle()
     lines = np.fft.rfftfreq(path.shape[1], T)
-    first = lines[(unsure.relative(model, lines, T) >= 1.0).any(axis=1)][0]
+    first = lines[(uncertainty.relative(model, lines, T) >= 1.0).any(axis=1)][0]
     assert 80.0 < first < 280.0  # at the resonances, or before
-    taught = lesson(model, law, path, centred(law, model, path), np.tile(0.9 * path, 3), unsure)
+    taught = ilc_update(model, law, path, centred(law, model, path), np.tile(0.9 * path, 3), uncertainty)
     assert taught.limit_hz == first
-    assert f"Above {first:.4g} Hz the model is too unsure." in taught.statement()
+    assert f"Above {first:.4g} Hz the model is too uncertain." in taught.statement()
 
 
 def test_the_error_bound_covers_the_drawn_resonances(model):
     """Of 50 drawn actuators none leaves two standard deviations by more than one in twenty allows."""
     frequency = np.linspace(10.0, 1000.0, 100)
-    bound = Unsure(weights=0.0, resonance=0.01).relative(model, frequency, T)
+    bound = ModelUncertainty(weights=0.0, resonance=0.01).relative(model, frequency, T)
     from hammerstein.dynamics import discretise
 
     nominal = np.diagonal(discretise(model.dynamics, T).response(frequency), axis1=1, axis2=2)
@@ -172,7 +172,7 @@ def test_a_disturbance_that_does_not_repeat_is_not_learnt(model, law, periods, h
     drive = centred(law, model, path)
     learnt = []
     for seed in range(10):
-        taught = lesson(model, law, path, drive, _disturbed(path, periods, hz, 0.3, seed))
+        taught = ilc_update(model, law, path, drive, _disturbed(path, periods, hz, 0.3, seed))
         learnt.append(taught.learnt)
     assert np.mean(learnt) <= 0.5
 
@@ -180,7 +180,7 @@ def test_a_disturbance_that_does_not_repeat_is_not_learnt(model, law, periods, h
 def test_what_repeats_is_learnt_beside_a_disturbance(model, law):
     """2 % of the path at its own frequency, beside mains that is larger."""
     path = circle()
-    taught = lesson(
+    taught = ilc_update(
         model,
         law,
         path,
@@ -196,7 +196,9 @@ def test_a_trial_is_worse_only_beyond_the_noise(model, law):
     drive = centred(law, model, path)
 
     def taught(share, seed):
-        return lesson(model, law, path, drive, _disturbed((1.0 - share) * path, 20, 50.0, 0.0, seed, 0.04))
+        return ilc_update(
+            model, law, path, drive, _disturbed((1.0 - share) * path, 20, 50.0, 0.0, seed, 0.04)
+        )
 
     alike = [taught(0.004, seed) for seed in range(20)]
     assert not any(b.worse_than(a) or a.worse_than(b) for a, b in itertools.pairwise(alike))
@@ -211,12 +213,12 @@ def test_a_worse_trial_ends_learning_with_the_best_drive(model):
     plant_model = replace(model, dynamics=model.dynamics.model_copy(update={"axes": tuple(off)}))
     reference = circle()
     inverse = HammersteinInverseLaw(model, 10.0, T)
-    learner = LearnedLaw(model, inverse, Unsure(0.05, 0.0))
+    learner = LearnedLaw(model, inverse, ModelUncertainty(0.05, 0.0))
     plant = Plant(plant_model, model.instruments)
-    course = Course(learner, np.tile(reference, (1, 25)), 5 * 250, 250, [7])
+    ilc_run = IlcRun(learner, np.tile(reference, (1, 25)), 5 * 250, 250, [7])
     errors, drives = [], []
     for number in range(1, 9):
-        response = course.trial(plant, number)
+        response = ilc_run.trial(plant, number)
         errors.append(rms(response.position_um[:, -250:] - reference))
         drives.append(response.requested_v[:, :250])
     worse = next(k for k in range(1, 8) if errors[k] > 1.05 * errors[k - 1])
@@ -229,7 +231,7 @@ def test_three_trials_of_slow_circles_are_none_worse_than_the_one_before(model, 
     for number in range(3):
         found = _trials(model, law, circle(20000 // hz), number, trials=3)
         errors = [trial.true_rms_um for trial in found]
-        noise = 3.0 * max(trial.lesson.doubt_um for trial in found)
+        noise = 3.0 * max(trial.ilc_update.doubt_um for trial in found)
         assert max(np.diff(errors), default=0.0) <= noise
         assert errors[-1] == min(errors) or errors[-1] - min(errors) <= noise
 
@@ -239,7 +241,7 @@ def test_half_a_period_is_refused(model, law):
     drive = centred(law, model, path)
     for samples in (250 * 2, 250 * 3 + 7):
         with pytest.raises(InputError, match="whole periods of 250"):
-            lesson(model, law, path, drive, np.zeros((2, samples)))
+            ilc_update(model, law, path, drive, np.zeros((2, samples)))
 
 
 def _call(*arguments):
@@ -322,7 +324,7 @@ def off(tmp_path_factory, model):
 
 
 def test_a_scenario_sweeps_over_trials(off, model, law):
-    """Each trial is the lesson of the one before, done here by hand; the error falls as it promises."""
+    """Each trial is the update of the one before, done here by hand; the error falls as it promises."""
     report = run(_scenario([1, 2, 3], actuator=off))
     plant = Plant(HammersteinModel.load(off), model.instruments)
     path = report.traces[0].response.reference_um[:, :250]
@@ -330,7 +332,9 @@ def test_a_scenario_sweeps_over_trials(off, model, law):
     for trace in report.traces:
         np.testing.assert_array_equal(trace.response.requested_v, np.tile(drive, (1, 20)))
         read = trace.response.reading_um
-        drive = lesson(model, law, path, drive, read, Unsure(), plant.instruments.sensor.bandwidth_hz).drive_v
+        drive = ilc_update(
+            model, law, path, drive, read, ModelUncertainty(), plant.instruments.sensor.bandwidth_hz
+        ).drive_v
     rms_true = {trial: [r.rms_true_um for r in report.rows if r.trial == trial] for trial in (1, 2, 3)}
     assert max(rms_true[1]) > 0.1
     assert max(rms_true[3]) < 0.02 * max(rms_true[1])
@@ -410,10 +414,17 @@ def test_a_trial_that_is_too_short_is_named_by_its_file(tmp_path, capsys):
     assert f"{path}: has 250 samples; give whole periods" in capsys.readouterr().err
 
 
-def test_how_unsure_the_model_is_belongs_to_a_trial(tmp_path, capsys):
-    arguments = ("duo_bimorph", tmp_path / "path.csv", "--unsure", "0.1,0.1", "--out", tmp_path / "drive.csv")
+def test_the_uncertainty_of_the_model_belongs_to_a_trial(tmp_path, capsys):
+    arguments = (
+        "duo_bimorph",
+        tmp_path / "path.csv",
+        "--uncertainty",
+        "0.1,0.1",
+        "--out",
+        tmp_path / "drive.csv",
+    )
     assert _call("compensate", *arguments) == 2
-    assert "--unsure: says what --learn counts on" in capsys.readouterr().err
+    assert "--uncertainty: says what --learn counts on" in capsys.readouterr().err
 
 
 def test_no_drive_is_sent_ahead_by_a_law_that_learns(tmp_path, capsys):

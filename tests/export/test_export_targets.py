@@ -10,7 +10,7 @@ import pytest
 from export_cases import case
 
 from hammerstein.export.folder import files_of
-from hammerstein.export.measured import MeasuredCode
+from hammerstein.export.measured_code import MeasuredCode
 
 pytestmark = pytest.mark.full
 

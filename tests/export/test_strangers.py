@@ -25,7 +25,7 @@ from hammerstein.errors import InputError, Notice
 from hammerstein.escaping import C, Markdown, cell, clean, markdown, templates_of
 from hammerstein.export.code import CCode
 from hammerstein.export.folder import files_of
-from hammerstein.export.measured import MeasuredCode
+from hammerstein.export.measured_code import MeasuredCode
 from hammerstein.export.request import Request
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record

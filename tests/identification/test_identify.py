@@ -19,7 +19,7 @@ from hammerstein.identification.static.history import cautious_start, closed, ju
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.verdict import UNTOLD, invertibility_of, verdict
 from hammerstein.model import HammersteinModel
-from hammerstein.records.driven import run_in
+from hammerstein.records.excitation import run_in
 from hammerstein.records.reading import read_records
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures.identified import identified_figures, spectrum

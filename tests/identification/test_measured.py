@@ -11,7 +11,7 @@ from record_cases import message, plain
 from hammerstein.dynamics import StateSpaceDynamics
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
-from hammerstein.records.driven import driven_inputs
+from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.readers import read_columns
 from hammerstein.records.reading import read_paired_records, read_records
 from hammerstein.records.record import Record

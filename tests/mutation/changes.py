@@ -18,7 +18,7 @@ NUMERICAL = (
     "hammerstein/records/loops.py",
     "hammerstein/records/noise.py",
     "hammerstein/records/outliers.py",
-    "hammerstein/records/driven.py",
+    "hammerstein/records/excitation.py",
     "hammerstein/records/swapped_columns.py",
     "hammerstein/records/robust_fit.py",
     "hammerstein/records/turning_points.py",

@@ -134,7 +134,7 @@ def test_the_plugin_loads_nothing_but_itself() -> None:
     assert set(done.stdout.split()) <= {
         "hammerstein",
         "hammerstein.pytest_plugin",
-        "hammerstein.pictured",  # no import of its own
+        "hammerstein.notebook_repr",  # no import of its own
         "lazy_loader",  # finds the public names; no library of ours
         *("tomllib", "tomllib._parser", "tomllib._re", "tomllib._types"),
     }

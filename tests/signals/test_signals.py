@@ -3,7 +3,7 @@ import pytest
 
 from hammerstein.errors import InputError
 from hammerstein.signals import Circle, FromFile, Lissajous, Multisine, Sine, Spiral, Triangle
-from hammerstein.signals.tables import read_signal
+from hammerstein.signals.signal_files import read_signal
 
 t = np.linspace(0.0, 0.1, 2001)
 

@@ -159,7 +159,9 @@ class ExactInverseLaw(StaticInverse[ExactState]):
 
     @cached_property
     def _compiled_step(self) -> Any:
-        from hammerstein.compensators.exact.kernel import step_exact  # looked up once: a step is short
+        from hammerstein.compensators.exact.inverse_kernel import (
+            step_exact,  # looked up once: a step is short
+        )
 
         return step_exact
 
@@ -227,7 +229,7 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         self, v_um: Array, start: ExactState, away: Array, recovery: Recovery | None = None
     ) -> tuple[Array, ExactState, Array]:
         """See ``StaticInverse.solve``."""
-        from hammerstein.compensators.exact.kernel import loaded, respond_exact, unloaded
+        from hammerstein.compensators.exact.inverse_kernel import loaded, respond_exact, unloaded
         from hammerstein.compiled import spans
 
         p, drive = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1]))

@@ -1,4 +1,4 @@
-"""The affine pieces of plays and dead-zones seen from their memory, for the walk of ``kernel``.
+"""The affine pieces of plays and dead-zones seen from their memory, for the walk of ``inverse_kernel``.
 
 k is an input, or the row o of the model. Two arrays hold it all, for few arguments make the compiled calls
 cheap, and most functions are put into their callers (``forceinline``): a call costs as much as what they do.

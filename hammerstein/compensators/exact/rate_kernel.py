@@ -2,14 +2,14 @@
 
 The thresholds of a sample are known before it, so that its map is piecewise linear in each voltage and has no
 memory within the sample: plays stand still between p - R and p + R and follow outside. It is given to the
-walk of ``kernel`` as dead-zones beside a single play of threshold and weight 0.
+walk of ``inverse_kernel`` as dead-zones beside a single play of threshold and weight 0.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from hammerstein.compensators.exact.kernel import drift, walk
+from hammerstein.compensators.exact.inverse_kernel import drift, walk
 from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.rate_dependent_kernels import next_rate, threshold
 

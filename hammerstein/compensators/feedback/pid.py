@@ -142,7 +142,7 @@ class FeedbackController(Controller[ControllerState]):
         self, reference_um: ArrayLike, reading_um: ArrayLike, state: ControllerState
     ) -> ControllerState:
         """First half of a step: work out the correction from reference and reading (p,) of a sample."""
-        from hammerstein.compensators.feedback.kernel import correct
+        from hammerstein.compensators.feedback.pid_kernel import correct
 
         memory = state.memory.copy()
         reference, reading = (np.ascontiguousarray(x, dtype=np.float64) for x in (reference_um, reading_um))
@@ -153,7 +153,7 @@ class FeedbackController(Controller[ControllerState]):
         self, state: ControllerState, feedforward_v: ArrayLike | None = None
     ) -> tuple[Array, ControllerState]:
         """Second half of a step: voltages (m,) of the correction beside a feedforward (m,)."""
-        from hammerstein.compensators.feedback.kernel import request
+        from hammerstein.compensators.feedback.pid_kernel import request
 
         memory, asked = state.memory.copy(), np.empty(self.n_inputs)
         ahead = self.range.start_v if feedforward_v is None else feedforward_v
@@ -306,7 +306,7 @@ def _compiled_loop(
     law: FeedbackController, plant: Plant, hysteresis: PrandtlIshlinskii, reference_um: Array, seed: list[int]
 ) -> dict[str, Any]:
     """Wires (axis, sample) of the compiled loop."""
-    from hammerstein.compensators.feedback.kernel import run_closed_loop
+    from hammerstein.compensators.feedback.pid_kernel import run_closed_loop
     from hammerstein.compiled import spans
 
     path_um, forward_v = law.path_and_feedforward(reference_um)

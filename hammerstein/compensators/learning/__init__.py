@@ -1,5 +1,5 @@
 """Learning at the set-up: the next drive for a periodic path, from what a sensor said of the last one."""
 
+from hammerstein.compensators.learning.ilc_update import IlcUpdate as IlcUpdate, ilc_update as ilc_update
 from hammerstein.compensators.learning.learned import Learned as Learned
-from hammerstein.compensators.learning.lesson import Lesson as Lesson, lesson as lesson
-from hammerstein.compensators.learning.unsure import Unsure as Unsure
+from hammerstein.compensators.learning.model_uncertainty import ModelUncertainty as ModelUncertainty

@@ -12,12 +12,12 @@ from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import column
 from hammerstein.compensators.cycle import Cycle, Design, design_of
 from hammerstein.compensators.drive_file import Terms
-from hammerstein.compensators.learning.lesson import MEASURED, Lesson, lesson
-from hammerstein.compensators.learning.unsure import Unsure
+from hammerstein.compensators.learning.ilc_update import MEASURED, IlcUpdate, ilc_update
+from hammerstein.compensators.learning.model_uncertainty import ModelUncertainty
 from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, read_path
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
-from hammerstein.signals.tables import read_signal
+from hammerstein.signals.signal_files import read_signal
 
 
 def learn_from_files(
@@ -26,11 +26,11 @@ def learn_from_files(
     law: str,
     options: Mapping[str, Any],
     trial: tuple[Path, Path],
-    unsure: Unsure,
+    uncertainty: ModelUncertainty,
     terms: Terms,
     onlooker: Onlooker = UNWATCHED,
     before: tuple[Path, Path] | None = None,
-) -> tuple[Cycle, Lesson]:
+) -> tuple[Cycle, IlcUpdate]:
     """Next period of voltages, and what the trial taught.
 
     Parameters
@@ -38,20 +38,22 @@ def learn_from_files(
     path : one period of the path
     trial : the drive file that was played, and what the sensor read: ``time_s`` and one column an output in
         um, whole settled periods, zero where the actuator stood before
-    unsure : how sure the model is
+    uncertainty : relative uncertainty of the model
     onlooker : told the cost of the path before the work
     before : the files of the trial before; its drive is kept if this trial was worse
 
     Raises InputError for files that do not belong together, and what ``cycle_of`` does.
     """
     design = design_of(model_path, path, law, options, terms, onlooker)
-    found, _ = _taught(design, trial, unsure)
+    found, _ = _taught(design, trial, uncertainty)
     if before is not None:
-        found = found.after(*_taught(design, before, unsure))
+        found = found.after(*_taught(design, before, uncertainty))
     return design.cycle(found.drive_v, terms), found
 
 
-def _taught(design: Design, trial: tuple[Path, Path], unsure: Unsure) -> tuple[Lesson, Array]:
+def _taught(
+    design: Design, trial: tuple[Path, Path], uncertainty: ModelUncertainty
+) -> tuple[IlcUpdate, Array]:
     """What the files of a trial teach, and its drive (m, N)."""
     samples, time_s = design.reference_um.shape[1], design.model.instruments.drive.sample_time_s
     drive = _drive_of(trial[0], design.model, samples)
@@ -60,7 +62,9 @@ def _taught(design: Design, trial: tuple[Path, Path], unsure: Unsure) -> tuple[L
         raise InputError(str(trial[1]), f"is not sampled every {time_s:g} s, as the drive is; record it so")
     bandwidth = design.model.instruments.sensor.bandwidth_hz
     try:
-        found = lesson(design.model, design.law, design.reference_um, drive, measured, unsure, bandwidth)
+        found = ilc_update(
+            design.model, design.law, design.reference_um, drive, measured, uncertainty, bandwidth
+        )
     except InputError as error:
         if error.source != MEASURED:
             raise

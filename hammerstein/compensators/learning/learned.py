@@ -11,14 +11,14 @@ from hammerstein.blocks import Law, Learner
 from hammerstein.blocks.driving import RangeLike
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.cycle import centred
-from hammerstein.compensators.learning.lesson import lesson
-from hammerstein.compensators.learning.unsure import RESONANCE, WEIGHTS, Unsure
+from hammerstein.compensators.learning.ilc_update import ilc_update
+from hammerstein.compensators.learning.model_uncertainty import RESONANCE, WEIGHTS, ModelUncertainty
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Deviation, Frequency, Trial
 
 
 class LearnedLaw(Learner):
-    """Iterative learning on the model's own inverse, see ``lesson``.
+    """Iterative learning on the model's own inverse, see ``ilc_update``.
 
     The first trial plays the settled period of the inverse; each one after it corrects the last by what the
     sensor read.
@@ -26,12 +26,14 @@ class LearnedLaw(Learner):
     Parameters
     ----------
     model, inverse : what is known of the actuator, and its inverse, designed for the drive
-    unsure : how sure the model is
+    uncertainty : relative uncertainty of the model
     trial : the trial that is measured
     """
 
-    def __init__(self, model: HammersteinModel, inverse: Law[Any], unsure: Unsure, trial: int = 1):
-        self.model, self.inverse, self.unsure, self.trial = model, inverse, unsure, trial
+    def __init__(
+        self, model: HammersteinModel, inverse: Law[Any], uncertainty: ModelUncertainty, trial: int = 1
+    ):
+        self.model, self.inverse, self.uncertainty, self.trial = model, inverse, uncertainty, trial
         self.n_inputs, self.n_outputs, self.range = inverse.n_inputs, inverse.n_outputs, inverse.range
 
     def first(self, reference_um: Array) -> Array:
@@ -45,12 +47,12 @@ class LearnedLaw(Learner):
         reading_um: Array,
         before: tuple[Array, Array] | None = None,
     ) -> Array:
-        """Voltages after a lesson; those of the trial before where this one was worse beyond the noise."""
+        """Voltages after an update; those of the trial before where this one was worse beyond the noise."""
         bandwidth = self.model.instruments.sensor.bandwidth_hz
         known = (self.model, self.inverse, reference_um)
-        taught = lesson(*known, drive_v, reading_um, self.unsure, bandwidth)
+        taught = ilc_update(*known, drive_v, reading_um, self.uncertainty, bandwidth)
         if before is not None:
-            taught = taught.after(lesson(*known, *before, self.unsure, bandwidth), before[0])
+            taught = taught.after(ilc_update(*known, *before, self.uncertainty, bandwidth), before[0])
         return taught.drive_v
 
     def statement(self) -> str:
@@ -69,8 +71,12 @@ class Learned(Compensator):
     filter_hz: Frequency | None = Field(
         default=None, description="bandwidth of the reference filter of hammerstein_inverse"
     )
-    weights: Deviation = Field(default=WEIGHTS, description="how unsure the weights of the model are")
-    resonance: Deviation = Field(default=RESONANCE, description="how unsure its resonances are")
+    weights: Deviation = Field(
+        default=WEIGHTS, description="relative standard deviation of the weights of the model"
+    )
+    resonance: Deviation = Field(
+        default=RESONANCE, description="relative standard deviation of its resonances"
+    )
     trial: Trial = Field(default=5, description="which trial is measured; the first is without learning")
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> LearnedLaw:
@@ -80,7 +86,7 @@ class Learned(Compensator):
             asked["filter_hz"] = self.filter_hz
         inverse = COMPENSATORS.value(asked).design(model, range_v, sample_time_s)
         assert isinstance(inverse, Law)  # each that may be named is one
-        return LearnedLaw(model, inverse, Unsure(self.weights, self.resonance), self.trial)
+        return LearnedLaw(model, inverse, ModelUncertainty(self.weights, self.resonance), self.trial)
 
 
 COMPENSATORS.register(Learned)

@@ -191,7 +191,7 @@ class HammersteinInverseLaw(Law[PathState]):
         """What is compiled, and what of the design it wants; None for another static inverse."""
         if not isinstance(self.exact, ExactInverseLaw):
             return None
-        from hammerstein.compensators.preview.kernel import step_path
+        from hammerstein.compensators.preview.preview_kernel import step_path
 
         inverse = self.linear
         linear = (inverse.A, inverse.B, inverse.C, inverse.taps, inverse.ahead)
@@ -240,7 +240,7 @@ class HammersteinInverseLaw(Law[PathState]):
 
     def _filtered(self, raw: Array) -> Array:
         """Reference behind the filter, shorter by its length less one."""
-        from hammerstein.compensators.preview.kernel import filtered
+        from hammerstein.compensators.preview.preview_kernel import filtered
         from hammerstein.compiled import spans
 
         if len(self.taps) == 1:
@@ -253,7 +253,7 @@ class HammersteinInverseLaw(Law[PathState]):
 
     def _wanted(self, known: Array, modes: Array) -> Array:
         """Outputs of the static block (p, N) that put the linear block on the path; ``modes`` move on."""
-        from hammerstein.compensators.preview.kernel import run_inverse
+        from hammerstein.compensators.preview.preview_kernel import run_inverse
         from hammerstein.compiled import spans
 
         inverse, known = self.linear, np.ascontiguousarray(known)

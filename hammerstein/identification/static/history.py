@@ -11,7 +11,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.identification.choices import StartMode
 from hammerstein.identification.static.regressors import Start
-from hammerstein.records.driven import driven_inputs, moves_while_held, run_in
+from hammerstein.records.excitation import driven_inputs, moves_while_held, run_in
 from hammerstein.records.record import Record
 
 CLOSED_V = 0.01

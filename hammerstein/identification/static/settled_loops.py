@@ -10,7 +10,7 @@ from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.static.closed_form import closed_form
-from hammerstein.records.driven import driven_inputs
+from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.record import Record
 from hammerstein.records.turning_points import Excursion, find_cycles
 

@@ -16,7 +16,7 @@ from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
 from hammerstein.identification.static.regressors import Start
-from hammerstein.records.driven import driven_inputs
+from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.loops import SAME_SWING, widest_cycle
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures.loops import LoopRun, loops_figure

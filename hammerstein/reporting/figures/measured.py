@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hammerstein.records.driven import driven_inputs
+from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.loops import Loop, move_at_once, telling_loops, widest_cycle
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures.loops import LoopRun, loops_figure

@@ -15,7 +15,14 @@ from pathlib import Path
 from typing import BinaryIO
 
 from hammerstein.errors import InputError
-from hammerstein.files import begun, ended, reason_of, refuse_no_file, refuse_unwritable, remove_empty
+from hammerstein.files import (
+    drop_cleanup,
+    reason_of,
+    refuse_no_file,
+    refuse_unwritable,
+    register_cleanup,
+    remove_empty,
+)
 from hammerstein.runtime.interrupts import deferred_interrupts
 from hammerstein.runtime.storage.exchange import NEW, Exchange, clear, exchange, recover
 from hammerstein.runtime.storage.lock import locked
@@ -238,7 +245,7 @@ def _room_of(folder: Path, made: Sequence[Path]) -> Iterator[tuple[Path, tuple[P
 
     try:
         with locked(lock):
-            begun(room, discard)
+            register_cleanup(room, discard)
             try:
                 with deferred_interrupts():
                     kept = recover(folder, room)
@@ -248,4 +255,4 @@ def _room_of(folder: Path, made: Sequence[Path]) -> Iterator[tuple[Path, tuple[P
                 clear(room)
                 remove_empty([room])
     finally:
-        ended(room)
+        drop_cleanup(room)

@@ -7,7 +7,7 @@ import pytest
 from hammerstein import HammersteinModel, Scenario, simulate
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError, Notice
-from hammerstein.signals.tables import chosen, read_signal
+from hammerstein.signals.signal_files import chosen, read_signal
 
 SAMPLE_TIME_S = 50e-6
 

@@ -5,7 +5,7 @@ so the model is another one, whose smallest thresholds are 0, behind one play an
 first; then u = q + r_0 while q rises, q - r_0 while it falls.
 
 Seen from its memory, the output of every input is a polygon in q_k: rising from the last q_k or falling from
-it, straight between two engagements (see ``hysteresis.kernels`` for the stack of segments that says where).
+it, straight between two engagements (the stack of segments of ``hysteresis.play_kernels`` says where).
 In one box of pieces the model is J q + c, column k of J being the slope of input k. The walk (Katzenelson's
 method) aims at q* = J^-1 (y - c), goes there in a straight line, stops where the first input reaches the
 end of its piece, lets that input change its piece, and aims again, until q* lies inside. Where all

@@ -10,7 +10,7 @@ import numpy as np
 from hammerstein.arrays import Array, Complex
 from hammerstein.blocks import Law
 from hammerstein.compensators.cycle import centred, played
-from hammerstein.compensators.learning.unsure import Unsure
+from hammerstein.compensators.learning.model_uncertainty import ModelUncertainty
 from hammerstein.errors import InputError
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
@@ -22,7 +22,7 @@ MEASURED = "measured"
 
 
 @dataclass(frozen=True, eq=False)
-class Lesson:
+class IlcUpdate:
     """What a trial taught.
 
     drive_v : (m, N) the next period of voltages; that of the trial where nothing is left to learn
@@ -31,7 +31,7 @@ class Lesson:
     lifted : by how much that noise is larger in the error, for the sensor's lag is taken out of it, too
     doubt_um : standard deviation of ``error_rms_um``, from the same noise
     learnt : lines of the spectrum that were corrected; slowest : what a trial leaves of an error at worst
-    limit_hz : from where on the model is too unsure to learn; inf if nowhere
+    limit_hz : from where on the model is too uncertain to learn; inf if nowhere
     before : what the trial before taught, where it was given
     """
 
@@ -43,7 +43,7 @@ class Lesson:
     learnt: int
     slowest: float
     limit_hz: float
-    before: Lesson | None = None
+    before: IlcUpdate | None = None
 
     @property
     def error_rms_um(self) -> float:
@@ -60,11 +60,11 @@ class Lesson:
         """Whether this trial is worse than the one before, beyond the noise."""
         return self.before is not None and self.worse_than(self.before)
 
-    def after(self, before: Lesson, drive_v: Array) -> Lesson:
-        """Give the lesson beside that of the trial before, whose drive (m, N) is kept if this is worse."""
+    def after(self, before: IlcUpdate, drive_v: Array) -> IlcUpdate:
+        """Give the update beside that of the trial before, whose drive (m, N) is kept if this is worse."""
         return replace(self, before=before, drive_v=drive_v if self.worse_than(before) else self.drive_v)
 
-    def worse_than(self, before: Lesson) -> bool:
+    def worse_than(self, before: IlcUpdate) -> bool:
         """Whether this trial is farther off than one before, by more than the noise of both."""
         doubt = SIGNIFICANT * float(np.hypot(self.doubt_um, before.doubt_um))
         return self.error_rms_um > before.error_rms_um + doubt
@@ -82,7 +82,9 @@ class Lesson:
             return f"{found} Stop: the drive of the trial before is kept."
         if self.finished:
             return f"{found} What is left is the sensor's noise: keep this drive."
-        limit = "" if np.isinf(self.limit_hz) else f" Above {self.limit_hz:.4g} Hz the model is too unsure."
+        limit = (
+            "" if np.isinf(self.limit_hz) else f" Above {self.limit_hz:.4g} Hz the model is too uncertain."
+        )
         return (
             f"{found} Learnt at {self.learnt} lines of the spectrum. An actuator within the stated "
             f"deviations of its model leaves at most {self.slowest:.2g} of the error there after the next "
@@ -90,20 +92,20 @@ class Lesson:
         )
 
 
-def lesson(
+def ilc_update(
     model: HammersteinModel,
     law: Law[Any],
     reference_um: Array,
     drive_v: Array,
     measured_um: Array,
-    unsure: Unsure | None = None,
+    uncertainty: ModelUncertainty | None = None,
     sensor_bandwidth_hz: float = np.inf,
-) -> Lesson:
+) -> IlcUpdate:
     """Learn from a trial.
 
     The error behind the sensor's lag, ``E = R - Y / S``, is added to what the model does with the last
-    drive, where it is more than noise and the model is sure enough (``Unsure``); the model's own inverse
-    gives the drive of that path.
+    drive, where it is more than noise and the model is certain enough (``ModelUncertainty``); the model's own
+    inverse gives the drive of that path.
 
     Parameters
     ----------
@@ -111,7 +113,7 @@ def lesson(
     reference_um : (p, N) one period, counted from the start
     drive_v : (m, N) the period that was played
     measured_um : (p, periods N) settled periods that the sensor read, zero where the actuator stood
-    unsure : how sure the model is
+    uncertainty : relative uncertainty of the model
     sensor_bandwidth_hz : first-order lag of the sensor
 
     Raises
@@ -124,8 +126,8 @@ def lesson(
     lag = 1.0 / (1.0 + 1j * frequency / sensor_bandwidth_hz)
     error = np.fft.rfft(reference_um, axis=1) - np.fft.rfft(mean, axis=1) / lag
     noise = deviation / np.abs(lag)
-    delta = (unsure or Unsure()).relative(model, frequency, time_s).T
-    share = Unsure.share(delta)
+    delta = (uncertainty or ModelUncertainty()).relative(model, frequency, time_s).T
+    share = ModelUncertainty.share(delta)
     above_noise = (np.abs(error) > _least_error(deviation, measured_um.shape[1] // samples) / np.abs(lag)) & (
         share > 0.0
     )
@@ -137,7 +139,7 @@ def lesson(
     slowest = float((1.0 - share[above_noise] * (1.0 - delta[above_noise])).max(initial=0.0))
     unsure_at = frequency[(share == 0.0).any(axis=0)]
     read = _rms_of(deviation, samples)
-    return Lesson(
+    return IlcUpdate(
         drive,
         np.fft.irfft(error, samples, axis=1),
         read,

@@ -14,7 +14,7 @@ def show_with(show: Show) -> None:
     _shows[:] = [show]
 
 
-class Pictured:
+class NotebookRepr:
     """A value of which a notebook shows its short text and a picture."""
 
     def _repr_html_(self) -> str:

@@ -17,7 +17,7 @@ WEIGHTS, RESONANCE = 0.05, 0.01
 
 
 @dataclass(frozen=True)
-class Unsure:
+class ModelUncertainty:
     """Relative standard deviations of the weights and of the resonances of a model.
 
     Learning through the inverse of a model is ``e+ = (1 - Q T) e`` at each frequency, with T what the
@@ -63,7 +63,7 @@ class Unsure:
 
     @staticmethod
     def share(delta: Array) -> Array:
-        """Part Q of an error that is learnt, where the model is as unsure as this."""
+        """Part Q of an error that is learnt, where the model is as uncertain as this."""
         return np.asarray(np.clip((1.0 - delta) / (1.0 - SURE), 0.0, 1.0))
 
 

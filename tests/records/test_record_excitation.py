@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from record_cases import N, U, X, message
 
-from hammerstein.records.driven import dead_start
+from hammerstein.records.excitation import dead_start
 from hammerstein.records.record import Record
 from hammerstein.records.swapped_columns import lag_rad, leads, refuse_swapped
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hammerstein.compensators.exact.kernel import loaded, respond_exact, unloaded
+from hammerstein.compensators.exact.inverse_kernel import loaded, respond_exact, unloaded
 from hammerstein.compensators.kernels import to_sent
 from hammerstein.compiled import compiled
 

@@ -22,7 +22,7 @@ NUMBERS_NOT = {"label", "identification", "model", "only_at_hz"}
 """Keys of a compensator that choose its model or name it; the model itself is a part of the key."""
 
 
-class KeptCases:
+class CaseCache:
     """Results of the cases of one set-up, from the store where they are there.
 
     setup : what is run

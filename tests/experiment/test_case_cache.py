@@ -18,7 +18,7 @@ from hammerstein import plugins
 from hammerstein.commands.cli import main
 from hammerstein.compensators import COMPENSATORS
 from hammerstein.errors import Notice
-from hammerstein.experiment import kept, simulated_identification
+from hammerstein.experiment import case_cache, simulated_identification
 from hammerstein.experiment.run import run
 from hammerstein.files import UNFINISHED
 from hammerstein.model import HammersteinModel
@@ -63,13 +63,13 @@ def store(tmp_path):
 @pytest.fixture
 def worked_out(monkeypatch):
     """Cases that are worked out from now on."""
-    cases, real = [], kept.rows_of
+    cases, real = [], case_cache.rows_of
 
     def counted(setup, case):
         cases.append(case)
         return real(setup, case)
 
-    monkeypatch.setattr(kept, "rows_of", counted)
+    monkeypatch.setattr(case_cache, "rows_of", counted)
     return cases
 
 
