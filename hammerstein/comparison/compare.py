@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import PurePath
 
 import numpy as np
 
 from hammerstein.comparison.fitting import Fitted, Progress, fit_all
 from hammerstein.comparison.inverting import Inverse, inverse_of, left_by
-from hammerstein.comparison.judging import scores_at, trial_of
+from hammerstein.comparison.judging import alike, scores_at
 from hammerstein.comparison.result import Compared, Comparison
 from hammerstein.dynamics import discretise
-from hammerstein.identification.choice import Trial, as_good, chosen, least
+from hammerstein.identification.choice import Trial, as_good, chosen, least, trial_of
+from hammerstein.identification.first_look import start_mode
 from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.score import score
 from hammerstein.identification.settings import Settings
+from hammerstein.identification.static.history import own_starts
+from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.verdict import record_flags
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.fanning import Jobs
@@ -80,10 +85,13 @@ def compare(
     tell("playing the compensators", 1, 1)
     grid_s = ready[0].sample_time_s
     inverses = [inverse_of(one.model, grid_s) for one in fitted]
-    starts = [one.starts for one in fitted]
+    starts = _own([one.starts for one in fitted], fitted, ready, settings)
+    held_starts = _own([one.held_starts for one in fitted], fitted, held, settings)
+    each = zip(fitted, starts, held_starts, strict=True)
+    fitted = [replace(one, starts=own, held_starts=other) for one, own, other in each]
     trials = [
-        trial_of(one, ready, starts, i, inverse.exact)
-        for i, (one, inverse) in enumerate(zip(fitted, inverses, strict=True))
+        trial_of(one.name, one.candidate, ready, one.starts, invertible=inverse.exact)
+        for one, inverse in zip(fitted, inverses, strict=True)
     ]
     best, good = fitted[least(trials)], as_good(trials)
     entries = [
@@ -100,6 +108,16 @@ def compare(
         tuple(PurePath(record.source).name for record in records),
         tuple(PurePath(record.source).name for record in validation),
     )
+
+
+def _own(
+    starts: Sequence[Sequence[Start]], fitted: Sequence[Fitted], records: Sequence[Record], settings: Settings
+) -> list[tuple[Start, ...]]:
+    """Start of each record that suits each model, on the samples that count for all of them."""
+    return [
+        own_starts(records, begun, one.candidate.predict, start_mode(settings))
+        for begun, one in zip(alike(starts), fitted, strict=True)
+    ]
 
 
 def _entry(
@@ -128,9 +146,14 @@ def _entry(
         has_inverse=inverse.exact,
         inverse=inverse.words,
         left=left_by(one, inverse, best, held or ready),
-        flags=one.flags,
+        flags=tuple(dict.fromkeys([*one.flags, *_missed(one, ready, held)])),
         model=one.model,
     )
+
+
+def _missed(one: Fitted, ready: Sequence[Record], held: Sequence[Record]) -> list[str]:
+    """Records, fitted or held back, that a model misses."""
+    return record_flags(one.candidate, [*ready, *held], [*one.starts, *one.held_starts])
 
 
 def ns_a_sample(model: HammersteinModel, record: Record) -> float:

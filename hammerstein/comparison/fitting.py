@@ -221,4 +221,5 @@ def _fitted(
     candidate = fit.candidates[kind]
     if kind != fit.kind:  # of plays, which count from any working point
         model = replace(model, hysteresis=candidate.hysteresis, dynamics=candidate.dynamics, verdict=None)
-    return Fitted(name, hysteresis, model, candidate, fit.starts, fit.held_starts, fit.flags, seconds)
+    flags = fit.flags if kind == fit.kind else ()
+    return Fitted(name, hysteresis, model, candidate, fit.starts, fit.held_starts, flags, seconds)

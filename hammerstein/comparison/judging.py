@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from hammerstein.comparison.fitting import Fitted
-from hammerstein.identification.choice import Trial, fold_squares, parameters_of
 from hammerstein.identification.score import Score, score
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
@@ -67,14 +66,7 @@ def scores_at(one: Fitted, records: Sequence[Record], starts: Sequence[Start]) -
     return found
 
 
-def trial_of(
-    one: Fitted, records: Sequence[Record], starts: Sequence[Sequence[Start]], number: int, has_inverse: bool
-) -> Trial:
-    """Squared errors of a model on folds of the fitted records, on the samples that count for every model.
-
-    starts : of the records, as each of the models had them; ``number``: which of them is this one
-    """
+def alike(starts: Sequence[Sequence[Start]]) -> list[list[Start]]:
+    """Starts (model) (record) of several models, from the samples on that count for every one of them."""
     first = [max(begun.first for begun in each) for each in zip(*starts, strict=True)]
-    own = [replace(start, first=k) for start, k in zip(starts[number], first, strict=True)]
-    squares = fold_squares(one.candidate, records, own)
-    return Trial(one.name, parameters_of(one.candidate), squares, has_inverse)
+    return [[replace(start, first=k) for start, k in zip(own, first, strict=True)] for own in starts]

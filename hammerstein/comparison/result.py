@@ -27,6 +27,11 @@ RULE = (
 )
 
 
+MUCH_LEFT = 3.0
+"""What a compensator leaves, in parts of the error of its model, from which it is said: both errors and a
+third one for what the model that stands for the actuator misses itself."""
+
+
 @dataclass(frozen=True)
 class Left:
     """What the compensator of a model leaves on another model.
@@ -165,6 +170,12 @@ class Comparison:
             said.append(
                 "No validation record was given, so that the error on other records is not known: give one "
                 "with --validate before you rely on this."
+            )
+        left, own = chosen.left.percent, chosen.judged.mean_percent
+        if left is not None and left > MUCH_LEFT * own:
+            said.append(
+                f"Its compensator leaves {left:.3g} % of the path on {chosen.left.on}, far more than its own "
+                "error: what it predicts well it does not invert well."
             )
         if chosen.flags:
             said.append(f"It does not represent these records: {'; '.join(chosen.flags)}.")

@@ -148,7 +148,7 @@ class Compensation:
             top, low = (", ".join(f"{u:.6g} V" for u in ends) for ends in (limits.high_v, limits.low_v))
             return f"{text}driven to {top}, then to {low}, then straight to there."
         if (limits.start_v == limits.working_point_v).all():
-            return f"{text}at rest, as the records began."
+            return f"{text}at rest, as if it had never been driven."
         return f"{text}at rest at {rest} before, then straight to there."
 
     def to_csv(self, tell: Tell | None = None) -> str:

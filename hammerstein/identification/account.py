@@ -15,7 +15,7 @@ from hammerstein.dynamics import StateSpaceDynamics
 from hammerstein.identification.choice import Trial
 from hammerstein.identification.excitation import excitation_statements
 from hammerstein.identification.fit import Fit, Kind
-from hammerstein.identification.leftover import faults_left, leftover_statements
+from hammerstein.identification.leftover import faults_left, is_flag, leftover_statements
 from hammerstein.identification.linear.delay import delay_in_samples
 from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.score import Candidate, Score, ranges
@@ -29,6 +29,7 @@ from hammerstein.identification.verdict import (
     invertibility_of,
     record_flags,
     shape_flags,
+    turning_back_flags,
     verdict,
 )
 from hammerstein.model import HammersteinModel
@@ -96,7 +97,12 @@ def account(
         error_curve=curve,
         not_identifiable=tuple(_unknown(task, built, response)),
         flags=tuple(flags),
-        notes=(*_left_out([*task.records, *held]), *built.notes, *_bounds(task, built, named)),
+        notes=(
+            *_left_out([*task.records, *held]),
+            *(fault.text for fault in named if not is_flag(fault, task.records)),
+            *built.notes,
+            *_bounds(task, built, named),
+        ),
         invertible=invertible,
         invertibility=sentence,
         verdict=verdict(judged or fitted, bool(judged), flags, settings.dynamics, built.kind, leftover),
@@ -129,15 +135,14 @@ def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
     """What spoils the records, and what a model of this kind cannot represent."""
     blocks, outputs = built.best.blocks, task.records[0].outputs
     spoiled = {(fault.source, name) for fault in named for name in fault.outputs}
-    direct = [
-        (o, k)
-        for o, k in direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))
-        if outputs[o] not in {name for _, name in spoiled}
-    ]
-    flags = [fault.text for fault in named]
+    pairs = direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))
+    direct = [(o, k) for o, k in pairs if outputs[o] not in {name for _, name in spoiled}]
+    flags = [fault.text for fault in named if is_flag(fault, task.records)]
     flags += record_flags(built.best.candidate, task.records, task.starts, spoiled)
     if built.kind in ("linear", "static_hysteresis"):
         flags += butterfly_flags(task.records, direct)
+    if not any("no rising loop" in flag for flag in flags):
+        flags += turning_back_flags(built.best.candidate, task.records, task.starts, pairs)
     if blocks.one_sign is not None and task.settings.hysteresis == "prandtl_ishlinskii":
         spans = ranges(task.records, task.starts)
         flags += shape_flags(task.records, blocks.free, blocks.one_sign, spans, direct)

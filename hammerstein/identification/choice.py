@@ -32,6 +32,12 @@ FELT = 0.02
 """Part of the error that a gain must be to matter: less is not worth a parameter, however sure it is."""
 MOST_WORSE = 0.05
 """Part of the least error by which a simpler model may leave more where the difference may be chance."""
+ROUNDING = 1e-14
+"""Mean squared error in parts of the range that counts as none: normal equations in double precision tell
+coefficients to the root of a rounding error, so that of models below it none is the better one."""
+READINGS = 5
+"""Readings that a free number must have at least: with fewer, folds that lie between those that were fitted
+are guessed from their neighbours."""
 CLOSE = (
     f"within {100.0 * FELT:.0f} % of the least, or within {100.0 * MOST_WORSE:.0f} % and one standard error "
     "of it"
@@ -50,15 +56,17 @@ class Trial:
     parameters : free numbers in it
     squares : (fold,) mean squared error of the outputs in parts of their ranges, on each part left out;
         infinite where the prediction is not finite or the model unstable
-    invertible : whether its main pairs and its linear block can be inverted
-    told : whether the records tell the dynamics that it has; if not, it is only there to compare with
+    usable : whether its main pairs and its linear block can be inverted, and none of its numbers ends at a
+        limit, where the records do not determine it
+    told : whether the records tell the dynamics that it has, and hold ``READINGS`` for every free number; if
+        not, it is only there to compare with
     kept : whether it is the model that is returned
     """
 
     name: str
     parameters: int
     squares: Array
-    invertible: bool = True
+    usable: bool = True
     told: bool = True
     kept: bool = False
 
@@ -73,14 +81,24 @@ class Trial:
         """
         return 100.0 * math.sqrt(float(np.mean(self.squares)))
 
+    @property
+    def counted(self) -> Array:
+        """Squares (fold,) by which it is judged: what is rounding counts alike."""
+        return np.maximum(self.squares, ROUNDING)
+
+    @property
+    def mean(self) -> float:
+        """Mean of them."""
+        return float(np.mean(self.counted))
+
 
 def chosen(trials: Sequence[Trial]) -> int:
     """Trial to keep: the one with the fewest parameters whose rms error is ``CLOSE`` to the least.
 
     The standard error is that of the difference to the best, from part to part (Breiman et al.,
     Classification and Regression Trees, 1984, section 3.4.3). Alone it is no measure: in long records of
-    little noise the smallest gain is many of them. A model without an inverse is kept only where none with an
-    inverse is as good, which then may leave more than the 5 %.
+    little noise the smallest gain is many of them. A model without an inverse, or with a number at a
+    limit, is kept only where none better in that is as good, which then may leave more than the 5 %.
 
     Examples
     --------
@@ -92,46 +110,67 @@ def chosen(trials: Sequence[Trial]) -> int:
     1
     >>> chosen([Trial("blocked", 1, squares, False), Trial("small", 5, squares[::-1])])
     1
+    >>> chosen([Trial("exact", 9, 1e-24 * squares), Trial("exact to rounding", 5, 1e-18 * squares)])
+    1
     """
     best = least(trials)
-    means = np.array([float(np.mean(trial.squares)) for trial in trials])
-    if not np.isfinite(means[best]):
+    most = (1.0 + MOST_WORSE) ** 2 * trials[best].mean
+    if not np.isfinite(most):
         return best
     chance = as_good(trials)
-    close = [i for i in chance if means[i] <= (1.0 + MOST_WORSE) ** 2 * means[best]]
-    usable = [i for i in close if trials[i].invertible]
+    close = [i for i in chance if trials[i].mean <= most]
+    usable = [i for i in close if trials[i].usable]
     if not usable:
-        usable = sorted((i for i in chance if trials[i].invertible), key=lambda i: means[i])[:1]
+        usable = sorted((i for i in chance if trials[i].usable), key=lambda i: trials[i].mean)[:1]
     return min(usable or close, key=lambda i: trials[i].parameters)
 
 
 def least(trials: Sequence[Trial]) -> int:
-    """Trial with the least error, of those whose dynamics the records tell."""
-    told = [i for i in range(len(trials)) if trials[i].told]
-    return min(told, key=lambda i: float(np.mean(trials[i].squares)))
+    """Trial with the least error, of those that the records tell; the smallest of several."""
+    told = [i for i in range(len(trials)) if trials[i].told] or list(range(len(trials)))
+    return min(told, key=lambda i: (trials[i].mean, trials[i].parameters))
 
 
 def as_good(trials: Sequence[Trial]) -> list[int]:
     """Trials whose error is within one standard error of the least or hardly above it, itself among them."""
     i = least(trials)
     best = trials[i]
-    if not np.isfinite(best.squares).all():
+    if not np.isfinite(best.mean):
         return [i]
-    return [i for i, trial in enumerate(trials) if trial.told and _is_as_good(trial, best)]
+    return [k for k, trial in enumerate(trials) if k == i or (trial.told and _is_as_good(trial, best))]
 
 
 def _is_as_good(trial: Trial, best: Trial) -> bool:
     """Whether the best lowers the error of a trial by so little that it does not matter, or may be chance."""
-    matters = (1.0 - FELT) * trial.percent > best.percent
-    return not matters or float(np.mean(trial.squares) - np.mean(best.squares)) <= _spread(trial, best)
+    matters = (1.0 - FELT) ** 2 * trial.mean > best.mean
+    return not matters or trial.mean - best.mean <= _spread(trial, best)
 
 
 def _spread(trial: Trial, best: Trial) -> float:
     """Standard error of the mean difference of two trials; 0 where one of them cannot be used."""
-    difference = trial.squares - best.squares
+    difference = trial.counted - best.counted
     if len(difference) < 2 or not np.isfinite(difference).all():
         return 0.0
     return float(np.std(difference, ddof=1)) / math.sqrt(len(difference))
+
+
+def trial_of(
+    name: str,
+    candidate: Candidate,
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    *,
+    invertible: bool,
+    told: bool = True,
+) -> Trial:
+    """What speaks for a model: its errors on folds of the records, and whether it can be used.
+
+    told : whether the records tell its dynamics
+    """
+    parameters = parameters_of(candidate)
+    enough = READINGS * parameters <= sum(record.y_um.size for record in records)
+    squares = fold_squares(candidate, records, starts)
+    return Trial(name, parameters, squares, invertible and not candidate.at_limit, told and enough)
 
 
 def parameters_of(candidate: Candidate) -> int:

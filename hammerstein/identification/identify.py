@@ -13,7 +13,7 @@ from hammerstein.blocks.instruments import Instruments
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.account import Errors, account, model_of
 from hammerstein.identification.axes_candidates import build_axes
-from hammerstein.identification.choice import Trial, chosen, fold_squares, parameters_of
+from hammerstein.identification.choice import Trial, chosen, trial_of
 from hammerstein.identification.choices import PLAYS, identifiable_kinds
 from hammerstein.identification.excitation import refuse_noise, refuse_one_way, responses
 from hammerstein.identification.first_look import first_task, settle_s_of, start_mode
@@ -166,13 +166,12 @@ def _kept(task: Task, built: Built) -> tuple[Built, tuple[Trial, ...]]:
     for name, _, found in named:
         candidate = found.candidate
         own = own_starts(task.records, task.starts, candidate.predict, start_mode(task.settings))
-        squares = fold_squares(candidate, task.records, own)
         swing, record = float(half_swing(task.records).max()), task.records[0]
         told = invertibility_of(
             candidate.hysteresis, candidate.dynamics, swing, record.sample_time_s, record.inputs
         )
         dynamics = not found.axes or any(axis_identified(axis) for axis in found.axes)
-        trials.append(Trial(name, parameters_of(candidate), squares, told[0], dynamics))
+        trials.append(trial_of(name, candidate, task.records, own, invertible=told[0], told=dynamics))
     i = chosen(trials)
     _, kind, found = named[i]
     marked = tuple(replace(trial, kept=k == i) for k, trial in enumerate(trials))

@@ -15,7 +15,7 @@ from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.identifiable import Driven
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.behind import Behind, search_behind, sure_behind
-from hammerstein.identification.choice import Trial, chosen, fold_squares, parameters_of
+from hammerstein.identification.choice import Trial, chosen, trial_of
 from hammerstein.identification.choices import identifiable_kinds
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_search import WORSE_DELAYS
@@ -54,13 +54,15 @@ BEGINNING = 20_000
 class Replacement:
     """A block of another kind, what is to be said of it, and the columns that were chosen if any were.
 
-    ``rough`` asks of those that are to be like it no more than to be told apart.
+    ``rough`` asks of those that are to be like it no more than to be told apart; ``at_limit`` says that a
+    number ended where the records do not determine it.
     """
 
     hysteresis: Hysteresis[Any]
     notes: tuple[str, ...] = ()
     choice: AsymmetricChoice | None = None
     rough: bool = False
+    at_limit: bool = False
 
 
 def with_hysteresis(task: Task, built: Built) -> tuple[Task, Built]:
@@ -87,8 +89,9 @@ def with_hysteresis(task: Task, built: Built) -> tuple[Task, Built]:
     thresholds_v = [[pair.thresholds_v for pair in row] for row in before.blocks.chosen.hysteresis.pairs]
     tried = _late(task, thresholds_v, free=_free_delay(task))
     late = len(tried)
-    if settings.dynamics != "auto" or several_rates(task.records):
-        tried += [_with_axes(task, thresholds_v, tried[0].block)] if settings.dynamics != "none" else []
+    asked = settings.dynamics != "auto" or settings.creep_modes not in (0, "auto")
+    if settings.dynamics != "none" and (asked or several_rates(task.records)):
+        tried.append(_with_axes(task, thresholds_v, tried[0].block))
     trials = trials_of(task, tried)
     nearest = chosen([replace(trial, parameters=i) for i, trial in enumerate(trials[:late])])  # the shortest
     kept = [nearest, *range(late, len(tried))]
@@ -149,10 +152,10 @@ def trials_of(task: Task, tried: Sequence[Whole]) -> list[Trial]:
     """
     record, swing, found = task.records[0], float(half_swing(task.records).max()), []
     for one in tried:
-        squares = fold_squares(one.candidate, task.records, _judged_alike(task, one, tried))
+        starts = _judged_alike(task, one, tried)
         block, dynamics = one.candidate.hysteresis.counted_from(record.rest_v), one.candidate.dynamics
         told = invertibility_of(block, dynamics, swing, record.sample_time_s, record.inputs)[0]
-        found.append(Trial(one.name, parameters_of(one.candidate), squares, told))
+        found.append(trial_of(one.name, one.candidate, task.records, starts, invertible=told))
     return found
 
 
@@ -258,7 +261,8 @@ def _before(task: Task, thresholds_v: Thresholds, found: Behind, like: Replaceme
     else:
         block, found = _of_kind(late, thresholds_v, found, like)
     dynamics = static if found.is_static else found.dynamics
-    return Whole(late.candidate(block.hysteresis, dynamics), found, block, task.starts)
+    candidate = replace(late.candidate(block.hysteresis, dynamics), at_limit=block.at_limit)
+    return Whole(candidate, found, block, task.starts)
 
 
 def _asymmetric(
@@ -308,7 +312,7 @@ def _of_kind(
         notes.append(
             f"{len(fit.at_limit)} numbers of the block end at a limit: the records do not determine them"
         )
-    return Replacement(fit.hysteresis, tuple(notes)), fit.behind
+    return Replacement(fit.hysteresis, tuple(notes), at_limit=bool(fit.at_limit)), fit.behind
 
 
 def driven_of(task: Task, thresholds_v: Thresholds) -> Driven:

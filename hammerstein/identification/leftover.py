@@ -12,7 +12,7 @@ from hammerstein.identification.choices import PLAYS
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
-from hammerstein.records.faults import Fault, faults
+from hammerstein.records.faults import BENT_EXPLAINS, Fault, faults
 from hammerstein.records.noise import noise_rms
 from hammerstein.records.record import Record
 
@@ -22,6 +22,9 @@ LEAST_PART = 5e-4
 """Rms of what is left, in parts of the range, below which it does not matter."""
 STILL_DRIFTS = 0.25
 """Trend of what is left, in parts of the drift that was seen, from which it is drift and not creep."""
+MOST_DRIFT = 0.1
+"""Drift of an output, in parts of its range, up to which a model is fit for use: evenly spread it adds 0.29
+of itself to the rms error, which is stated."""
 OF_A_CREEPING_MODEL = (
     ". The model creeps, and leaves a part of it, which may be what this kind of model lacks: hammerstein "
     "compare tries the others"
@@ -52,31 +55,40 @@ def leftover_statements(
         found.append(
             f"What the model leaves of {records[0].outputs[o]} ({rms[o]:.3g} um rms) is {times} "
             f"({noise[o]:.2g} um), most of it near {hz:.3g} Hz: something in the records is not in the "
-            f"model. Try {_proposal(settings)}."
+            f"model. {_proposal(settings)}."
         )
     return found
 
 
 def faults_left(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> list[Fault]:
-    """Faults of the records, but drift only where the model leaves it."""
+    """Faults of the records, but drift and saturation only where the model leaves them."""
     named = [fault for record in records for fault in faults(record)]
-    left = [f for f in named if not f.drift_um or _drift_is_left(f, candidate, records, starts)]
+    left = [fault for fault in named if _is_left(fault, candidate, records, starts)]
     dynamics = candidate.dynamics
     creeps = isinstance(dynamics, AxesDynamics) and any(axis.creep for axis in dynamics.axes)
     more = OF_A_CREEPING_MODEL if creeps else ""
     return [f._replace(text=f.text + more) if f.drift_um else f for f in left]
 
 
-def _drift_is_left(
-    fault: Fault, candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]
-) -> bool:
-    """Whether a drift that was seen in a record is there still beside the model.
+def is_flag(fault: Fault, records: Sequence[Record]) -> bool:
+    """Whether a fault makes a model of its record unfit: a slow drift is in the error that is stated."""
+    span = max(float(np.ptp(r.y_um[r.outputs.index(fault.outputs[0])])) for r in records)
+    return not 0.0 < fault.drift_um <= MOST_DRIFT * span
 
-    Creep looks like drift to who knows plays alone; a model that has it leaves none.
+
+def _is_left(fault: Fault, candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> bool:
+    """Whether what was seen in a record is there still beside the model.
+
+    Creep looks like drift to who knows plays alone, and so does the bend of dead-zones like saturation; a
+    model that has them leaves none.
     """
+    if not (fault.drift_um or fault.bent_um):
+        return True
     for record, start in zip(records, starts, strict=True):
         if record.source == fault.source and fault.outputs[0] in record.outputs:
             left = candidate.residual(record, start)[record.outputs.index(fault.outputs[0])]
+            if fault.bent_um:
+                return float(left.std()) >= BENT_EXPLAINS * fault.bent_um
             time = np.linspace(-1.0, 1.0, len(left))
             trend = np.polynomial.Polynomial.fit(time, left, 2)(time)
             return float(np.ptp(trend)) > STILL_DRIFTS * fault.drift_um
@@ -95,7 +107,7 @@ def _strongest(records: Sequence[Record], left: Sequence[Array]) -> float:
 
 
 def _proposal(settings: Settings) -> str:
-    """What was not tried, of what keeps itself only where it lowers the error."""
+    """What was not tried, of what keeps itself only where it lowers the error: no promise that it does."""
     tried = []
     if settings.dynamics in ("none", "lag"):
         tried.append("--dynamics auto")
@@ -105,11 +117,10 @@ def _proposal(settings: Settings) -> str:
         tried.append("more --operators")
     if settings.dynamics == "second_order":
         tried.append("--dynamics auto, which adds a low-pass")
-    if not tried:
-        if settings.hysteresis == PLAYS:
-            tried.append("hammerstein compare, which tries every kind on these records")
-        tried.append(
-            "records with fewer effects at once (slower, one axis at a time): saturation and coupled "
-            "resonances are not in this kind of model"
-        )
-    return "; or ".join(tried)
+    if tried:
+        return f"Not tried: {'; or '.join(tried)}"
+    kinds = "hammerstein compare tries every kind on these records; " if settings.hysteresis == PLAYS else ""
+    return (
+        f"{kinds}records with fewer effects at once (slower, one axis at a time) tell more: saturation and "
+        "coupled resonances are not in this kind of model"
+    )

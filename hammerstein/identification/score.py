@@ -23,11 +23,15 @@ _path = lru_cache(maxsize=16)(KnownSensor.path)
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A model under judgement: static block, linear block, and the sensor that stands behind them."""
+    """A model under judgement: static block, linear block, and the sensor that stands behind them.
+
+    at_limit : whether one of its numbers ended at the limit of what the records can determine
+    """
 
     hysteresis: Hysteresis[Any]
     dynamics: Dynamics
     sensor: KnownSensor = field(default_factory=KnownSensor)
+    at_limit: bool = False
 
     def predict(self, record: Record, start: Start) -> Array:
         """Readings (output, sample) to the voltages of a record, without offset [um]."""

@@ -98,7 +98,10 @@ class Settings:
         lag for thresholds that grow with the rate.
         """
         plain: dict[str, Any] = {"operators": 15, "partition": "time", "dynamics": "none", "creep_modes": 0}
-        return replace(self, **{k: v for k, v in plain.items() if str(getattr(self, k)) == "auto"})
+        chosen = {k: v for k, v in plain.items() if str(getattr(self, k)) == "auto"}
+        if "dynamics" in chosen:
+            chosen["creep_modes"] = 0  # those that are asked for stand behind the kind itself
+        return replace(self, **chosen)
 
     def _unknown_choices(self) -> list[Mistake]:
         return [

@@ -13,6 +13,7 @@ from hammerstein.identification.linear.delay import static_delay
 from hammerstein.identification.operators import CURVE_SAMPLES
 from hammerstein.identification.static.fitted_thresholds import fit_thresholds, gained
 from hammerstein.identification.static.history import closed, shortened
+from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.settled_loops import closed_form_model
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
@@ -44,7 +45,8 @@ def begun_static(task: Task) -> Built:
     """Linear gain and static hysteresis with the thresholds of the task."""
     dynamics = StaticDynamics(n_outputs=task.outputs)
     task.progress("fitting the static block")
-    linear = static_blocks(task, task.linear_thresholds(), dynamics, "least_squares")
+    without_past = replace(task, starts=(Start("rest"),) * len(task.records))  # all samples tell a gain
+    linear = static_blocks(without_past, task.linear_thresholds(), dynamics, "least_squares")
     blocks = static_blocks(task, task.thresholds_v, dynamics, task.settings.solver)
     found: dict[Kind, Found] = {
         "linear": Found(task.candidate(linear.chosen.hysteresis, dynamics), linear),

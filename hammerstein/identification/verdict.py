@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -24,6 +25,7 @@ from hammerstein.identification.static.static_block import StaticFit
 from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.loops import pair_loops
 from hammerstein.records.record import Record
+from hammerstein.records.turning_points import turning_points
 
 IMPROVED = 0.1
 """Part by which a block must lower the error to improve the model."""
@@ -36,6 +38,9 @@ FLATTENED = 0.6
 BUTTERFLY = 0.5
 """Distance of the outputs at the tips, in parts of the range, below which a loop is no rising one."""
 TIP = 0.05
+RETURNED, WHOLE_SWING = 0.05, 0.5
+"""Part of its range by which an output returns while the voltage goes on, from which a loop turns back on
+itself; swing, in parts of the largest, of which it is asked."""
 ALIKE = 0.05
 """Part by which the amplitudes of two loops may differ for their widths to be compared."""
 FASTER, WIDER, WIDER_PERCENT = 1.5, 1.15, 1.0
@@ -187,6 +192,45 @@ def butterfly_flags(records: Sequence[Record], direct: Sequence[tuple[int, int]]
     return found
 
 
+def turning_back_flags(
+    candidate: Candidate,
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    direct: Sequence[tuple[int, int]],
+) -> list[str]:
+    """Loops that turn back on themselves: an output returns while its voltage goes on, the model does not.
+
+    Counted is how far it returns until the voltage turns, so that a lag, by which it goes on after a turn, is
+    none.
+    """
+    found = []
+    for o, k in direct:
+        for record, start in zip(records, starts, strict=True):
+            if driven_inputs(record) != (k,):
+                continue
+            u, y = record.u_v[k, start.first :], record.y_um[o, start.first :]
+            returned = _returned(u, y) - _returned(u, candidate.predict(record, start)[o, start.first :])
+            if returned > RETURNED * float(np.ptp(y)):
+                found.append(
+                    f"{record.outputs[o]} of {record.source} turns back on itself: it returns by "
+                    f"{100.0 * returned / float(np.ptp(y)):.0f} % of its range while {record.inputs[k]} goes "
+                    "on; lower the amplitude, or keep to one polarity"
+                )
+    return found
+
+
+def _returned(u: Array, y: Array) -> float:
+    """How far an output returns until the voltage turns: median of the whole rises, or of the falls [um]."""
+    points = turning_points(u, WHOLE_SWING * float(np.ptp(u)))
+    gain = 1.0 if np.cov(u, y)[0, 1] >= 0.0 else -1.0
+    returns: dict[bool, list[float]] = {True: [], False: []}
+    for a, b in itertools.pairwise(points.tolist()):
+        rises = bool(u[b] > u[a])
+        moved = (gain if rises else -gain) * y[a : b + 1]
+        returns[rises].append(float(moved.max() - moved[-1]))
+    return max(float(np.median(one)) for one in returns.values() if one) if len(points) > 1 else 0.0
+
+
 def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str]:
     """What the excitation does not tell about each axis."""
     found = []
@@ -222,10 +266,13 @@ def _unsure_creep(name: str, fit: AxisFit) -> Iterator[str]:
     if larger is None or larger.rms_um > (1.0 - IMPROVED) * fit.rms_um:
         return
     mode, error = larger.axis.creep[-1], larger.creep_gain_errors[-1]
+    size = f"{mode.gain:.2g} +- {error:.2g}"
+    told = abs(mode.gain) >= SURE_CREEP * error
+    why = f"no record is so long ({size})" if told else f"its size is not told ({size})"
     yield (
         f"creep of {name}: a slow mode over {mode.time_constant_s:.3g} s would leave {larger.rms_um:.3g} um "
-        f"in place of {fit.rms_um:.3g} um, but its size is not told ({mode.gain:.2g} +- {error:.2g}); record "
-        f"a step that is held for minutes, or keep it with --creep-modes {len(larger.axis.creep)}"
+        f"in place of {fit.rms_um:.3g} um, but {why}; record a step that is held for minutes, or keep it "
+        f"with --creep-modes {len(larger.axis.creep)}"
     )
 
 

@@ -61,12 +61,14 @@ class Fault(NamedTuple):
     source, outputs : record and names of the outputs
     text : what it is, with rows and what to do
     drift_um : how far the output drifts [um]; 0 if that is not the fault
+    bent_um : rms error of plays alone [um], where the fault is that they do not saturate; 0 if it is not
     """
 
     source: str
     outputs: tuple[str, ...]
     text: str
     drift_um: float = 0.0
+    bent_um: float = 0.0
 
 
 def faults(record: Record) -> list[Fault]:
@@ -92,13 +94,12 @@ def faults(record: Record) -> list[Fault]:
         row = record.y_um[o, ::stride][first:]
         trial = _Trial.of(x, row - row.mean())
         rows = record.rows[::stride][first:]
-        moved = (_drift(trial, largest), 0.0)
-        texts = (_drift_text(moved[0], rows, record), _saturation(trial, largest, rows))
-        found += [
-            Fault(record.source, (name,), f"{name} of {record.source} {t}", drift)
-            for t, drift in zip(texts, moved, strict=True)
-            if t
-        ]
+        drift_um, whose = _drift(trial, largest), f"{name} of {record.source}"
+        if drift_um:
+            text = _drift_text(drift_um, rows, record)
+            found.append(Fault(record.source, (name,), f"{whose} {text}", drift_um=drift_um))
+        if text := _saturation(trial, largest, rows):
+            found.append(Fault(record.source, (name,), f"{whose} {text}", bent_um=trial.plain))
     return found
 
 
@@ -144,8 +145,6 @@ def _drift(trial: _Trial, largest_um: float) -> float:
 
 def _drift_text(drift_um: float, rows: Indices, record: Record) -> str:
     seconds = float(rows[-1] - rows[0]) * record.sample_time_s
-    if drift_um == 0.0:
-        return ""
     return (
         f"drifts by {drift_um:.3g} um from row {rows[0]} to row {rows[-1]}, in {seconds:.3g} s, whatever the "
         "voltages do: let the set-up settle before it is recorded, or subtract the trend from this column"

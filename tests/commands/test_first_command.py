@@ -65,7 +65,7 @@ def test_far_more_than_noise_is_said_first(stage):
     _, fit = identify(fitted, plain(operators=3), validation=[held])
     assert fit.verdict.startswith("What the model leaves of y1")
     assert "times the noise" in fit.verdict
-    assert "Try --dynamics auto; or --operators auto --partition auto" in fit.verdict
+    assert "Not tried: --dynamics auto; or --operators auto --partition auto" in fit.verdict
 
 
 def test_ringing_and_creep_under_a_held_voltage_are_used():

@@ -154,7 +154,7 @@ def test_a_model_that_stands_still_after_a_reversal_is_told_to_have_no_inverse()
     u = 5.0 - 5.0 * np.cos(np.linspace(0.0, 30.0, 2000))
     stuck, free = (PrandtlIshlinskii([[Pair([0.0, 2.0], w)]]) for w in ([0.0, 3.0], [1.0, 2.0]))
     record = Record([u], free.respond([u])[0], 1e-3)
-    assert [trial.invertible for trial in trials_of(*tried_on([record], stuck, free))] == [False, True]
+    assert [trial.usable for trial in trials_of(*tried_on([record], stuck, free))] == [False, True]
 
 
 @pytest.mark.parametrize("kind", ["prandtl_ishlinskii", "asymmetric"])

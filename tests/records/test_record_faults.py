@@ -131,7 +131,7 @@ def test_creep_that_the_model_has_is_not_told_as_drift():
     """A short record of a creeping axis has a trend, whatever plays and delayed voltages explain."""
     record, settings = creeping_record(), plain(operators=20, delay_samples=0)
     _, without = identify([record], settings)
-    assert suspicions("\n".join(without.flags)) == {"drift"}
+    assert suspicions("\n".join(without.notes)) == {"drift"}
     _, fit = identify([record], replace(settings, dynamics="lag", creep_modes=1))
     assert fit.axes[0].axis.creep[0].gain == pytest.approx(0.07, rel=0.2)
     assert suspicions("\n".join(fit.flags)) == set()
