@@ -72,6 +72,16 @@ def test_the_kind_that_the_actuator_is_leaves_its_noise_and_is_recommended(
     assert found["linear gain"].held.rms_um[0] > found["prandtl_ishlinskii"].held.rms_um[0]
 
 
+def test_each_model_has_its_own_flags() -> None:
+    """Loops so wide that a line misses them by more than a tenth of the range; plays follow."""
+    u = 10.0 * np.sin(2.0 * np.pi * np.arange(1200) / 300) * np.linspace(1.0, 0.4, 1200)
+    wide = theory.asymmetric([u], [[np.array([0.0, 6.0])]], [[[0.1, 1.0]]], [[[]]], [[[]]], [0.0])
+    settings = Settings(thresholds_v=[0.0, 6.0], dynamics="none", delay_samples=0, error_curve=False)
+    found = hammerstein.compare([Record([u], wide, T, ("u",), ("x",), "wide.csv")], settings)
+    assert any("is missed by" in flag for flag in found["linear gain"].flags)
+    assert found["prandtl_ishlinskii"].flags == ()
+
+
 def test_errors_stand_at_the_frequency_of_their_record(found: hammerstein.Comparison) -> None:
     """The range of each record alone, by theory; the noise is the same in both."""
     assert found.frequencies_hz == (2.0, 10.0)

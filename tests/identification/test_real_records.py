@@ -1,5 +1,7 @@
 """What records of real set-ups have and made-up ones have not: drift, saturation, loops that turn back."""
 
+import itertools
+
 import made_up
 import numpy as np
 import pytest
@@ -26,7 +28,7 @@ def stage(**fields):
 def triangles(points_v, slope_v_per_s):
     legs = [
         np.linspace(a, b, int(abs(b - a) / slope_v_per_s * RATE_HZ), endpoint=False)
-        for a, b in zip(points_v[:-1], points_v[1:], strict=True)
+        for a, b in itertools.pairwise(points_v)
     ]
     return np.concatenate(legs)[None]
 
