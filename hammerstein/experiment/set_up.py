@@ -21,8 +21,7 @@ from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators.feedback.pid import closed_loop
 from hammerstein.errors import HammersteinError, IdentificationError, InputError, Mistake, SimulationError
 from hammerstein.experiment.trials import IlcRun, IlcRuns, whole_period
-from hammerstein.files import read_limited
-from hammerstein.model import HammersteinModel, place_of
+from hammerstein.model import HammersteinModel, model_text
 from hammerstein.model.simulation import BLOCK, AppliedDrive, Plant, Response
 from hammerstein.runtime.allocate_wires import allocate_wires
 from hammerstein.runtime.fanning import Jobs, on_workers
@@ -294,7 +293,7 @@ def plant_of(scenario: Scenario, model: HammersteinModel | None = None) -> Plant
 
 def loaded(path: str) -> HammersteinModel:
     """Model in a file, or a packaged one; InputError where the file is wrong."""
-    return _model_of(read_limited(place_of(path), what="model file"), path)
+    return _model_of(model_text(path), path)
 
 
 @lru_cache(maxsize=16)

@@ -289,8 +289,7 @@ class HammersteinModel(ByValue, NotebookRepr):
 
         Raises InputError with every mistake in the file.
         """
-        source = place_of(str(path))
-        return cls.from_json(read_limited(source, what="model file"), str(path))
+        return cls.from_json(model_text(str(path)), str(path))
 
     @classmethod
     def from_json(cls, text: str, source: str = "model") -> HammersteinModel:
@@ -385,11 +384,19 @@ def packaged_actuators() -> list[str]:
     return sorted(f.name.removesuffix(".json") for f in folder.iterdir() if f.name.endswith(".json"))
 
 
-def place_of(name: str) -> Path:
-    """Place of a packaged actuator, or of the file that is named.
+LARGEST_MODEL_BYTES = 5_000_000
+"""Models of several axes with hundreds of operators have a tenth of it."""
 
-    Raises InputError for a name that is neither.
+
+def model_text(name: str) -> str:
+    """Text of the model file of a packaged actuator, or of the file that is named.
+
+    Raises InputError for a name that is neither, and for a file that cannot be read or is too large.
     """
+    return read_limited(place_of(name), "model file", LARGEST_MODEL_BYTES)
+
+
+def place_of(name: str) -> Path:
     names = packaged_actuators()
     if name in names:
         return Path(str(resources.files("hammerstein.actuators") / f"{name}.json"))

@@ -164,3 +164,12 @@ def test_nor_is_one_in_a_path(tmp_path, capsys):
         main(["compensate", "duo_bimorph_static", str(path), "--out", str(tmp_path / "out.csv")])
     assert end.value.code == 2
     assert "row" in capsys.readouterr().err
+
+
+def test_a_model_of_one_long_text_is_refused_by_its_size(tmp_path, capsys):
+    path = tmp_path / "a.json"
+    path.write_text('{"name": "' + "a" * 6_000_000 + '"}')
+    with pytest.raises(SystemExit) as end:
+        main(["export", str(path), "--out", str(tmp_path / "out")])
+    assert end.value.code == 2
+    assert "has 6 MB, too large for a model file" in capsys.readouterr().err
