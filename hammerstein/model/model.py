@@ -397,6 +397,10 @@ def model_text(name: str) -> str:
 
 
 def place_of(name: str) -> Path:
+    """Place of a packaged actuator, or of the file that is named.
+
+    Raises InputError for a name that is neither.
+    """
     names = packaged_actuators()
     if name in names:
         return Path(str(resources.files("hammerstein.actuators") / f"{name}.json"))
