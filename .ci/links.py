@@ -21,7 +21,7 @@ def main(folder: Path) -> None:
             target = (page.parent / name).resolve() if name else page
             # pdoc names the private base of a class, and the beginning of an abstract one, but shows neither
             hidden = any(step.startswith("_") for step in part.split("."))
-            if target not in pages or (part and not hidden and part not in ids[target]):
+            if not target.is_file() or (part and target in pages and not hidden and part not in ids[target]):
                 lost.append(f"  {page.name}: {link}")
     if lost:
         sys.exit("\n".join([f"{len(lost)} links lead nowhere", *lost[:20]]))

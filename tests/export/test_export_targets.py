@@ -23,11 +23,11 @@ REPEATED = ("inverse_multiplicative", "model", "asymmetric model behind plays")
 """Their code stands in that of the passes and of the model of all kinds, too."""
 FUSED = ("filtered", "bouc-wen passes", "parallel model")
 LEFT = {
-    "2.4": "enumerations without a name hold the constants: they have no tag that could be used",
-    "8.7": "what a caller may use must be seen from outside",
-    "8.9": "tables stand together at the top, with what they are",
-    "10.6": "whole numbers 0, 1, 2 chosen by a comparison; the checker takes the choice for a composite one",
-    "14.1": "loops that count to a constant, and may end earlier by a comparison of numbers",
+    "2.4": "constants are anonymous enumerations, which have no tag to use",
+    "8.7": "functions of the interface need external linkage",
+    "8.9": "tables are grouped at the top with their meaning",
+    "10.6": "integers 0, 1, 2 selected by a comparison, which the checker reads as a composite expression",
+    "14.1": "loops with a constant bound that may end earlier by a comparison",
 }
 """Rules of MISRA C:2012 that the code does not keep by the checker's reading, each with its reason."""
 

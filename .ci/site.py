@@ -1,0 +1,206 @@
+"""Write the documentation site: ``site.py FOLDER``.
+
+No text has a second copy. The site is every Markdown page that the README links to, directly or not, with the
+files that they show, and two pages made from the package: keys of scenario files and gallery.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+import re
+import shutil
+import sys
+import tomllib
+from pathlib import Path
+from urllib.parse import quote
+
+from markdown_it import MarkdownIt
+
+from hammerstein.commands.start import guide_pages
+from hammerstein.plugins import load_plugins
+from hammerstein.scenario import Scenario
+
+TOP = Path(__file__).resolve().parents[1]
+MARKDOWN = MarkdownIt("commonmark").enable("table")
+LINK = re.compile(r'(<(?:a|img) [^>]*?(?:href|src)=")([^"#]*)')
+STYLE = """
+body { margin: 0; font: 16px/1.55 system-ui, sans-serif; color: #222; display: flex; flex-wrap: wrap }
+nav { flex: 0 0 13rem; padding: 1.5rem; background: #f5f6f8; font-size: .92rem }
+nav a { display: block; padding: .15rem 0; text-decoration: none }
+main { flex: 1 1 30rem; min-width: 0; max-width: 52rem; padding: 1.5rem }
+a { color: #0a5ca8 } img { max-width: 100% }
+pre { background: #f5f6f8; padding: .8rem; overflow-x: auto } code { font-size: .9em }
+table { border-collapse: collapse; display: block; overflow-x: auto }
+th, td { border-bottom: 1px solid #ddd; padding: .3rem .7rem; text-align: left; vertical-align: top }
+"""
+
+
+def main(folder: Path) -> None:
+    """Write all pages; links to the API reference lead to ``reference``, if it is in the folder already."""
+    site = Site(folder.resolve())
+    site.reach(TOP / "README.md")
+    site.reach(TOP / ".github/paper.md")
+    for notebook in sorted((TOP / "hammerstein/examples").glob("*.ipynb")):
+        site.write(notebook.with_suffix(".html"), notebook_text(notebook))
+    site.write(TOP / "keys.html", keys())
+    site.write(TOP / "gallery.html", gallery(site))
+    shutil.copy(site.place(TOP / "README.md"), folder / "index.html")
+
+
+class Site:
+    """A folder in which every page has the place of its source in the tree."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.reached: set[Path] = set()
+
+    def place(self, source: Path) -> Path:
+        """Where a file of the tree goes; no folder's name begins with a dot, which servers leave out."""
+        target = self.folder / str(source.relative_to(TOP)).removeprefix(".github/")
+        return target.with_suffix(".html") if source.suffix == ".md" else target
+
+    def reach(self, source: Path) -> None:
+        """Write a page, or copy a file, and all that its links lead to."""
+        if source in self.reached:
+            return
+        self.reached.add(source)
+        if source.suffix == ".md":
+            text = re.sub(r"\A---\n.*?\n---\n", "", source.read_text(encoding="utf-8"), flags=re.S)
+            self.write(source, self.linked(source, MARKDOWN.render(text)))
+        else:
+            self.place(source).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(source, self.place(source))
+
+    def linked(self, source: Path, text: str) -> str:
+        """Let the links of a page lead to places of the site; a folder's to a list of its files."""
+
+        def here(found: re.Match[str]) -> str:
+            target = (source.parent / found[2]).resolve()
+            if re.match(r"[a-z]+:", found[2]) or not found[2] or not target.is_relative_to(TOP):
+                return found[0]
+            if target.is_dir():
+                return found[1] + relative(self.listed(target), self.place(source))
+            self.reach(target)
+            return found[1] + relative(self.place(target), self.place(source))
+
+        return LINK.sub(here, text)
+
+    def listed(self, folder: Path) -> Path:
+        """Page with the files of a folder."""
+        page = folder / "index.html"
+        if page not in self.reached:
+            self.reached.add(page)
+            files = [
+                file for file in sorted(folder.iterdir()) if file.is_file() and file.name != "__init__.py"
+            ]
+            for file in files:
+                self.reach(file)
+            links = [f'<li><a href="{quote(self.place(file).name)}">{file.name}</a>' for file in files]
+            self.write(page, f"<h1>{folder.name}</h1><ul>{''.join(links)}</ul>")
+        return self.place(page)
+
+    def write(self, source: Path, text: str) -> None:
+        """Put a page round its text."""
+        target = self.place(source)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        title = re.search(r"<h1>(.*?)</h1>", text, re.S)
+        name = re.sub("<.*?>", "", title[1]) if title else target.stem
+        target.write_text(
+            f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{name}</title>'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">'
+            f"<style>{STYLE}</style><nav>{self.navigation(target)}</nav><main>{text}</main></html>",
+            encoding="utf-8",
+        )
+
+    def navigation(self, page: Path) -> str:
+        """Links to the pages that a person looks for."""
+        named = {"hammerstein": self.folder / "index.html"}
+        for guide in guide_pages().values():
+            title = guide.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+            named[title] = self.place(guide)
+        named |= {"Examples": self.folder / "gallery.html", "Keys of scenarios": self.folder / "keys.html"}
+        for notebook in sorted((TOP / "hammerstein/examples").glob("*.ipynb")):
+            named[notebook.stem.replace("_", " ").capitalize()] = self.place(notebook.with_suffix(".html"))
+        named["Paper"] = self.folder / "paper.html"
+        if (self.folder / "reference").is_dir():
+            named["API reference"] = self.folder / "reference/index.html"
+        return "".join(
+            f'<a href="{relative(place, page)}">{html.escape(title)}</a>' for title, place in named.items()
+        )
+
+
+def relative(target: Path, page: Path) -> str:
+    """Link from a page."""
+    return quote(Path(os.path.relpath(target, page.parent)).as_posix())
+
+
+def notebook_text(notebook: Path) -> str:
+    """Text and code of a notebook."""
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    parts = {"markdown": "{}", "code": "```python\n{}\n```"}
+    return str(
+        MARKDOWN.render("\n\n".join(parts[c["cell_type"]].format("".join(c["source"])) for c in cells))
+    )
+
+
+def keys() -> str:
+    """Give every table of a scenario file with its keys, from the JSON Schema."""
+    load_plugins()
+    schema = Scenario.model_json_schema()
+    tables = {"Scenario": schema, **dict(sorted(schema["$defs"].items()))}
+    rows = [
+        f'<h2 id="{name}">{name}</h2><p>{html.escape(table.get("description", "").partition(chr(10))[0])}</p>'
+        "<table><tr><th>key<th>type<th>default<th>meaning"
+        + "".join(key_row(key, node, table) for key, node in table["properties"].items())
+        + "</table>"
+        for name, table in tables.items()
+        if table.get("properties")
+    ]
+    return "<h1>Keys of scenario files</h1>" + "".join(rows)
+
+
+def key_row(key: str, node: dict[str, object], table: dict[str, object]) -> str:
+    """One key: its type, its default, its meaning."""
+    default = json.dumps(node["default"]) if "default" in node and "$ref" not in node else ""
+    needed = "required" if key in table.get("required", ()) else html.escape(default)
+    said = html.escape(str(node.get("description", "")))
+    return f"<tr><td><code>{key}</code><td>{kind_of(node)}<td>{needed}<td>{said}"
+
+
+def kind_of(node: dict[str, object]) -> str:
+    """Type of a value in words, with links to tables and its limits."""
+    if "$ref" in node:
+        name = str(node["$ref"]).rpartition("/")[2]
+        return f'<a href="#{name}">{name}</a>'
+    for several in ("anyOf", "oneOf"):
+        if several in node:
+            return " or ".join(map(kind_of, node[several]))
+    if "const" in node or "enum" in node:
+        return ", ".join(json.dumps(value) for value in node.get("enum", [node.get("const")]))
+    if node.get("type") == "array" and isinstance(node.get("items"), dict):
+        return f"list of {kind_of(node['items'])}"
+    signs = {"minimum": "&ge;", "exclusiveMinimum": "&gt;", "maximum": "&le;", "exclusiveMaximum": "&lt;"}
+    limits = [f" {sign} {node[limit]}" for limit, sign in signs.items() if limit in node]
+    return html.escape(str(node.get("type", "any"))) + ",".join(limits)
+
+
+def gallery(site: Site) -> str:
+    """Give every shipped scenario: its question, its file, and its figure where one is kept."""
+    parts = [
+        "<h1>Examples</h1><p>Run one with <code>hammerstein run FILE</code>; it writes the whole report.</p>"
+    ]
+    for scenario in sorted((TOP / "scenarios").glob("*.toml")):
+        site.reach(scenario)
+        question = tomllib.loads(scenario.read_text(encoding="utf-8"))["question"]
+        parts.append(f'<h2 id="{scenario.stem}">{scenario.stem}</h2><p>{html.escape(question)} ')
+        parts.append(f'<a href="scenarios/{scenario.name}">{scenario.name}</a></p>')
+        for figure in sorted((TOP / "reports/paper").glob(f"{scenario.stem}-*.png")):
+            site.reach(figure)
+            parts.append(f'<img src="reports/paper/{figure.name}" alt="{html.escape(question)}">')
+    return "".join(parts)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
