@@ -23,7 +23,7 @@ from hammerstein.compensators.drive_file import (
     verdict_statements,
 )
 from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, read_path
-from hammerstein.dynamics import LinearBlock, discretise
+from hammerstein.dynamics import linearised, on_grid
 from hammerstein.errors import SimulationError
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
@@ -267,7 +267,7 @@ def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Arra
     """
     time_s, limits = model.instruments.drive.sample_time_s, law.range
     drive, share = settled(law, model, reference_um), 1.0
-    turn = np.linalg.pinv(model.hysteresis.gain(half_stroke(drive)))
+    turn = np.linalg.pinv(model.gain(half_stroke(drive)))
     play = player(model, limits, time_s)
     off = _middle(settled_position(play, drive)[0] - reference_um)
     for _ in range(CENTRING_ROUNDS):
@@ -309,7 +309,7 @@ def settled_position(play: Callable[[Array], Array], drive_v: Array) -> tuple[Ar
 
 def player(model: HammersteinModel, limits: DriveRange, sample_time_s: float) -> Callable[[Array], Array]:
     """Position (p, N) [um] for voltages (m, N) that are sent from the start, counted from it."""
-    here, block = model.on_grid(sample_time_s), discretise(model.dynamics, sample_time_s)
+    here, block = model.on_grid(sample_time_s), on_grid(model.dynamics, sample_time_s)
     before, memory = here.hysteresis.standing(limits.history())
 
     def play(drive_v: Array) -> Array:
@@ -352,11 +352,11 @@ def _limited(cycle: Cycle, table: Array) -> Array:
 def _periodic_response(cycle: Cycle, hold: int) -> Complex:
     """Response (frequency, p, m) from a table to the settled position on the fine grid."""
     samples, time_s = cycle.drive_v.shape[1], cycle.sample_time_s
-    block: LinearBlock = discretise(cycle.model.dynamics, time_s)
+    hysteresis, half = cycle.model.hysteresis, half_stroke(cycle.drive_v)
+    block = linearised(cycle.model.dynamics, time_s, hysteresis.amplitude(half).sum(axis=1))
     turn = np.arange(samples) / samples
     pulse = np.exp(-2j * np.pi * np.outer(turn, np.arange(hold))).sum(axis=1)
-    gain = cycle.model.hysteresis.gain(half_stroke(cycle.drive_v))
-    return np.asarray(block.response(turn / time_s) @ gain * pulse[:, None, None])
+    return np.asarray(block.response(turn / time_s) @ hysteresis.gain(half) * pulse[:, None, None])
 
 
 def _least_change(error: Array, response: Complex, points: int) -> Array:

@@ -16,7 +16,7 @@ from hammerstein.blocks import Law, checked_reference
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.exact.inverse import exact_inverse_of, has_exact_inverse
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
-from hammerstein.dynamics import on_grid
+from hammerstein.dynamics import WithLoop, on_grid
 from hammerstein.hysteresis.kind import SLOW_S
 from hammerstein.model import HammersteinModel
 
@@ -55,10 +55,11 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
     """Reach of the static block: what its hysteresis loop between the ends of a drive range can do.
 
     The middle between the tips of the loop is found by driving the model from its start once to the ends of
-    the range and back. About it the exact inverse is driven to and fro until it stands at the range; so what
-    a cross-coupling takes away is counted. Of a kind without exact inverse it is the paper's law, in several
-    passes. Dynamics are left out: at low frequency the displacement is that of the static block, near a
-    resonance the drive reaches further.
+    the range and back. About it the exact inverse is driven to and fro until it stands at the range; so
+    what a cross-coupling takes away is counted. Of a kind without exact inverse it is the paper's law, in
+    several passes. Dynamics with hysteresis in their loop have the gains of slow loops. Others are left
+    out: at low frequency the displacement is that of the static block, near a resonance the drive reaches
+    further.
 
     Parameters
     ----------
@@ -80,6 +81,8 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
     (array([[-58.,  58.]]), array([[  2., 118.]]))
     """
     limits = DriveRange.of(range_v, model)
+    if isinstance(model.dynamics, WithLoop):
+        return _reach_of_loop(model, limits)
     model = model.on_grid(SLOW_S)  # how far it gets when nothing hurries
     p = model.hysteresis.n_outputs
     if not np.isfinite(limits.span_v).all():
@@ -103,6 +106,21 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
     together = alone * largest(_strokes_fit(law, between, corners))
     centre = _centre(model, limits)[:, None]
     return Reach(*(centre + np.stack([-size, size], axis=1) for size in (alone, together)))
+
+
+def _reach_of_loop(model: HammersteinModel, limits: DriveRange) -> Reach:
+    """Reach by the gains of slow loops over the whole range, in which the hysteresis in the loop works."""
+    half = 0.5 * limits.span_v
+    if not np.isfinite(half).all():
+        nowhere = np.tile([-np.inf, np.inf], (len(model.outputs), 1))
+        return Reach(nowhere, nowhere)
+    gain = model.amplitude(half) / half
+    needed = np.abs(np.linalg.pinv(gain)) / half[:, None]
+    alone = 1.0 / needed.max(axis=0)
+    together = alone / (needed @ alone).max()
+    centre = gain @ (0.5 * (limits.low_v + limits.high_v) - limits.start_v)
+    ends = (np.stack([centre - size, centre + size], axis=1) for size in (alone, together))
+    return Reach(*ends)
 
 
 def _centre(model: HammersteinModel, limits: DriveRange) -> Array:

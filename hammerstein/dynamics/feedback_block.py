@@ -69,16 +69,20 @@ class FeedbackBlock(SteppedBlock, ByValue):
         a, b = self.A + self.E @ gain @ self.F, self.B + self.E @ gain @ self.G
         return LinearBlock(a, b, self.C, self.D, self.sample_time_s)
 
+    def linearised_at(self, u: Array) -> LinearBlock:
+        """Give the linear block with the gains that slow settled loops from -u to u (m,) have."""
+        return self._slow_loop(u)[0]
+
     def slow_ends(self, u: Array) -> Array:
         """Outputs (p, number) at the ends of slow settled loops from -u to u, for inputs u (m, number) there.
 
         All z turn together; their sizes are those that the loop itself gives them.
         """
-        ends = [0.5 * (self._slow_end(end) - self._slow_end(-end)) for end in u.T]
+        ends = [0.5 * (self._slow_loop(end)[1] - self._slow_loop(-end)[1]) for end in u.T]
         return np.stack(ends, axis=1)
 
-    def _slow_end(self, u: Array) -> Array:
-        """Outputs (p,) at the end of a slow settled loop, at which the inputs are u (m,)."""
+    def _slow_loop(self, u: Array) -> tuple[LinearBlock, Array]:
+        """Linear block of a slow settled loop, and the outputs (p,) at its end, at which the inputs are u."""
         held = np.eye(len(self.A)) if self.sample_time_s != CONTINUOUS else np.zeros_like(self.A)
         x, z = self.rest()[: len(self.A)], np.full(self.hysteresis.n_inputs, np.abs(u).max())
         for _ in range(TURNS_OF_SIZES):
@@ -87,7 +91,7 @@ class FeedbackBlock(SteppedBlock, ByValue):
             pushed = block.B @ u + self.E @ self.products.at(z)
             x = np.linalg.lstsq(held - block.A, pushed, rcond=None)[0]
             z = self.F @ x + self.G @ u
-        return np.asarray(self.C @ x + self.D @ u)
+        return block, np.asarray(self.C @ x + self.D @ u)
 
     def held(self, sample_time_s: float, late_s: float = 0.0) -> FeedbackBlock:
         """Put a block in continuous time on a grid, exactly for u and w held over each sample.

@@ -363,6 +363,18 @@ def discretise(
     return _gridded(linear(dynamics).block(), dynamics.input_delay_s, sample_time_s, sensor_bandwidth_hz)
 
 
+def linearised(dynamics: Dynamics, sample_time_s: float, ends: Array) -> LinearBlock:
+    """Put dynamics on a sample grid; a loop with hysteresis has the gains of its slow settled loops.
+
+    ends : (m,) inputs at one end of those loops; the other end is their negative
+    """
+    if isinstance(dynamics, WithLoop):
+        block = on_grid(dynamics, sample_time_s)
+        assert isinstance(block, FeedbackBlock)
+        return block.linearised_at(ends)
+    return discretise(dynamics, sample_time_s)
+
+
 def on_grid(
     dynamics: Dynamics, sample_time_s: float, sensor_bandwidth_hz: float | None = None
 ) -> LinearBlock | FeedbackBlock:

@@ -167,7 +167,7 @@ def test_a_path_beyond_the_slow_loops_is_out_of_reach(tmp_path):
 STATIC_LAWS = ("exact_inverse", "inverse_multiplicative", "decoupled_inverse")
 
 
-@pytest.mark.parametrize("law", ["hammerstein_inverse", "feedback", "learned", *STATIC_LAWS])
+@pytest.mark.parametrize("law", ["feedback", *STATIC_LAWS])
 def test_laws_of_linear_dynamics_refuse_it_in_a_scenario(law, tmp_path):
     with pytest.raises(InputError, match="electromechanical is not linear"):
         hammerstein.run(scenario(tmp_path, law))

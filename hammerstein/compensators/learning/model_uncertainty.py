@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hammerstein.arrays import Array, Complex
-from hammerstein.dynamics import AxesDynamics, LinearBlock, discretise
+from hammerstein.dynamics import AxesDynamics, LinearBlock, discretise, linearised
 from hammerstein.model import HammersteinModel
 
 DEVIATIONS = 2.0  # standard deviations that are counted on
@@ -38,8 +38,9 @@ class ModelUncertainty:
         Infinite where the actuator responds with less than a tenth of what it does when it stands still:
         there it is another one, and its inverse would ask for more than a drive has.
         """
-        response = _diagonal(discretise(model.dynamics, sample_time_s), frequency_hz)
-        still = np.abs(_diagonal(discretise(model.dynamics, sample_time_s), np.zeros(1)))
+        ends = model.hysteresis.amplitude(model.amplitude_v).sum(axis=1)
+        block = linearised(model.dynamics, sample_time_s, ends)
+        response, still = _diagonal(block, frequency_hz), np.abs(_diagonal(block, np.zeros(1)))
         faint = np.abs(response) * FAINT < still
         delta = np.where(faint, np.inf, DEVIATIONS * self.weights)
         if not isinstance(model.dynamics, AxesDynamics) or self.resonance == 0.0:

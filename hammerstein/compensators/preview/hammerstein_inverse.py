@@ -22,13 +22,14 @@ from hammerstein.compensators.exact.inverse import (
     exact_inverse_of,
 )
 from hammerstein.compensators.preview.linear_inverse import linear_inverse
-from hammerstein.dynamics import LinearBlock
+from hammerstein.compensators.preview.loop_inverse import LoopInverseLaw
+from hammerstein.compensators.preview.reference_filter import filtered_by, low_pass_taps
+from hammerstein.dynamics import LinearBlock, WithLoop
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Frequency, Volts, Wait
 
 EFFORT = 1e-4  # small: the drive then leaves its range only when the path is nearly met again
-LONGEST_FILTER = 100_000
 DOUBLINGS = 11  # of one sample: a horizon of 2048
 START_SAMPLES = 64
 SEEN = 1e-9  # of a mode's sixth differences: less is rounding, and the mode starts from rest
@@ -120,7 +121,7 @@ class HammersteinInverseLaw(Law[PathState]):
         self.range, self.origin_um = self.exact.range, self.exact.origin_um
         self.sample_time_s: float = sample_time_s
         self.linear = linear_inverse(model.dynamics, sample_time_s)
-        self.taps = _low_pass_taps(filter_hz, sample_time_s)
+        self.taps = low_pass_taps(filter_hz, sample_time_s)
         self.needed_samples = self.linear.preview_samples + len(self.taps) // 2
         self.preview_samples = self.needed_samples
         if preview_s is not None:
@@ -176,9 +177,9 @@ class HammersteinInverseLaw(Law[PathState]):
 
     def _respond(self, reference_um: Array, start: PathState) -> tuple[Array, PathState]:
         raw = np.hstack([start.raw, reference_um])
-        known = np.hstack([start.filtered, self._filtered(raw)])
+        known = np.hstack([start.filtered, filtered_by(self.taps, raw)])
         modes = start.modes.copy()
-        v = self._from_rest(self._wanted(known, modes))
+        v = self._from_rest(self.linear.run(known, modes))
         drive, exact, away = self.exact.solve(v, start.exact, start.away, self.recovery)
         kept = (
             raw[:, raw.shape[1] - start.raw.shape[1] :],
@@ -232,36 +233,11 @@ class HammersteinInverseLaw(Law[PathState]):
         longest = len(self.taps) - 1
         ends = np.pad(reference, ((0, 0), (longest // 2, needed)), mode="reflect", reflect_type="odd")
         reach, seen = self.linear.reach_samples, longest // 2 + needed
-        known = self._filtered(ends[:, self.linear.delay_samples : seen + START_SAMPLES])
+        known = filtered_by(self.taps, ends[:, self.linear.delay_samples : seen + START_SAMPLES])
         modes = self._smooth_start(known)
         away = -self._block_state(known, modes)
         raw = ends[:, seen - longest : seen].copy()
         return PathState(raw, known[:, :reach].copy(), modes, away, self.exact.rest()), ends[:, seen:]
-
-    def _filtered(self, raw: Array) -> Array:
-        """Reference behind the filter, shorter by its length less one."""
-        from hammerstein.compensators.preview.preview_kernel import filtered
-        from hammerstein.compiled import spans
-
-        if len(self.taps) == 1:
-            return raw
-        raw = np.ascontiguousarray(raw)
-        out = np.empty((raw.shape[0], raw.shape[1] - len(self.taps) + 1))
-        for first, stop in spans(out.shape[1], self.taps.size * len(out)):
-            filtered(self.taps, raw, first, stop, out)
-        return out
-
-    def _wanted(self, known: Array, modes: Array) -> Array:
-        """Outputs of the static block (p, N) that put the linear block on the path; ``modes`` move on."""
-        from hammerstein.compensators.preview.preview_kernel import run_inverse
-        from hammerstein.compiled import spans
-
-        inverse, known = self.linear, np.ascontiguousarray(known)
-        v = np.empty((self.n_outputs, known.shape[1] - inverse.reach_samples))
-        inside = (inverse.A, inverse.B, inverse.C, inverse.taps, inverse.ahead, modes)
-        for first, stop in spans(v.shape[1], inverse.A.size + inverse.taps.size):
-            run_inverse(*inside, known, first, stop, v)
-        return v
 
     def _smooth_start(self, known: Array) -> Array:
         """Forward modes (n_s,) with which v starts with the least sixth differences: without ringing.
@@ -273,7 +249,7 @@ class HammersteinInverseLaw(Law[PathState]):
         n = len(inverse.A)
         if n == 0 or samples <= 6:
             return np.zeros(n)
-        forced = self._wanted(known[:, : samples + inverse.reach_samples], np.zeros(n))
+        forced = self.linear.run(known[:, : samples + inverse.reach_samples], np.zeros(n))
         free = np.empty((self.n_outputs, samples, n))
         power = np.eye(n)
         for k in range(samples):
@@ -291,28 +267,6 @@ class HammersteinInverseLaw(Law[PathState]):
         length = len(inverse.taps)
         ahead = np.stack([known[i, a : a + length] for i, a in enumerate(inverse.ahead)])
         return np.asarray(inverse.lift @ modes + np.einsum("jnp,pj->n", inverse.future, ahead))
-
-
-def _low_pass_taps(filter_hz: float | None, sample_time_s: float) -> Array:
-    """Linear-phase low-pass of odd length, 60 dB or more, from 0.7 to 1.3 of its bandwidth; one tap: none."""
-    if filter_hz is None:
-        return np.ones(1)
-    from scipy.signal import firwin, kaiserord
-
-    nyquist = 0.5 / sample_time_s
-    if not 0.0 < filter_hz < nyquist / 1.3:
-        raise InputError(
-            "filter_hz", f"must lie between 0 and {nyquist / 1.3:g} Hz at this sample time, not {filter_hz:g}"
-        )
-    length, beta = kaiserord(66.0, 0.6 * filter_hz / nyquist)
-    if length > LONGEST_FILTER:
-        least = filter_hz * length / LONGEST_FILTER
-        raise InputError(
-            "filter_hz",
-            f"{filter_hz:g} Hz needs a filter of {length:.3g} samples of {sample_time_s:g} s, and "
-            f"{LONGEST_FILTER} are the most; use {least:.3g} Hz or more, or a longer sample time",
-        )
-    return np.asarray(firwin(length | 1, filter_hz / nyquist, window=("kaiser", beta)), dtype=np.float64)
 
 
 def _recovery(block: LinearBlock) -> Recovery:
@@ -334,7 +288,10 @@ def _recovery(block: LinearBlock) -> Recovery:
 
 
 class HammersteinInverse(Compensator):
-    """The inverse of the dynamics, known ahead, then the exact inverse of the static block."""
+    """The inverse of the dynamics, known ahead, then the exact inverse of the static block.
+
+    Dynamics with hysteresis in their loop are inverted in passes, see ``LoopInverseLaw``.
+    """
 
     law: Literal["hammerstein_inverse"] = "hammerstein_inverse"
     preview_s: Wait | None = Field(
@@ -349,4 +306,6 @@ class HammersteinInverse(Compensator):
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
         """Build the law, see ``Compensator.design``."""
         options = (self.preview_s, self.filter_hz, self.softening_v, self.run_anyway)
+        if isinstance(model.dynamics, WithLoop):
+            return LoopInverseLaw(model, range_v, sample_time_s, *options)
         return HammersteinInverseLaw(model, range_v, sample_time_s, *options)

@@ -57,6 +57,18 @@ class LinearInverse:
         """The same for the block without its input delay."""
         return int(self.ahead.max()) + len(self.taps) - 1
 
+    def run(self, known: Array, modes: Array) -> Array:
+        """Inputs v (p, N) for outputs known (p, N + reach_samples); ``modes`` (n_s,) move on."""
+        from hammerstein.compensators.preview.preview_kernel import run_inverse
+        from hammerstein.compiled import spans
+
+        known = np.ascontiguousarray(known)
+        v = np.empty((len(known), known.shape[1] - self.reach_samples))
+        inside = (self.A, self.B, self.C, self.taps, self.ahead, modes)
+        for first, stop in spans(v.shape[1], self.A.size + self.taps.size):
+            run_inverse(*inside, known, first, stop, v)
+        return v
+
     def response(self, frequency_hz: Array) -> Complex:
         """Frequency response (frequency, p, p) from y to v, preview taken off and input delay left out."""
         z = np.exp(2j * np.pi * frequency_hz * self.block.sample_time_s)
@@ -122,6 +134,14 @@ def linear_inverse(dynamics: Dynamics, sample_time_s: float) -> LinearInverse:
     discretise(dynamics, sample_time_s)  # the delay may be too long
     delay, late_s = split_delay(dynamics.input_delay_s, sample_time_s)
     plain = discretise(dynamics.model_copy(update={"input_delay_s": late_s}), sample_time_s)
+    return block_inverse(plain, delay)
+
+
+def block_inverse(plain: LinearBlock, delay: int = 0) -> LinearInverse:
+    """Invert a block on its grid, in front of which the input is ``delay`` samples late.
+
+    Raises SimulationError as ``linear_inverse`` does.
+    """
     _require_stable(plain)
     ahead, first, free = _first_reaction(plain)
     gain = np.linalg.inv(first)
