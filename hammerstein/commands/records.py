@@ -319,5 +319,5 @@ def compensate(
         tell_json({"drive": str(out), **found.summary()})
         return
     show(compensation_table(found))
-    tell_statements(found.statements())
-    tell(f"voltages in {out}")
+    tell_statements(found.essentials())
+    tell(f"voltages in {out}, with more notes below its columns")

@@ -120,10 +120,10 @@ def judgement_tables(reports: Sequence[Report]) -> Iterator[Table]:
 
 
 def compensation_table(found: Compensation) -> Table:
-    """One line an axis: voltages, reach, reference, predicted error."""
+    """One line an axis: voltages, samples at the range, reference, predicted error."""
     summary = found.summary()
-    intervals = ("reach_alone_um", "reach_together_um", "reference_um")
-    names = (*intervals, "predicted_rms_um", "predicted_max_um")
+    intervals = ("reference_um",)
+    names = (*intervals, "predicted_max_um")
     table = _table("Predicted response", ("axis", "drive_v", "unreached", *names))
     inputs = list(found.model.inputs)
     for o, (axis, figures) in enumerate(summary["axes"].items()):

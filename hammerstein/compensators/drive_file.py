@@ -113,17 +113,31 @@ class Compensation:
             "unreached_samples": self.unreached_samples(),
         }
 
+    def essentials(self) -> list[str]:
+        """Say in at most three lines what to look at before the voltages are sent; the file says the rest."""
+        warned = [*verdict_statements(self.model), *self._path_statements()]
+        return [*([" ".join(warned)] if warned else []), self._start(), self._expected()]
+
     def statements(self) -> list[str]:
-        """Say what a user must know before the voltages are sent."""
+        """Say all that is known of the voltages."""
         said = [f"Model {self.source}, found from {self.model.recorded.statement(self.model.inputs)}."]
         said += verdict_statements(self.model)
         said += [self._start(), f"Range {self.law.range.words(self.model.inputs)}."]
-        said.append(self.prediction.statement(self.model.outputs))
+        said.append(self._expected())
         if self.attempt.lead:
             seconds = self.attempt.lead * (self.time_s[1] - self.time_s[0])
             said.append(
                 f"The first {seconds:.4g} s lead in from where the actuator stands; then the path begins."
             )
+        said += [text] if (text := self.law.statement()) else []
+        return said + self._path_statements()
+
+    def _expected(self) -> str:
+        return self.prediction.statement(self.model.outputs)
+
+    def _path_statements(self) -> list[str]:
+        """Say where the drive follows another path than the file has."""
+        said = []
         if self.held:
             said.append(
                 "The drive is held at the range where the path asks for more: that costs less than the "
@@ -131,7 +145,6 @@ class Compensation:
             )
         elif not self.shortfall.complete:
             said.append(self.shortfall.statement(self.model.inputs, self.model.outputs))
-        said += [text] if (text := self.law.statement()) else []
         if self.resampled:
             said.append(
                 "The file was interpolated linearly onto the drive's sample time; corners may need filter_hz."
@@ -266,8 +279,7 @@ def compensation_of(
         missed = Missed(model, limits, compensator, path, found, own, reachable)
         ends = f"With {limits.words(model.inputs)} (--range), counted from the start (--start):"
         raise SimulationError(
-            f"out of reach: {found.predicted.statement(model.inputs, model.outputs)}\n"
-            f"{missed.statement()}\n{ends} {reachable.statement(model.outputs)}"
+            f"out of reach: {missed.statement()}\n{ends} {reachable.statement(model.outputs)}"
         )
     if not terms.beyond_records:
         refuse_beyond(model, found.drive_v)

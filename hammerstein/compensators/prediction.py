@@ -78,7 +78,7 @@ class Prediction:
         else:
             word = "validation record" if self.validated else "fitted records only"
             own, more = f"model {self.model[o]:.2g} ({word})", ""
-        return (
-            f"{name} path {self.path[o]:.2g} + {own} + converter step {self.converter[o]:.2g} + sensor noise "
-            f"{self.noise:.2g} = {self.sum_um[o]:.2g} um{more}"
-        )
+        parts = [f"path {self.path[o]:.2g}", own]
+        parts += [f"converter step {self.converter[o]:.2g}"] if self.converter[o] else []
+        parts += [f"sensor noise {self.noise:.2g}"] if self.noise else []
+        return f"{name} {' + '.join(parts)} = {self.sum_um[o]:.2g} um{more}"

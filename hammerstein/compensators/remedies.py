@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators import Compensator
-from hammerstein.compensators.attempt import Attempt
+from hammerstein.compensators.attempt import Attempt, sensorless_law
 from hammerstein.compensators.lead_in import lead_in
 from hammerstein.compensators.reach import Reach
 from hammerstein.errors import HammersteinError
 from hammerstein.model import HammersteinModel
 
 FILTER_TRIALS, FILTER_DECADES = 16, 300.0
+WIDER = 100.0
+"""Spans beyond each end that a drive may use which shows what a path needs."""
 SOFTENED = (0.002, 0.005, 0.01, 0.02, 0.05)
 """Parts of the range over which the jump at a reversal is spread."""
 
@@ -36,38 +39,88 @@ class Missed:
     own_um: Array
     reach: Reach
 
-    def remedies(self) -> list[tuple[float, str]]:
-        """Error that is left [um] and option of each remedy that helps, the best one first."""
-        clipped = float(self.found.path_error_um.max())
-        tried = [*self._from_elsewhere(), *self._softened(), *self._filtered()]
-        helping = [(error, option) for error, option in tried if error < clipped]
-        return [*sorted(helping), (clipped, "--clip")]
-
     def statement(self) -> str:
-        """Say what helps, by the error that each remedy leaves."""
+        """Say which limit is hit, by how much and where, and what helps: two lines."""
         listed = ", ".join(f"{option} ({error:.2g} um)" for error, option in self.remedies())
         alone = "" if "," in listed else "; or ask for a smaller or a slower path"
-        return f"What helps, with the error that it leaves: {listed}{alone}."
+        return f"{self._limits_hit()}\nWhat helps, with the error that it leaves: {listed}{alone}."
 
-    def _left(self, compensator: Compensator, path_um: Array, with_lead: bool) -> float | None:
-        """Largest error that a try leaves on the path [um]; None where it is out of reach itself."""
-        before = lead_in(path_um, self.model.instruments.drive.sample_time_s)[:, : None if with_lead else 0]
+    def remedies(self) -> list[tuple[float, str]]:
+        """Error that is left [um] and options of each remedy that helps, the best one first."""
+        clipped = float(self.found.path_error_um.max())
+        led, complete = self._attempt(self.compensator, self.path_um)
+        if self.prefix and complete:
+            return [(led, self.prefix), (clipped, "--clip")]
+        tried = [*self._moved(), *self._softened(), *self._filtered(), (led, self._with_prefix("--clip"))]
+        return [*sorted(helping for helping in tried if helping[0] < clipped), (clipped, "--clip")]
+
+    @cached_property
+    def prefix(self) -> str:
+        """Option that leads in, where the path begins elsewhere and nothing leads in yet."""
+        away = lead_in(self.path_um, self.model.instruments.drive.sample_time_s).shape[1] > 0
+        return "--lead-in" if away and not self.found.lead else ""
+
+    def _limits_hit(self) -> str:
+        """Say what the voltages would have to be without limits, and how far off the path is with them."""
+        found, inputs = self.found.predicted, self.model.inputs
+        free_v = self._free_drive()
+        parts = []
+        for k in np.flatnonzero(found.at_range.any(axis=1)):
+            end, limit = ("lower", found.limits.low_v) if found.at_low[k] else ("upper", found.limits.high_v)
+            first = int(np.argmax(found.at_range[k]))
+            more = "" if free_v is None else self._needed(free_v[k], bool(found.at_low[k]))
+            parts.append(
+                f"input {inputs[k]} hits its {end} limit, {limit[k]:.6g} V, "
+                f"first at {self._when(first)}{more}"
+            )
+        error = np.abs(found.error_um)
+        output, sample = divmod(int(np.argmax(error)), error.shape[1])
+        parts.append(
+            f"output {self.model.outputs[output]} is off by up to {error[output, sample]:.3g} um "
+            f"at {self._when(sample)}"
+        )
+        return f"{'; '.join(parts)}."
+
+    def _when(self, sample: int) -> str:
+        """Time of a sample, counted from the beginning of the path."""
+        return f"{(sample - self.found.lead) * self.model.instruments.drive.sample_time_s:.4g} s"
+
+    def _needed(self, volts: Array, at_low: bool) -> str:
+        """The most extreme of the voltages (N,) that an input would need."""
+        worst = int(np.argmin(volts) if at_low else np.argmax(volts))
+        return f", and would need {volts[worst]:.4g} V at {self._when(worst)}"
+
+    def _free_drive(self) -> Array | None:
+        """Voltages (m, N) that the path needs where nothing limits them; None where there are none."""
+        span = WIDER * self.limits.span_v
+        if self.limits.conditioned or not np.isfinite(span).all():
+            return None
+        wide = replace(self.limits, low_v=self.limits.low_v - span, high_v=self.limits.high_v + span)
+        drive = self.model.instruments.drive
+        try:
+            law = sensorless_law(self.compensator, {}, self.model, wide, drive.sample_time_s)
+            return law.drive_for(self.found.reference_um)
+        except HammersteinError:
+            return None
+
+    def _attempt(self, compensator: Compensator, path_um: Array) -> tuple[float, bool]:
+        """Largest error on a path that is led in [um], and whether the path is within reach."""
+        before = lead_in(path_um, self.model.instruments.drive.sample_time_s)
         try:
             found = Attempt.of(
                 self.model, self.limits, compensator, np.hstack([before, path_um]), before.shape[1]
             )
         except HammersteinError:
-            return None
-        within = found.predicted.complete or (found.path_error_um <= self.own_um).all()
-        return float(found.path_error_um.max()) if within else None
+            return np.inf, False
+        within = found.predicted.complete or bool((found.path_error_um <= self.own_um).all())
+        return float(found.path_error_um.max()), within
 
-    def _from_elsewhere(self) -> Iterator[tuple[float, str]]:
-        """A lead-in, alone or to a path that is moved to the middle of what can be reached."""
+    def _with_prefix(self, option: str) -> str:
+        return f"{self.prefix} {option}".strip()
+
+    def _moved(self) -> Iterator[tuple[float, str]]:
+        """The path moved to the middle of what can be reached."""
         if self.found.lead:
-            return
-        left = self._left(self.compensator, self.path_um, with_lead=True)
-        if left is not None:
-            yield left, "--lead-in"
             return
         middle = self.reach.alone_um.mean(axis=1) - 0.5 * (
             self.path_um.max(axis=1) + self.path_um.min(axis=1)
@@ -75,8 +128,8 @@ class Missed:
         if not np.isfinite(middle).all():
             return
         offset = np.array([float(f"{value:.3g}") for value in middle])
-        left = self._left(self.compensator, self.path_um + offset[:, None], with_lead=True)
-        if left is not None:
+        left, within = self._attempt(self.compensator, self.path_um + offset[:, None])
+        if within:
             yield left, f"--lead-in --offset={','.join(f'{value:g}' for value in offset)}"
 
     def _softened(self) -> Iterator[tuple[float, str]]:
@@ -87,9 +140,9 @@ class Missed:
         for part in SOFTENED:
             volts = float(f"{part * span:.2g}")
             softer = self.compensator.model_copy(update={"softening_v": volts})
-            left = self._left(softer, self.found.reference_um, with_lead=False)
-            if left is not None:
-                yield left, f"--softening-v {volts:g}"
+            left, within = self._attempt(softer, self.path_um)
+            if within:
+                yield left, self._with_prefix(f"--softening-v {volts:g}")
                 return
 
     def _filtered(self) -> Iterator[tuple[float, str]]:
@@ -101,7 +154,7 @@ class Missed:
         for frequency in np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS):
             rounded = float(f"{frequency:.2g}")
             slower = self.compensator.model_copy(update={"filter_hz": rounded})
-            left = self._left(slower, self.found.reference_um, with_lead=False)
-            if left is not None:
-                yield left, f"--filter-hz {rounded:g}"
+            left, within = self._attempt(slower, self.path_um)
+            if within:
+                yield left, self._with_prefix(f"--filter-hz {rounded:g}")
                 return
