@@ -22,7 +22,8 @@ def export(
     law: Annotated[
         str, typer.Option(help="As of compensate, or model: the actuator itself.")
     ] = "exact_inverse",
-    form: Annotated[str, typer.Option("--format", help="c: C99; fmu: FMI 3.0 around it.")] = "c",
+    form: Annotated[str, typer.Option("--format", help="c: C99; fmu: an FMU around it.")] = "c",
+    fmi: Annotated[int, typer.Option(metavar="2|3", help="Version of the FMU: FMI 2.0 or 3.0.")] = 3,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where the code goes.")] = None,
     check: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Make an export again, and compare.")
@@ -47,7 +48,10 @@ def export(
         return
     if form not in FORMATS:
         raise InputError("--format", f"{form!r} is not one of {', '.join(FORMATS)}")
+    if fmi not in (2, 3):
+        raise InputError("--fmi", f"{fmi} is not one of 2, 3")
     request = {
+        "fmi": fmi,
         "options": words.options(),
         "range_v": sent.ends,
         "start_v": sent.begins,

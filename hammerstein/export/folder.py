@@ -16,7 +16,7 @@ from hammerstein.blocks.axis_names import column
 from hammerstein.errors import InputError, ToleranceError
 from hammerstein.export.code import CCode, rendered
 from hammerstein.export.compiling import compiler
-from hammerstein.export.fmu import BUILD, DESCRIPTION, UNIT, fmu_context, fmu_of
+from hammerstein.export.fmu import fmu_context, fmu_of, unit_files
 from hammerstein.export.golden import SAMPLES, entering
 from hammerstein.export.measured_code import MeasuredCode
 from hammerstein.export.request import Request
@@ -76,7 +76,7 @@ def files_of(code: CCode, measured: MeasuredCode | None = None) -> dict[str, str
     unit: dict[str, str] = {}
     if request.form == "fmu":
         context |= fmu_context(header + source, request.sample_time_s, code.shape.entering, _columns(code))
-        unit = {name: rendered(f"{name}.jinja", **context) for name in (UNIT, DESCRIPTION, BUILD)}
+        unit = unit_files(request.fmi, context)
     return unit | {
         f"{code.name}.h": header,
         f"{code.name}.c": source,
@@ -130,7 +130,7 @@ def write_export(
         for name, content in files.items():
             stage.write(name, content)
         if request.form == "fmu":
-            stage.write(f"{code.name}.fmu", fmu_of(code.name, files))
+            stage.write(f"{code.name}.fmu", fmu_of(code.name, files, request.fmi))
     written = (*files, f"{code.name}.fmu") if request.form == "fmu" else tuple(files)
     return WrittenCode(written, tuple(code.statements()), stage.kept)
 

@@ -34,6 +34,7 @@ class Request(Strict):
     sample_time_s: SampleTime
     float32: bool = False
     form: Literal["c", "fmu"] = "c"
+    fmi: Literal[2, 3] = Field(default=3, description="version of the unit")
 
     def terms(self) -> Terms:
         """What a person allows the drive to do."""

@@ -1,4 +1,4 @@
-"""The unit of FMI 3.0: validated and simulated by FMPy, equal to Python to the last bit."""
+"""The units of FMI 2.0 and 3.0: validated and simulated by FMPy, equal to Python to the last bit."""
 
 import shutil
 import zipfile
@@ -144,6 +144,77 @@ def test_the_command_writes_a_unit_and_checks_it(tmp_path, capsys):
     assert "duo_bimorph_none.fmu" in capsys.readouterr().out
     assert "fmu.c" in check_export(out)
     shutil.rmtree(out)
+
+
+@pytest.fixture(scope="module", params=["exact_inverse", "model"])
+def older(request, tmp_path_factory):
+    export, folder = case(request.param), tmp_path_factory.mktemp("fmi2")
+    write_export(export.request(form="fmu", fmi=2), export.model, folder)
+    return export.code(form="fmu", fmi=2), next(folder.glob("*.fmu"))
+
+
+def _second(path, folder):
+    """An instance of a unit of FMI 2.0, ready to step, and its value references."""
+    from fmpy import extract
+    from fmpy.fmi2 import FMU2Slave
+
+    about = fmpy.read_model_description(str(path), validate=True)
+    assert about.fmiVersion == "2.0"
+    extract(str(path), unzipdir=str(folder))
+    found = FMU2Slave(
+        guid=about.guid, unzipDirectory=str(folder), instanceName="one",
+        modelIdentifier=about.coSimulation.modelIdentifier,
+    )  # fmt: skip
+    found.instantiate()
+    found.setupExperiment()
+    found.enterInitializationMode()
+    found.exitInitializationMode()
+    names = [
+        [v.valueReference for v in about.modelVariables if v.causality == kind]
+        for kind in ("input", "output")
+    ]
+    return found, *names
+
+
+def test_every_bit_of_fmi_2_is_that_of_python(older, tmp_path):
+    """Steps, and the same steps again from a state that was kept and serialised."""
+    code, path = older
+    signal = code.adverse(600)
+    unit, into, out = _second(path, tmp_path)
+    expected, _ = code.block.respond(signal)
+
+    def step(k):
+        unit.setReal(into, list(signal[:, k]))
+        unit.doStep(currentCommunicationPoint=k * T, communicationStepSize=T)
+        return np.array(unit.getReal(out))
+
+    found = np.stack([step(k) for k in range(300)], axis=1)
+    kept = unit.serializeFMUState(unit.getFMUState())
+    later = np.stack([step(k) for k in range(300, 600)], axis=1)
+    assert (np.hstack([found, later]).view(np.int64) == expected.view(np.int64)).all()
+    unit.setFMUState(unit.deSerializeFMUstate(kept))
+    assert (np.stack([step(k) for k in range(300, 600)], axis=1) == later).all()
+    with pytest.raises(Exception, match="fmi2DoStep"):
+        unit.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.5 * T)
+    unit.terminate()
+    unit.freeInstance()
+
+
+def test_fmpy_simulates_fmi_2_as_fmi_3(older, tmp_path):
+    code, path = older
+    export = case("model" if code.is_model else "exact_inverse")
+    write_export(export.request(form="fmu"), export.model, tmp_path / "three")
+    newer = next((tmp_path / "three").glob("*.fmu"))
+    signal = code.adverse(100)
+    names = [v.name for v in fmpy.read_model_description(str(path)).modelVariables if v.causality == "input"]
+    rows = [(k * T, *column) for k, column in enumerate(signal.T)]
+    table = np.array(rows, dtype=[("time", "f8"), *((name, "f8") for name in names)])
+    one, other = (
+        fmpy.simulate_fmu(str(place), stop_time=99 * T, step_size=T, output_interval=T, input=table)
+        for place in (path, newer)
+    )
+    assert len(one) == 100
+    assert all((one[name] == other[name]).all() for name in one.dtype.names if name != "time")
 
 
 def _played(path, names, values):
