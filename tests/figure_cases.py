@@ -5,10 +5,6 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-import numpy as np
-from matplotlib.backends.backend_agg import RendererAgg
-from matplotlib.figure import Figure
-
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.scenario import Scenario
@@ -31,18 +27,3 @@ def loops() -> Report:
 @cache
 def circles() -> Report:
     return report_of(reference=CIRCLE, sweep={"radius_um": [15.0, 40.0]}, compensators=[PAPER, NONE])
-
-
-class OnWholePixels(RendererAgg):
-    """As matplotlib draws, but that words begin on a whole pixel."""
-
-    def draw_text(self, gc: Any, x: float, y: float, *more: Any, **options: Any) -> None:
-        below = round(self.height - y)
-        super().draw_text(gc, round(x), self.height - below, *more, **options)
-
-
-def as_matplotlib_draws(figure: Figure) -> np.ndarray:
-    """Red, green, and blue (row, column, 3) of the figure as it is, words on whole pixels."""
-    renderer = OnWholePixels(*figure.bbox.size, figure.dpi)
-    figure.draw(renderer)
-    return np.asarray(renderer.buffer_rgba())[:, :, :3].astype(int)

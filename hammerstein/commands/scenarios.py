@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -40,6 +41,7 @@ def run(
     jobs: Jobs = PROCESSORS,
     cluster: Address = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
+    png: Annotated[bool, typer.Option("--png", help="Write figures as PNG, too.")] = False,
     traces: Annotated[
         str | None, typer.Option(metavar="csv|mat", help="Write every wire of every case.")
     ] = None,
@@ -88,6 +90,7 @@ def run(
         complain(useless)
     kind = "mat" if traces == "mat" else "csv" if traces == "csv" else None
     writer = Writer(out, figures, cast("TraceFormat | None", kind), interactive, store, overwrite)
+    writer = replace(writer, png=png or page is not None)
     writer.prepare(scenarios)
     if len(scenarios) > 1:
         prepare(out, OVERVIEW, [PAGE], overwrite)

@@ -7,15 +7,15 @@ from hammerstein.comparison.result import RULE, Compared, Comparison
 from hammerstein.escaping import Markdown, markdown_page
 
 CAPTION = (
-    "One line a model. Left: its errors, filled where they are judged, hollow on the fitted records beside "
-    "them, one sign for each frequency of the records. Middle: what its compensator leaves on the best model "
-    "of another kind. Right: its free numbers."
+    "One line a model, with its free numbers in brackets. Left: its errors, filled where they are judged, "
+    "hollow on the fitted records beside them, one sign for each frequency of the records. Right: what its "
+    "compensator leaves on the best model of another kind."
 )
 
 
 def compare_page(found: Comparison, with_figure: bool) -> str:
     """Markdown page of a comparison."""
-    figure = Markdown("[![compare](compare.png)](compare.svg)\n\n*{}*").format(CAPTION)
+    figure = Markdown("![compare](compare.svg)\n\n*{}*").format(CAPTION)
     parts = [
         Markdown("# Models compared"),
         " ".join(found.sentences()),

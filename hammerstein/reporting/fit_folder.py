@@ -36,8 +36,7 @@ def write_fit(
             from hammerstein.reporting.figures.write import files_of, write_drawn
 
             drawn = write_drawn(stage, files_of(identified_figures(fit)))
-        pictures = sorted(name for name in drawn if name.endswith(".png"))
-        stage.write("report.md", fit_page(model, fit, pictures))
+        stage.write("report.md", fit_page(model, fit, sorted(drawn)))
         stage.write("report.html", fit_html(model, fit, drawn))
         stage.write("fit.json", fit_json(model, fit))
         models.write(path.name, model.to_json(), MODEL)

@@ -54,7 +54,7 @@ def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> 
     Parameters
     ----------
     model, fit : what ``identify`` gave
-    figures : names of PNG files beside the page
+    figures : names of SVG files beside the page
     """
     parts = [
         Markdown("# Fit report of {}").format(model.name),
@@ -188,5 +188,5 @@ def _thresholds(block: Hysteresis[Any], fit: Fit) -> Iterator[tuple[str, float, 
 def _pictures(figures: Sequence[str]) -> Iterator[Markdown]:
     for name in sorted(figures):
         stem = PurePath(name).stem
-        yield Markdown("[![{0}]({1})]({0}.svg)").format(stem, name)
+        yield Markdown("![{}]({})").format(stem, name)
         yield Markdown("*{}*").format(CAPTIONS.get(stem, stem))

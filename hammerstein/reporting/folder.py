@@ -45,6 +45,7 @@ def write_report(
     interactive: bool = False,
     store: Store | None = None,
     overwrite: bool = False,
+    png: bool = False,
 ) -> WrittenReport:
     """Write ``report.json``, ``rms.csv``, ``report.md``, ``report.html``, figures and, on request, traces.
 
@@ -60,6 +61,7 @@ def write_report(
     interactive : whether the page holds plots to zoom into
     store : where figures are kept and found; all are drawn if not given
     overwrite : whether to replace files that other programs wrote or a person changed
+    png : whether to draw PNG files beside SVG, for a page that shows them
 
     Raises
     ------
@@ -75,7 +77,7 @@ def write_report(
             from hammerstein.reporting.figures.kept import drawn as files_drawn
             from hammerstein.reporting.figures.write import write_drawn
 
-            drawn = write_drawn(stage, files_drawn(report, store))
+            drawn = write_drawn(stage, files_drawn(report, store, png).items())
         if traces is not None:
             _write_traces(report, stage, traces)
         if report.bands:
@@ -83,7 +85,7 @@ def write_report(
         if report.sensitivities:
             stage.write("sensitivities.csv", report.sensitivities_to_csv())
         stage.write("rms.csv", report.to_csv())
-        stage.write("report.md", render(report, sorted(name for name in drawn if name.endswith(".png"))))
+        stage.write("report.md", render(report, list(drawn)))
         stage.write("report.html", run_page(report, drawn, interactive_of(report) if interactive else None))
         stage.write("report.json", report.to_json())
     return WrittenReport(tuple(stage.written), stage.kept)
@@ -99,6 +101,7 @@ class Writer:
     interactive: bool = False
     store: Store | None = None
     overwrite: bool = False
+    png: bool = False
 
     def on(self, jobs: Jobs) -> Writer:
         """Give the writer of what these workers find."""
@@ -121,6 +124,7 @@ class Writer:
             interactive=self.interactive,
             store=self.store,
             overwrite=self.overwrite,
+            png=self.png,
         )
         key = self._key(report.name, report.scenario)
         if self.store is not None and key is not None:
@@ -145,7 +149,9 @@ class Writer:
         return report, stage.kept
 
     def _key(self, name: str, scenario: Scenario) -> str | None:
-        written = f"figures {self.figures}, traces {self.traces}, interactive {self.interactive}"
+        written = (
+            f"figures {self.figures}, traces {self.traces}, interactive {self.interactive}, png {self.png}"
+        )
         return key_of_report(name, scenario, written)
 
 

@@ -21,7 +21,7 @@ from hammerstein.reporting.figures.loops import LoopRun, loops_figure
 from hammerstein.reporting.figures.measured import loops_of_records
 from hammerstein.reporting.figures.path import PathRun, path_figure
 from hammerstein.reporting.figures.style import plain, symbol
-from hammerstein.reporting.figures.write import png
+from hammerstein.reporting.figures.write import png_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +36,7 @@ def html_of(value: Any) -> str:
     figure = picture_of(value)
     if figure is None:
         return shown
-    data = base64.b64encode(png(figure)).decode()
+    data = base64.b64encode(png_of(figure)).decode()
     return f'{shown}<img style="max-width: 100%" alt="" src="data:image/png;base64,{data}">'
 
 

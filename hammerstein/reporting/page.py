@@ -27,9 +27,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure on the page: its files, what it is, and how to read it."""
+    """A figure on the page: its file, what it is, and how to read it."""
 
-    png: str
     svg: str
     title: str
     caption: str
@@ -93,7 +92,7 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
     Parameters
     ----------
     report : result of ``hammerstein.experiment.run.run``
-    figures : names of its PNG files beside the page; an SVG file of the same name lies beside each
+    figures : names of its files beside the page, of which the SVG are shown
 
     Examples
     --------
@@ -110,7 +109,7 @@ def render(report: Report, figures: Sequence[str] = ()) -> str:
         "report.md.jinja",
         report=report,
         answer=_answer(report),
-        figures=[picture_of(name, report) for name in sorted(figures, key=place_of)],
+        figures=[picture_of(name, report) for name in sorted(figures, key=place_of) if name.endswith(".svg")],
         statements=statements[:MOST_STATEMENTS],
         unsaid=len(statements[MOST_STATEMENTS:]),
         tables=list(number_tables(report)),
@@ -163,7 +162,7 @@ def place_of(name: str) -> tuple[int, str]:
 
 
 def picture_of(name: str, report: Report) -> Picture:
-    """What the figure of a PNG file is, and how to read it."""
+    """What the figure of a file is, and how to read it."""
     kind, stem = _kind(name), PurePath(name).stem
     compared, models = report.scenario.reference is not None, report.scenario.models
     banded = [
@@ -182,7 +181,7 @@ def picture_of(name: str, report: Report) -> Picture:
         + ["Dots are the samples, few a turn; smooth curves join them."] * any(map(_sparse, report.traces)),
     }
     caption = " ".join([CAPTIONS.get(kind, ""), *remarks.get(kind, [])])
-    return Picture(name, f"{stem}.svg", TITLES.get(kind, stem), caption)
+    return Picture(name, TITLES.get(kind, stem), caption)
 
 
 def _sparse(trace: Trace) -> bool:

@@ -47,14 +47,11 @@ def clocked(module, name, what):
 
 from hammerstein.experiment import batch, run as experiment
 from hammerstein.reporting import folder
-from hammerstein.reporting.figures import choice, drawing, narrow, write
+from hammerstein.reporting.figures import choice, write
 clocked(experiment, "set_up", "models, kept from the run before, and laws")
 clocked(batch, "run", "run")
 clocked(choice, "figures_of", "building the figures")
-clocked(drawing, "drawing_of", "drawing them, layout included")
-clocked(narrow, "narrow_figure", "drawing them below each other for telephones")
-clocked(write, "_svg", "drawing them as SVG")
-clocked(write, "_png", "drawing them as PNG")
+clocked(write, "svg_of", "drawing them")
 clocked(folder, "write_report", "write")
 import sys
 for outcome in batch.run_all(batch.load_all([Path(sys.argv[1])]), folder.Writer(Path(sys.argv[2])), 1):

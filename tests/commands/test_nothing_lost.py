@@ -74,10 +74,10 @@ def test_a_file_that_is_not_ours_is_never_overwritten(folder, capsys):
 
 def test_a_picture_that_is_not_ours_is_never_overwritten(folder, capsys):
     (folder / "small").mkdir()
-    (folder / "small" / "loops.png").write_text("a photograph of the set-up")
+    (folder / "small" / "loops.svg").write_text("a sketch of the set-up")
     before = contents(folder)
     assert call("run", "small.toml", "--out", ".") == 2
-    assert "loops.png" in capsys.readouterr().err
+    assert "loops.svg" in capsys.readouterr().err
     assert contents(folder) == before
 
 

@@ -81,7 +81,7 @@ def test_identify_writes_a_model_that_scenarios_can_run(records, tmp_path, capsy
     truth = HammersteinModel.load("duo_bimorph_static").hysteresis.amplitude(10.0)
     np.testing.assert_allclose(model.hysteresis.amplitude(10.0), truth, atol=0.4)
     folder = tmp_path / "stage_fit"
-    assert {"report.md", "fit.json", "loops.png", "loops.svg"} <= {p.name for p in folder.iterdir()}
+    assert {"report.md", "fit.json", "loops.svg"} <= {p.name for p in folder.iterdir()}
     (tmp_path / "circle.toml").write_text(
         'question = "?"\nactuator = "stage.json"\n'
         '[reference]\nkind = "circle"\nradius_um = 20\nfrequency_hz = 20\n'

@@ -11,14 +11,13 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
-from figure_cases import CIRCLE, NONE, as_matplotlib_draws, circles, loops, report_of
+from figure_cases import CIRCLE, NONE, circles, loops, report_of
 from matplotlib.colors import to_rgb
 from PIL import Image
 
 from hammerstein.errors import InputError
 from hammerstein.experiment.report import Report
 from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure, save_figures, write_figures
-from hammerstein.reporting.figures.png import png_of
 from hammerstein.reporting.figures.style import (
     COLOURS,
     MOST_POINTS,
@@ -26,9 +25,9 @@ from hammerstein.reporting.figures.style import (
     thin_path,
     thin_trace,
 )
-from hammerstein.reporting.figures.write import images, png
+from hammerstein.reporting.figures.write import png_of, svg_of
 
-LARGEST_SVG_BYTES = 400_000
+LARGEST_SVG_BYTES = 200_000
 LARGEST_PNG_BYTES = 40_000
 
 
@@ -40,12 +39,12 @@ def test_files_are_the_same_every_time_and_whatever_the_user_s_style(tmp_path: P
         assert mpl.rcParams["font.size"] == 31.0
     assert [path.name for path in first] == ["path.svg", "path.png", "errors.svg", "errors.png"]
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
-    assert "<dc:date>" not in first[0].read_text()
+    assert "dc:date" not in first[0].read_text()
 
 
 def test_a_line_drawing_is_a_small_file_in_the_hues_of_its_inks() -> None:
     for figure in (figures_of(loops()) | figures_of(circles())).values():
-        drawn = images(figure)["png"]
+        drawn = png_of(figure)
         assert len(drawn) < LARGEST_PNG_BYTES
         with Image.open(io.BytesIO(drawn)) as picture:
             assert picture.mode == "P"
@@ -54,13 +53,13 @@ def test_a_line_drawing_is_a_small_file_in_the_hues_of_its_inks() -> None:
         inks = {to_rgb(line.get_color()) for axes in figure.axes for line in axes.lines}
         hued = {tuple(round(255 * part) for part in ink) for ink in inks if np.ptp(ink) > 0.1}
         assert hued <= shown
-        assert len(shown) <= 2 * len(hued) + 6
+        assert len(shown) <= 16
 
 
 def test_the_pictures_of_this_repository_are_small() -> None:
     reports = Path(__file__).parents[2] / "reports"
     pictures = [path for kept in ("paper", "measured") for path in (reports / kept).rglob("*.png")]
-    assert 20 < len(pictures) < 40
+    assert 10 < len(pictures) <= 20
     assert [path.name for path in pictures if path.stat().st_size > LARGEST_PNG_BYTES] == []
 
 
@@ -70,27 +69,18 @@ def test_a_pale_band_keeps_its_colour_beside_others() -> None:
     axes = figure.subplots()
     for number, colour in enumerate(COLOURS[:2]):
         axes.axhspan(number, number + 2.0, color=colour, alpha=0.22, linewidth=0.0)
-    drawn = np.asarray(Image.open(io.BytesIO(png(figure))).convert("RGB")).astype(float)
-    figure.set_frameon(True)
-    exact = as_matplotlib_draws(figure).astype(float)
-    assert np.median(np.abs(drawn - exact).max(axis=2)) == 0.0
-    for height in (0.5, 1.5, 2.5):
+    drawn = np.asarray(Image.open(io.BytesIO(png_of(figure))).convert("RGB")).astype(float)
+    inks = [np.array([255.0 * part for part in to_rgb(colour)]) for colour in COLOURS[:2]]
+    alone = [255.0 + 0.22 * (ink - 255.0) for ink in inks]  # painted on white
+    both = alone[0] + 0.22 * (inks[1] - alone[0])
+    for height, colour in ((0.5, alone[0]), (1.5, both), (2.5, alone[1])):
         x, y = axes.transData.transform((0.45, height)).astype(int)
-        np.testing.assert_array_equal(drawn[-y, x], exact[-y, x])
-
-
-@pytest.mark.parametrize(("width", "colours"), [(7, 16), (8, 2), (9, 17)])
-def test_a_png_holds_the_pixels_it_was_given(width: int, colours: int) -> None:
-    rng = np.random.default_rng(width)
-    palette = rng.integers(0, 256, (colours, 3)).astype(np.uint8)
-    numbers = rng.integers(0, colours, (5, width)).astype(np.uint8)
-    with Image.open(io.BytesIO(png_of(palette, numbers, 125.0))) as picture:
-        np.testing.assert_array_equal(np.asarray(picture.convert("RGB")), palette[numbers])
+        np.testing.assert_allclose(drawn[-y, x], colour, atol=1.0)
 
 
 def test_threads_draw_the_same_as_one_alone() -> None:
-    def drawn(report: Report) -> list[dict[str, bytes]]:
-        return [images(figure) for figure in figures_of(report).values()]
+    def drawn(report: Report) -> list[bytes]:
+        return [svg_of(figure) for figure in figures_of(report).values()]
 
     alone = drawn(loops())
     with ThreadPoolExecutor(2) as pool:
@@ -102,7 +92,7 @@ def test_a_long_noisy_run_gives_a_small_file() -> None:
     runs = [LoopRun(str(n), k, noise(200_000), noise((2, 200_000))) for n in range(6) for k in range(2)]
     drawn = loops_figure(runs, ["u", "v"], ["x", "y"])
     assert sum(len(line.get_xdata()) for axes in drawn.axes for line in axes.lines) <= MOST_POINTS + 24
-    assert len(images(drawn)["svg"]) < LARGEST_SVG_BYTES
+    assert len(svg_of(drawn)) < LARGEST_SVG_BYTES
 
 
 def test_thinning_keeps_the_ends_and_the_peaks() -> None:
@@ -129,8 +119,8 @@ import sys
 import numpy as np
 from hammerstein.reporting.figures import (LoopRun, loops_figure)
 assert "matplotlib" not in sys.modules
-from hammerstein.reporting.figures.write import images, png
-images(loops_figure([LoopRun("a", 0, np.arange(3.0), np.ones((1, 3)))], ["u"], ["y"]))
+from hammerstein.reporting.figures.write import png_of, svg_of
+svg_of(loops_figure([LoopRun("a", 0, np.arange(3.0), np.ones((1, 3)))], ["u"], ["y"]))
 assert "matplotlib" in sys.modules
 assert "matplotlib.pyplot" not in sys.modules
 """

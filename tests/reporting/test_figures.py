@@ -349,7 +349,7 @@ def test_inputs_that_move_at_once_have_the_loop_of_each_pair_by_the_model() -> N
     )
     _, fit = identify([Record(u, y, 1e-3, ("ux", "uy"), ("x", "y"))], given)
     figure = measured_loops(fit)
-    assert legend_texts(figure) == [SEPARATED, "static hysteresis"]
+    assert [text.replace("\n", " ") for text in legend_texts(figure)] == [SEPARATED, "static hysteresis"]
     for panel, (o, k) in zip(figure.axes, [(0, 0), (0, 1), (1, 0), (1, 1)], strict=True):
         drawn = np.array(panel.lines[0].get_data())
         height = 2.0 * theory.loop_amplitude(thresholds[o][k], weights[o][k], 10.0)

@@ -80,7 +80,7 @@ def test_page_opens_with_the_question_and_the_paper_s_figure() -> None:
 
 def test_equal_reports_give_equal_pages() -> None:
     again = report_of(reference=CIRCLE, compensators=[PAPER, NONE], assessment=of_figure("Fig. 10"))
-    assert render(again, ["path.png"]) == render(circle(), ["path.png"])
+    assert render(again, ["path.svg"]) == render(circle(), ["path.svg"])
 
 
 def test_answer_gives_the_worst_distances_with_their_part_of_the_radius() -> None:
@@ -322,17 +322,16 @@ def test_only_columns_that_are_filled_are_explained() -> None:
 
 
 def test_figures_are_embedded_by_relative_path_in_reading_order() -> None:
-    page = render(circle(), ["errors.png", "path.png"])
-    links = re.findall(r"\[!\[[^]]+\]\(([^)]+)\)\]\(([^)]+)\)", page)
-    assert links == [("path.png", "path.svg"), ("errors.png", "errors.svg")]
+    page = render(circle(), ["errors.svg", "path.svg"])
+    assert re.findall(r"!\[[^]]+\]\(([^)]+)\)", page) == ["path.svg", "errors.svg"]
     assert "## Figures" not in render(circle(), [])
 
 
 def test_captions_speak_of_what_is_there() -> None:
     alone, modelled = report_of(drive=SINE_V), report_of(drive=SINE_V, models=[MODEL])
-    assert "broken lines are the models" in render(modelled, ["loops.png"])
-    assert "models" not in render(alone, ["loops.png"]).split("## Numbers")[0]
-    assert "wide grey line is the ideal" in render(sine(), ["loops_1_paper.png"])
+    assert "broken lines are the models" in render(modelled, ["loops.svg"])
+    assert "models" not in render(alone, ["loops.svg"]).split("## Numbers")[0]
+    assert "wide grey line is the ideal" in render(sine(), ["loops_1_paper.svg"])
 
 
 def test_how_it_was_run_is_told_without_clock_and_place(tmp_path: Path) -> None:
@@ -344,7 +343,7 @@ def test_how_it_was_run_is_told_without_clock_and_place(tmp_path: Path) -> None:
         instruments={"sensor": {"noise_um": 0.02}},
         seed=7,
     )
-    page = render(report, ["path.png"])
+    page = render(report, ["path.svg"])
     assert str(tmp_path) not in page
     for told in (
         "`path = scan.csv`",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from collections.abc import Iterator
@@ -20,7 +21,7 @@ from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.reporting.figures.moved import courses_of
 from hammerstein.reporting.html.check_page import check_page
 from hammerstein.reporting.html.markup import line_of, link_to
-from hammerstein.reporting.html.vector import embedded, inlined, pictures
+from hammerstein.reporting.html.vector import inlined
 from hammerstein.scenario.scenario import Tolerance
 
 EVIL = "</script><script>window.hit=1</script><img src=x onerror=window.hit=2>$$x$$ &lt; =1+1"
@@ -128,7 +129,9 @@ class Reader(HTMLParser):
         self.ids += [str(found["id"])] if "id" in found else []
         if tag == "img":
             self.images_without_text += not found.get("alt")
-        if tag == "svg":
+        if tag == "svg":  # a part of a drawing, which has a text as a whole
+            self.images_without_text += "aria-hidden" not in found
+        if found.get("role") == "img":
             self.images_without_text += not found.get("aria-label")
         assert not [name for name in found if name.startswith("on")]
 
@@ -202,36 +205,19 @@ def test_markdown_of_ours_is_read_and_html_is_not() -> None:
 
 def test_drawings_of_one_page_share_no_id_and_keep_their_references() -> None:
     svg = (
-        b'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'
-        b'<g id="unused"><path id="m1" d="M 1.23456 2.0 L 3 4"/></g>'
-        b'<use xlink:href="#m1" x="0.123456" clip-path="url(#c1)"/><clipPath id="c1"/></svg>'
+        b'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
+        b'viewBox="0 0 576 100"><svg class="axes" x="0" y="50" width="288" height="50">'
+        b'<g id="unused"><path id="m1" d="M1 2"/></g>'
+        b'<use xlink:href="#m1" clip-path="url(#c1)"/></svg><defs><clipPath id="c1"/></defs></svg>'
     )
     one, two = inlined(svg, "f1", 'a "b"'), inlined(svg, "f2", "b")
     assert 'id="f1-m1"' in one
     assert 'href="#f1-m1"' in one
     assert "url(#f1-c1)" in one
     assert "unused" not in one
-    assert 'd="M1.23 2.0L3 4"' in one
+    assert "--x:0.00%;--y:50.00%;--w:50.00%" in one
     assert not set(re.findall('id="([^"]+)"', one)) & set(re.findall('id="([^"]+)"', two))
-    assert 'aria-label="a &quot;b&quot;"' in one
-
-
-def test_drawings_that_are_too_large_are_pictures() -> None:
-    svg = b'<svg xmlns="http://www.w3.org/2000/svg"><path d="M 0 0"/></svg>'
-    files = {f"{name}.{kind}": name.encode() for name in "ab" for kind in ("png", "narrow")}
-    files |= {"a.svg": svg, "b.svg": svg}
-    png, narrow = embedded(b"b", "B", "wide"), embedded(b"b", "B", "narrow")
-    drawn = len(inlined(svg, "f1", "A")) - len(png)
-
-    def kinds(most_bytes: int) -> list[list[str]]:
-        found = pictures(files, {"a": "A", "b": "B"}, most_bytes)
-        return [re.findall("alone|wide|narrow|svg", one.replace("</svg>", "")) for one in found]
-
-    least = 2 * len(png)
-    assert kinds(least) == [["alone", "wide"]] * 2
-    assert kinds(least + len(narrow)) == [["wide", "narrow"], ["alone", "wide"]]
-    assert kinds(least + 2 * len(narrow) + drawn) == [["svg", "wide", "narrow"], ["wide", "narrow"]]
-    assert kinds(least + 2 * len(narrow) + 2 * drawn) == [["svg", "wide", "narrow"]] * 2
+    assert 'aria-label="a &#34;b&#34;"' in one
 
 
 def test_courses_tell_how_far_a_number_moved_in_units_of_what_is_allowed() -> None:
@@ -274,14 +260,49 @@ def test_a_browser_shows_it_without_complaint(folder: Path, page: Page, name: st
     opened(page, folder / name, width)
     assert page.complaints == []
     assert all(address.startswith("file:") for address in page.requests)
-    assert len([a for a in page.requests if not a.endswith(".png")]) == 1
+    assert len([a for a in page.requests if not a.endswith(".svg")]) == 1
     assert page.value("window.hit === undefined")
     assert page.value("document.documentElement.scrollWidth") <= width
-    figures = "[...document.querySelectorAll('.draw')].filter(draw => !draw.querySelector('.alone'))"
-    assert page.value(f"{figures}.every(draw => draw.scrollWidth <= draw.clientWidth)")
-    seen = "[...draw.children].filter(one => one.checkVisibility()).map(one => one.classList[0])"
-    kind = "narrow" if width == 400 else "wide"
-    assert page.value(f"{figures}.every(draw => {seen}.join() === '{kind}')")
+    assert page.value(
+        "[...document.querySelectorAll('.draw')].every(draw => draw.scrollWidth <= draw.clientWidth)"
+    )
+
+
+PARTS = """[...document.querySelectorAll(".drawing")]
+    .map(drawing => [...drawing.querySelectorAll("svg[viewBox]")]
+    .map(part => [part.classList[0], part.getBoundingClientRect(), part.viewBox.baseVal.width])
+    .map(([kind, room, points]) => ({kind, left: room.left, right: room.right, top: room.top,
+        bottom: room.bottom, letter: 9 * room.width / points})))"""
+
+
+@pytest.mark.parametrize("name", [name for name in PAGES if "index" not in name])
+def test_a_telephone_shows_panels_below_each_other_in_legible_letters(
+    folder: Path, page: Page, name: str
+) -> None:
+    opened(page, folder / name, 390)
+    drawings = page.value(PARTS)
+    assert drawings
+    for parts in drawings:
+        assert min(part["letter"] for part in parts) >= 10.0
+        assert max(part["right"] for part in parts) <= 390.0
+        panels = [part for part in parts if part["kind"] == "axes"]
+        for one, other in itertools.pairwise(panels):
+            assert other["top"] >= one["bottom"]
+            assert other["left"] == pytest.approx(one["left"], abs=1.0)
+
+
+@pytest.mark.parametrize("name", [name for name in PAGES if "index" not in name])
+def test_a_desk_shows_a_drawing_as_it_was_laid_out(folder: Path, page: Page, name: str) -> None:
+    opened(page, folder / name, 1400)
+    for parts in page.value(PARTS):
+        panels = [part for part in parts if part["kind"] == "axes"]
+        for one, other in itertools.combinations(parts, 2):  # nothing hides another
+            assert (
+                min(one["right"], other["right"]) - max(one["left"], other["left"]) < 12.0
+                or min(one["bottom"], other["bottom"]) - max(one["top"], other["top"]) < 12.0
+            )
+        assert np.ptp([part["letter"] for part in parts]) < 0.1
+        assert len(panels) < 2 or any(panel["left"] > panels[0]["right"] - 12.0 for panel in panels)
 
 
 @pytest.mark.parametrize("width", [400, 1000, 1400])

@@ -11,6 +11,7 @@ from hammerstein.reporting.figures.style import (
     COLOURS,
     DARK,
     PALE,
+    in_lines,
     legend_above,
     letter,
     new_figure,
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MARKERS = "osD^vPX"
+NAME_LETTERS = 24
+"""Of a line of a model's name beside a panel."""
 LEAST = 1e-9
 """Percent that stand for none on a logarithmic axis."""
 
@@ -36,26 +39,26 @@ def compared_figure(found: Comparison) -> Figure:
     found : what ``compare`` gave
     """
     names = [entry.name for entry in found.entries]
+    labels = [in_lines(f"{entry.name} ({entry.parameters})", NAME_LETTERS) for entry in found.entries]
     with styled():
-        figure = new_figure(1.5 + 0.3 * max(5, len(names)))
-        panels = figure.subplots(1, 3, width_ratios=(3.0, 2.0, 1.6), sharey=True)
+        figure = new_figure(1.5 + 0.34 * max(5, len(names)))
+        panels = figure.subplots(1, 2)
         entries: dict[str, Artist] = {}
         told, at = ("held back", "held_at") if found.held else ("fitted", "fitted_at")
         if found.held:
             entries |= _draw_errors(panels[0], found, "fitted", "fitted_at", hollow=True)
         entries |= _draw_errors(panels[0], found, told, at, hollow=False)
         _draw(panels[1], [entry.left.percent for entry in found.entries])
-        _draw(panels[2], [entry.parameters for entry in found.entries])
-        labels = ("rms error [% of range]", "left by its compensator [%]", "parameters")
-        for number, (axes, label) in enumerate(zip(panels, labels, strict=True)):
+        quantities = ("rms error [% of range]", "left by its compensator [%]")
+        for number, (axes, label) in enumerate(zip(panels, quantities, strict=True)):
             letter(axes, number)
             axes.set(xscale="log", xlabel=label)
             axes.margins(x=0.12, y=0.08)
             plain_numbers(axes.xaxis)
             chosen = names.index(found.recommended)
             band = axes.axhspan(chosen - 0.45, chosen + 0.45, color=PALE, alpha=0.28, zorder=0, linewidth=0)
-        panels[0].set_yticks(range(len(names)), names)
-        panels[0].invert_yaxis()
+            axes.set_yticks(range(len(names)), labels)
+            axes.set_ylim(len(names) - 0.4, -0.6)
         legend_above(figure, {**entries, "recommended": band})
     return figure
 
@@ -77,7 +80,7 @@ def _scores(entry: Compared, at: str) -> Mapping[float, Score]:
     return entry.held_at if at == "held_at" else entry.fitted_at
 
 
-def _draw(axes: Axes, values: list[float | None] | list[int]) -> None:
+def _draw(axes: Axes, values: list[float | None]) -> None:
     """One point a model; none where there is no number."""
     known = [(max(value, LEAST), place) for place, value in enumerate(values) if value is not None]
     if known:

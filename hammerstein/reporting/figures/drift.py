@@ -14,6 +14,7 @@ from hammerstein.reporting.figures.style import (
     line_style,
     new_figure,
     plain,
+    side_by_side,
     sparse_markers,
     styled,
     thin_path,
@@ -47,11 +48,12 @@ def drift_figure(runs: Sequence[DriftRun], names: Sequence[str]) -> Figure:
     labels = list(dict.fromkeys(run.label for run in runs))
     longest = max(float(run.time_s[-1]) for run in runs)
     factor, unit = (1.0 / 60.0, "min") if longest > MINUTES_FROM_S else (1.0, "s")
+    rows, columns = side_by_side(len(axes_shown))
     with styled():
-        figure = new_figure(0.8 + 2.2 * len(axes_shown))
-        panels = figure.subplots(len(axes_shown), 1, squeeze=False, sharex=True)[:, 0]
+        figure = new_figure(0.8 + 2.3 * rows, columns)
+        panels = figure.subplots(rows, columns, squeeze=False).flat
         entries: dict[str, Artist] = {}
-        for number, (axis, axes) in enumerate(zip(axes_shown, panels, strict=True)):
+        for number, (axis, axes) in enumerate(zip(axes_shown, panels, strict=False)):
             for run in (run for run in runs if run.axis == axis):
                 time, mean = thin_path([run.time_s * factor, run.mean_um], MOST_CYCLES)
                 place = labels.index(run.label)
@@ -61,7 +63,7 @@ def drift_figure(runs: Sequence[DriftRun], names: Sequence[str]) -> Figure:
             axes.set_ylabel(f"mean error of {names[axis]} [µm]")
             axes.margins(x=0.01)
             few_ticks(axes)
+            axes.set_xlabel(f"time [{unit}]")
             letter(axes, number)
-        panels[-1].set_xlabel(f"time [{unit}]")
         legend_above(figure, entries, "True position: mean error of each cycle")
     return figure

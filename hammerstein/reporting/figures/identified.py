@@ -154,8 +154,8 @@ def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
     left = {kind: fit.candidates[kind].residual(record, start) for kind in kinds}
     most = MOST_POINTS // (2 * len(kinds) * len(fit.outputs))
     with styled():
-        figure = new_figure(0.9 + 2.0 * len(fit.outputs))
-        panels = figure.subplots(len(fit.outputs), 2, squeeze=False, sharex="col")
+        figure = new_figure(0.9 + 2.2 * len(fit.outputs))
+        panels = figure.subplots(len(fit.outputs), 2, squeeze=False)
         entries: dict[str, Artist] = {}
         for o, row in enumerate(panels):
             for number, kind in enumerate(kinds):
@@ -168,9 +168,6 @@ def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
             row[1].grid(visible=True, which="major")
         for number, axes in enumerate(panels.flat):
             letter(axes, number)
-            last = number >= panels.size - 2
-            axes.tick_params(labelbottom=last)
-            axes.xaxis.label.set_visible(last)
         for axes in panels[:, 1]:
             plain_numbers(axes.yaxis)
             plain_numbers(axes.xaxis)
@@ -225,7 +222,7 @@ def operators_figure(fit: Fit) -> Figure:
     counts = [point.operators for point in fit.error_curve]
     chosen = sorted({n for row in fit.operators for n in row})
     with styled():
-        figure = new_figure(0.5 + 0.42 * WIDTH_IN)
+        figure = new_figure(0.4 * WIDTH_IN, columns=1)
         axes = figure.subplots()
         entries: dict[str, Artist] = {}
         for o, name in enumerate(fit.outputs):
@@ -263,8 +260,8 @@ def response_figure(fit: Fit, measured: FrequencyResponse, said: FrequencyRespon
     """
     p, m = measured.response.shape[:2]
     with styled():
-        figure = new_figure(0.9 + 1.9 * p)
-        panels = figure.subplots(p, m + 1, squeeze=False, sharex=True)
+        figure = new_figure(0.9 + 2.1 * p)
+        panels = figure.subplots(p, m + 1, squeeze=False)
         entries: dict[str, Artist] = {}
         for number, ((o, k), axes) in enumerate(np.ndenumerate(panels)):
             letter(
@@ -272,7 +269,9 @@ def response_figure(fit: Fit, measured: FrequencyResponse, said: FrequencyRespon
                 number,
                 f"{column_words(fit.inputs[k])} to {column_words(fit.outputs[o])}" if k < m else "coherence",
             )
-            axes.set(xscale="log", xlabel="frequency [Hz]" if o == p - 1 else "")
+            axes.set(xscale="log", xlabel="frequency [Hz]")
+            axes.set_xlim(measured.frequency_hz[0], measured.frequency_hz[-1])
+            plain_numbers(axes.xaxis)
             if k == m:
                 _draw_spectrum(axes, measured.frequency_hz, measured.coherence[o], 0)
                 axes.set_ylim(-0.05, 1.05)
@@ -282,7 +281,6 @@ def response_figure(fit: Fit, measured: FrequencyResponse, said: FrequencyRespon
             entries[KIND_NAMES[fit.kind]] = _draw_spectrum(axes, measured.frequency_hz, model_gain, 1)
             axes.set(yscale="log", ylabel="gain [µm/V]")
             plain_numbers(axes.yaxis)
-        plain_numbers(panels[-1, -1].xaxis)
         legend_above(figure, entries)
     return figure
 

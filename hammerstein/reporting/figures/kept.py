@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -14,62 +13,27 @@ from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario.scenario import WORDS
 
 
-def drawn(report: Report, store: Store | None = None) -> Iterator[tuple[str, bytes]]:
-    """Name and bytes of each file of a report's figures; drawn where the store does not have them.
+def drawn(report: Report, store: Store | None = None, png: bool = False) -> dict[str, bytes]:
+    """Bytes of each file of a report's figures by name; drawn where the store does not have them.
 
     Parameters
     ----------
     report : result of ``hammerstein.experiment.run.run``, with its traces
     store : where figures are kept and found; all are drawn if not given
+    png : whether PNG files are wanted beside SVG
     """
-    if store is None:
-        yield from _all_drawn(report)
-        return
-    shown = digest_of_shown(report)
-    names = store.read(key_of("figures", shown))
-    files = None if names is None else [store.read(_key(shown, name)) for name in names.document]
-    if names is not None and files is not None and all(file is not None for file in files):
-        for name, file in zip(names.document, files, strict=True):
-            if file is not None:
-                yield name, file.arrays["content"].tobytes()
-        return
-    found = []
-    for name, content in _drawn_one_by_one(report, store, shown):
-        found.append(name)
-        yield name, content
-    store.write(key_of("figures", shown), Kept(found))
-
-
-def _all_drawn(report: Report) -> Iterator[tuple[str, bytes]]:
+    key = None if store is None else key_of("figures", [digest_of_shown(report), png])
+    known = None if store is None or key is None else store.read(key)
+    if known is not None:
+        return {name: content.tobytes() for name, content in known.arrays.items()}
     from hammerstein.reporting.figures.choice import figures_of
     from hammerstein.reporting.figures.write import files_of
 
-    yield from files_of(figures_of(report))
-
-
-def _drawn_one_by_one(report: Report, store: Store, shown: str) -> Iterator[tuple[str, bytes]]:
-    """Files figure by figure, each kept as soon as it is there."""
-    from hammerstein.reporting.figures.choice import figures_of
-    from hammerstein.reporting.figures.write import KINDS, files_of
-
-    for figure_name, figure in figures_of(report).items():
-        names = [f"{figure_name}.{kind}" for kind in KINDS]
-        files = [store.read(_key(shown, name)) for name in names]
-        known = {
-            name: file.arrays["content"].tobytes()
-            for name, file in zip(names, files, strict=True)
-            if file is not None
-        }
-        if len(known) == len(names):
-            yield from known.items()
-            continue
-        for name, content in files_of({figure_name: figure}):
-            store.write(_key(shown, name), Kept(None, {"content": np.frombuffer(content, np.uint8)}))
-            yield name, content
-
-
-def _key(shown: str, name: str) -> str:
-    return key_of("figure", [shown, name])
+    files = dict(files_of(figures_of(report), png))
+    if store is not None and key is not None:
+        arrays = {name: np.frombuffer(content, np.uint8) for name, content in files.items()}
+        store.write(key, Kept(None, arrays))
+    return files
 
 
 def digest_of_shown(report: Report) -> str:

@@ -21,6 +21,7 @@ from hammerstein.reporting.figures.style import (
     new_figure,
     overlay_style,
     plain,
+    side_by_side,
     sparse_markers,
     styled,
     thin_path,
@@ -142,9 +143,6 @@ def errors_figure(
         for (o, _), axes in panels.items():
             axes.set(xlabel="time [cycles]", ylabel=output_labels[o])
             axes.margins(x=0.0)
-            axes.label_outer()
-            axes.yaxis.label.set_visible(True)
-            axes.tick_params(labelleft=True)
         remarks = [f"{label} driven" for label in input_labels]
         _letters(panels, len(output_labels) == len(input_labels), remarks)
         worst = {label: max(run.worst_um for run in runs if run.label == label) for label in numbers}
@@ -161,9 +159,13 @@ Panels = dict[tuple[int, int], "Axes"]
 def _panels(runs: Sequence[LoopRun] | Sequence[ErrorRun], rows: int, height: float) -> tuple[Figure, Panels]:
     """Empty panels by output and input; an input that no run drives has no column."""
     driven = sorted({run.driven for run in runs})
-    figure = new_figure(0.6 + rows * WIDTH_IN / max(len(driven), 2) * height)
-    grid = figure.subplots(rows, len(driven), squeeze=False)
-    return figure, {(o, k): grid[o, column] for o in range(rows) for column, k in enumerate(driven)}
+    places = [(o, k) for o in range(rows) for k in driven]
+    lines, columns = (rows, len(driven)) if len(driven) > 1 else side_by_side(rows)
+    figure = new_figure(0.6 + lines * WIDTH_IN / max(columns, 2) * height, columns)
+    grid = figure.subplots(lines, columns, squeeze=False)
+    for axes in grid.flat[len(places) :]:
+        axes.remove()
+    return figure, dict(zip(places, grid.flat, strict=False))
 
 
 def _numbers(labels: Sequence[str]) -> dict[str, int]:

@@ -25,6 +25,7 @@ from hammerstein.reporting.figures.style import (
     new_figure,
     plain,
     plain_numbers,
+    side_by_side,
     styled,
     symbol,
     thin_path,
@@ -111,7 +112,7 @@ class PathRun:
 DISTANCE = "distance"
 TRULY = "true distance"
 LABELS = {DISTANCE: "distance\n[µm]", TRULY: "true\ndistance\n[µm]"}  # as long as a low panel is high
-UPRIGHT_LETTERS = 18
+UPRIGHT_LETTERS = 15
 """Of a line beside such a panel."""
 
 
@@ -154,8 +155,12 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
     rows = len(runs[0].drawn_errors())
     first = 0 if len(groups) > 1 else _panels_of_path(len(axes_names))
     with styled():
-        figure = new_figure(0.8 + 1.15 * rows)
-        panels = figure.subplots(rows, len(groups), squeeze=False, sharey="row", sharex="col")
+        high, wide = (rows, len(groups)) if len(groups) > 1 else side_by_side(rows)
+        figure = new_figure(0.8 + 1.5 * high, wide)
+        grid = figure.subplots(high, wide, squeeze=False, sharey="row" if len(groups) > 1 else False)
+        for axes in grid.flat[rows * len(groups) :]:
+            axes.remove()
+        panels = np.reshape(grid.flat[: rows * len(groups)], (rows, len(groups)))
         entries: dict[str, Artist] = {}
         most = MOST_POINTS // (len(runs) * rows)
         for column, group in enumerate(groups):
@@ -163,8 +168,8 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
             lines = _draw_errors(list(panels[:, column]), inside, _pens(runs), axes_names, most)
             entries |= {_entry(label, runs): line for label, line in lines.items()}
             letter(panels[0, column], first + column, group)
-            for axes in panels[:, column] if column else []:
-                axes.set_ylabel("")
+            for axes in panels[:, column]:
+                axes.tick_params(labelleft=True)  # each panel is read alone on a telephone
         for name, axes in zip([name for name, _ in runs[0].drawn_errors()], panels[:, 0], strict=True):
             _scale_distance(axes, name, runs)
         legend_above(figure, entries, title)
@@ -203,23 +208,15 @@ def _panels_of_path(n_axes: int) -> int:
 
 
 def _layout(n_axes: int) -> tuple[Figure, Axes | None, list[Axes]]:
-    """Empty panels: plane (of two axes only), traces."""
-    has_plane = n_axes == 2
-    top_in = 0.46 * WIDTH_IN if has_plane else 1.4 * n_axes
-    figure = new_figure(0.7 + top_in)
-    grid = figure.add_gridspec(n_axes, 1 + has_plane)
-    plane = figure.add_subplot(grid[:, 0]) if has_plane else None
-    return figure, plane, _stack(figure, [grid[row, int(has_plane)] for row in range(n_axes)])
-
-
-def _stack(figure: Figure, places: Sequence[Any]) -> list[Axes]:
-    """Panels above each other with one time axis below the last."""
-    stack: list[Axes] = []
-    for place in places:
-        stack.append(figure.add_subplot(place, sharex=stack[0] if stack else None))
-    for axes in stack[:-1]:
-        axes.tick_params(labelbottom=False)
-    return stack
+    """Empty panels: plane (of two axes only) left of the traces; without it the traces side by side."""
+    if n_axes == 2:
+        figure = new_figure(0.9 + 0.46 * WIDTH_IN)
+        grid = figure.add_gridspec(2, 2)
+        plane = figure.add_subplot(grid[:, 0])
+        return figure, plane, [figure.add_subplot(grid[row, 1]) for row in range(2)]
+    lines, columns = side_by_side(n_axes)
+    figure = new_figure(0.7 + 2.0 * lines, columns)
+    return figure, None, [figure.add_subplot(lines, columns, axis + 1) for axis in range(n_axes)]
 
 
 def _draw_plane(
@@ -268,8 +265,8 @@ def _draw_traces(
             (entries[target],) = axes.plot(time, values, **TARGET)
         few_ticks(axes)
         axes.set_ylabel(in_lines(f"{symbol(names[axis], 'reading')} [µm]", UPRIGHT_LETTERS))
+        axes.set_xlabel(time_label)
         axes.margins(x=0.0)
-    traces[-1].set_xlabel(time_label)
     return entries
 
 
@@ -309,8 +306,8 @@ def _draw_errors(
         panels[i].set_ylabel(
             LABELS.get(name) or in_lines(f"{symbol(names[i], 'error')} [µm]", UPRIGHT_LETTERS)
         )
+        panels[i].set_xlabel(time_label)
         _scale_distance(panels[i], name, runs)
-    panels[-1].set_xlabel(time_label)
     return entries
 
 

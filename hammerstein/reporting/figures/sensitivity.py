@@ -52,7 +52,7 @@ def sensitivity_figure(bars: Sequence[SensitivityBars], title: str = "") -> Figu
     names = bars[0].parameters
     places, height = np.arange(len(names), dtype=np.float64), FILLED / len(bars)
     with styled():
-        figure = new_figure(1.2 + 0.24 * len(names) * max(2, len(bars)))
+        figure = new_figure(1.2 + 0.24 * len(names) * max(2, len(bars)), columns=1)
         axes = figure.subplots()
         entries: dict[str, Artist] = {}
         for number, own in enumerate(bars):

@@ -31,10 +31,12 @@ if TYPE_CHECKING:
 Role = Literal["reading", "reference", "voltage", "error"]
 
 WIDTH_IN = 8.0  # at 100 pixels an inch the width of a page on a screen
+ALONE_IN = 4.3  # width of a figure of one panel: as large as a panel may be to be read on a telephone
 PNG_DPI = 125  # 1000 pixels wide
+PNG_COLOURS = 16  # the most that half a byte holds
 JOINT = "\u00a0"  # a space at which no line ends
-LONGEST_LINE = 80  # characters that fit the width
-MOST_POINTS = 11_000  # of all curves of a figure together: keeps an SVG below 400 kB
+LONGEST_LINE = 46  # characters that fit half the width, or a telephone
+MOST_POINTS = 8_000  # of all curves of a figure together: keeps an SVG below 200 kB
 
 # Okabe and Ito's colours, told apart with any colour vision; the order keeps neighbours apart in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#000000")
@@ -58,8 +60,8 @@ STYLE: dict[str, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 9.0,
     "axes.labelsize": 9.0,
-    "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5,
+    "xtick.labelsize": 9.0,
+    "ytick.labelsize": 9.0,
     "legend.fontsize": 9.0,
     "legend.title_fontsize": 9.5,
     "legend.frameon": False,
@@ -103,13 +105,22 @@ def styled() -> Iterator[None]:
         yield
 
 
-def new_figure(height_in: float) -> Figure:
-    """Give an empty figure of page width, without any window behind it."""
+def new_figure(height_in: float, columns: int = 2) -> Figure:
+    """Give an empty figure, without any window behind it: of page width, or half of it for one column."""
     from matplotlib.figure import Figure
 
-    from hammerstein.reporting.figures.layout import OneLook
+    width_in = WIDTH_IN if columns > 1 else ALONE_IN
+    return Figure(figsize=(width_in, height_in), dpi=PNG_DPI, layout="constrained")
 
-    return Figure(figsize=(WIDTH_IN, height_in), dpi=PNG_DPI, layout=OneLook())
+
+def side_by_side(panels: int) -> tuple[int, int]:
+    """Rows and columns for panels that have no arrangement of their own.
+
+    >>> side_by_side(1), side_by_side(3)
+    ((1, 1), (2, 2))
+    """
+    columns = min(panels, 2)
+    return math.ceil(panels / columns), columns
 
 
 def line_style(number: int) -> dict[str, Any]:
@@ -202,6 +213,8 @@ def letter(axes: Axes, number: int, remark: str = "") -> None:
     name = f"({chr(ord('a') + number)})" if number < 26 else ""
     place = axes.get_subplotspec()
     share = len(place.colspan) / place.get_gridspec().ncols if place else 1.0
+    figure = axes.get_figure(root=True)
+    share *= 1.0 if figure is None else figure.get_figwidth() / WIDTH_IN
     letters = len(re.sub(r"[$_{}\\]", "", remark))
     size = STYLE["font.size"] * min(1.0, share * REMARK_LETTERS / max(letters, 1))
     # a given height spares the search for one above the ticks, which is slow
@@ -210,13 +223,15 @@ def letter(axes: Axes, number: int, remark: str = "") -> None:
 
 
 def legend_above(figure: Figure, entries: dict[str, Artist], title: str = "") -> None:
-    """Legend of the whole figure above its panels, in the order given."""
-    longest = max((len(label) for label in entries), default=0)
-    most = 4 if longest < 20 else 3 if longest < 27 else 2 if longest < 54 else 1
+    """Legend of the whole figure above its panels, in the order given; no line is wider than a telephone."""
+    words = [in_lines(label, LONGEST_LINE) for label in entries]
+    longest = max((len(line) for text in words for line in text.split("\n")), default=0)
+    most = 4 if longest < 20 else 3 if longest < 27 else 2
+    most = most if figure.get_figwidth() > ALONE_IN else max(1, most // 2) if longest < 20 else 1
     columns = math.ceil(len(entries) / math.ceil(len(entries) / most))
     legend = figure.legend(
         list(entries.values()),
-        [in_lines(label, LONGEST_LINE) for label in entries],
+        words,
         loc="outside upper center",
         ncols=columns,
         title=in_lines(title, LONGEST_LINE) or None,
@@ -226,11 +241,11 @@ def legend_above(figure: Figure, entries: dict[str, Artist], title: str = "") ->
 
 def few_ticks(axes: Axes) -> None:
     """Few ticks at round numbers on both linear axes."""
-    from hammerstein.reporting.figures.ticks import FewTicks
+    from matplotlib.ticker import MaxNLocator
 
     for axis in (axes.xaxis, axes.yaxis):
         if axis.get_scale() == "linear":  # a logarithmic axis has its own few
-            axis.set_major_locator(FewTicks())
+            axis.set_major_locator(MaxNLocator(nbins=6, steps=(1, 2, 5, 10)))
 
 
 def plain_numbers(axis: Axis) -> None:

@@ -17,6 +17,7 @@ from hammerstein.reporting.figures.style import (
     new_figure,
     plain,
     plain_numbers,
+    side_by_side,
     sparse_markers,
     styled,
 )
@@ -80,8 +81,12 @@ def sweep_figure(
     """
     rows, columns = len(panel_titles), len(panel_titles[0])
     with styled():
-        figure = new_figure(0.9 + rows * WIDTH_IN / max(columns, 2) * 0.68)
-        panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        lines, across = (rows, columns) if columns > 1 else side_by_side(rows)
+        figure = new_figure(0.9 + lines * WIDTH_IN / max(columns, 2) * 0.7, across)
+        grid = figure.subplots(lines, across, squeeze=False, sharex=True, sharey=True)
+        for axes in grid.flat[rows * columns :]:
+            axes.remove()
+        panels = np.reshape(grid.flat[: rows * columns], (rows, columns))
         entries: dict[str, Artist] = {}
         for number, curve in enumerate(curves):
             for (o, k), axes in np.ndenumerate(panels):
@@ -90,8 +95,8 @@ def sweep_figure(
         for number, axes in enumerate(panels.flat):
             o, k = divmod(number, columns)
             letter(axes, number, panel_titles[o][k])
-            axes.set_xlabel(x_label if o == rows - 1 else "")
-            axes.set_ylabel(quantity if k == 0 else "")
+            axes.set(xlabel=x_label, ylabel=quantity)
+            axes.tick_params(labelbottom=True, labelleft=True)  # each panel is read alone on a telephone
         legend_above(figure, entries | _explained(curves), title)
     return figure
 

@@ -1,30 +1,36 @@
-"""Figures into files: SVG for zooming, PNG for everywhere."""
+"""Figures into files: SVG for pages and for zooming, PNG where a page of a repository shows it."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 from hammerstein.experiment.report import Report
 from hammerstein.reporting.figures.choice import figures_of
-from hammerstein.reporting.figures.palette import in_few_colours
-from hammerstein.reporting.figures.png import png_of
-from hammerstein.reporting.figures.style import PNG_DPI, styled
+from hammerstein.reporting.figures.style import PNG_COLOURS, PNG_DPI, styled
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import Stage, staged
 
-KINDS = ("svg", "png", "narrow")
-"""What is drawn of each figure; the last one, a PNG for a narrow screen, lies in a page alone."""
-
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
+    from matplotlib.legend import Legend
+    from matplotlib.transforms import Bbox
 
 FIGURES = Owner("figures")
+SVG = "{http://www.w3.org/2000/svg}"
+POINTS_AN_INCH = 72.0
+EDGE_PT = 2.5
+"""Round each part of a drawing: letters lean over the room that they are measured to take."""
+_BEYOND = re.compile(r"(?<=\.\d\d)\d+")
+_GAPS = re.compile(r"\s+(?=[A-Za-z]|$)|(?<=[A-Za-z])\s+")
+_LENGTHS = frozenset({"x", "y", "width", "height"})
+
+ElementTree.register_namespace("", SVG[1:-1])
+ElementTree.register_namespace("xlink", "http://www.w3.org/1999/xlink")
 
 
 def write_figures(report: Report, folder: Path, overwrite: bool = False) -> list[Path]:
@@ -53,57 +59,124 @@ def save_figures(
     InputError : the folder cannot be written, or holds other people's files under these names
     """
     with staged(folder, owner, overwrite) as stage:
-        write_drawn(stage, files_of(figures))
+        write_drawn(stage, files_of(figures, png=True))
     return stage.written
 
 
 def write_drawn(stage: Stage, files: Iterable[tuple[str, bytes]]) -> dict[str, bytes]:
-    """Write drawn files, but those that lie in a page alone; gives all of them by name."""
+    """Write drawn files; gives all of them by name."""
     found = dict(files)
     for name, content in found.items():
-        if not name.endswith(KINDS[-1]):
-            stage.write(name, content)
+        stage.write(name, content)
     return found
 
 
-def files_of(figures: Mapping[str, Figure]) -> Iterator[tuple[str, bytes]]:
-    """Name and bytes of each file of the figures."""
+def files_of(figures: Mapping[str, Figure], png: bool = False) -> Iterator[tuple[str, bytes]]:
+    """Name and bytes of each file of the figures: SVG, and PNG where it is wanted."""
     for name, figure in figures.items():
-        for kind, content in images(figure).items():
-            yield f"{name}.{kind}", content
+        yield f"{name}.svg", svg_of(figure)
+        if png:
+            yield f"{name}.png", png_of(figure)
 
 
-def images(figure: Figure) -> dict[str, bytes]:
-    """Give the bytes of a figure, by ``KINDS``, without date or version."""
-    from hammerstein.reporting.figures.drawing import drawing_of
-    from hammerstein.reporting.figures.narrow import narrow_figure
+def png_of(figure: Figure) -> bytes:
+    """Bytes of a figure as PNG of its most frequent colours: half a byte a pixel of a line drawing."""
+    from PIL import Image
 
+    drawn, packed = io.BytesIO(), io.BytesIO()
     with styled():
-        drawing = drawing_of(figure)
-        wide, narrow = drawing.painted(), narrow_figure(figure, drawing)
-        return dict(zip(KINDS, (_svg(wide), _png(wide), _png(narrow)), strict=True))
+        figure.savefig(drawn, format="png", dpi=PNG_DPI)
+    with Image.open(drawn) as shown:
+        picture = shown.convert("RGB")
+    counted: Any = picture.getcolors(picture.width * picture.height)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([part for _, colour in sorted(counted, reverse=True)[:PNG_COLOURS] for part in colour])
+    few = picture.quantize(palette=palette, dither=Image.Dither.NONE)
+    few.save(packed, "PNG", optimize=True, dpi=(PNG_DPI, PNG_DPI))
+    return packed.getvalue()
 
 
-def png(figure: Figure) -> bytes:
-    """Give the bytes of a figure as PNG alone."""
-    from hammerstein.reporting.figures.drawing import drawing_of
+def svg_of(figure: Figure) -> bytes:
+    """Bytes of a figure as SVG, without date or version.
 
+    Its title, each entry of its legend and each of its panels is an ``svg`` element of its own, in the place
+    that it has in the figure: a page can put them elsewhere. Numbers are cut after a hundredth of a point,
+    which no screen shows.
+    """
+    drawn, dpi = io.BytesIO(), figure.dpi
     with styled():
-        return _png(drawing_of(figure).painted())
+        figure.set_dpi(POINTS_AN_INCH)  # of this file: places are asked for in its points
+        figure.savefig(drawn, format="svg", metadata={"Date": None, "Creator": None, "Format": None})
+        boxes = {
+            "axes": _panel_boxes(figure),
+            "legend": [box for legend in figure.legends for box in _legend_boxes(legend)],
+        }
+        figure.set_dpi(dpi)
+    root = ElementTree.fromstring(drawn.getvalue())
+    for element in root.iter():
+        element.text = element.tail = None  # text is drawn as outlines; the rest is space
+        element.attrib |= {name: _short(name, value) for name, value in element.attrib.items()}
+    groups = root.findall(f"{SVG}g/{SVG}g")
+    parts = [("legend", entry) for group in groups for entry in _entries(group) if _is(group, "legend")]
+    parts += [("axes", list(group)) for group in groups if _is(group, "axes")]
+    height_pt = float(root.attrib["viewBox"].split()[3])
+    shown = [_part(kind, elements, boxes[kind].pop(0), height_pt) for kind, elements in parts]
+    root[:] = [*shown, *root.findall(f"{SVG}defs")]
+    root.attrib |= {"stroke-linejoin": "round", "stroke-linecap": "butt"}
+    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
-def _svg(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": "hammerstein"})
-    return buffer.getvalue()
+def _is(group: ElementTree.Element, kind: str) -> bool:
+    return group.attrib["id"].startswith(kind)
 
 
-def _png(figure: Figure) -> bytes:
-    """With a palette and without transparency: a line drawing has few colours."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+def _short(name: str, value: str) -> str:
+    if name == "d":
+        return _GAPS.sub("", _BEYOND.sub("", value))
+    return _BEYOND.sub("", value) if name in _LENGTHS else value
 
-    canvas = figure.canvas
-    assert isinstance(canvas, FigureCanvasAgg)  # given with the drawing
-    canvas.draw()  # type: ignore[no-untyped-call]
-    palette, numbers = in_few_colours(np.asarray(canvas.buffer_rgba()))  # type: ignore[no-untyped-call]
-    return png_of(palette, numbers, PNG_DPI)
+
+def _part(
+    kind: str, elements: Sequence[ElementTree.Element], box: Bbox, height_pt: float
+) -> ElementTree.Element:
+    """What stands in a room of a drawing, as a drawing of its own."""
+    room = (box.x0 - EDGE_PT, height_pt - box.y1 - EDGE_PT, box.width + 2 * EDGE_PT, box.height + 2 * EDGE_PT)
+    place = dict(zip(("x", "y", "width", "height"), (f"{length:.2f}" for length in room), strict=True))
+    part = ElementTree.Element(f"{SVG}svg", {"class": kind, "viewBox": " ".join(place.values()), **place})
+    part.extend(elements)
+    return part
+
+
+def _panel_boxes(figure: Figure) -> list[Bbox]:
+    """Room of each panel with its labels [pt]; those of a column begin and end alike."""
+    from matplotlib.transforms import Bbox
+
+    tight = [box for axes in figure.axes if (box := axes.get_tightbbox()) is not None]
+    places = [axes.bbox.intervalx.round().tolist() for axes in figure.axes]
+    boxes = []
+    for place, box in zip(places, tight, strict=True):
+        column = Bbox.union([other for at, other in zip(places, tight, strict=True) if at == place])
+        boxes.append(Bbox.from_extents(column.x0, box.y0, column.x1, box.y1))
+    return boxes
+
+
+def _legend_boxes(legend: Legend) -> Iterator[Bbox]:
+    """Room of the title, if there is one, and of each entry with its handle [pt]."""
+    from matplotlib.transforms import Bbox
+
+    if legend.get_title().get_text():
+        yield legend.get_title().get_window_extent()
+    for text in legend.get_texts():
+        box = text.get_window_extent()
+        handle = float(legend.handlelength + legend.handletextpad) * float(text.get_fontsize())
+        yield Bbox.from_extents(box.x0 - handle, box.y0, box.x1, box.y1)
+
+
+def _entries(legend: ElementTree.Element) -> Iterator[list[ElementTree.Element]]:
+    """Elements of the title and of each entry of a legend: handles, then the text that ends it."""
+    entry: list[ElementTree.Element] = []
+    for element in legend:
+        entry.append(element)
+        if element.attrib.get("id", "").startswith("text"):
+            yield entry
+            entry = []

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from hammerstein.regression.compare import Kind
 from hammerstein.regression.result import CheckResult, ScenarioCheck
-from hammerstein.reporting.html.markup import MOST_DRAWING_BYTES, rendered
-from hammerstein.reporting.html.vector import Drawn, pictures
+from hammerstein.reporting.html.markup import rendered
+from hammerstein.reporting.html.vector import Drawn, drawings
 from hammerstein.runtime.storage.manifest import Owner
 
 CHECK_PAGE = Owner("check page", single=True)
@@ -18,17 +18,21 @@ MOST_FIGURES = 30
 
 def check_page(result: CheckResult) -> str:
     """HTML page of a check; equal results give equal bytes."""
+    from hammerstein.reporting.figures.moved import courses_of, moved_figure
+    from hammerstein.reporting.figures.write import svg_of
+
     wanted = [(check, metric) for check in result.checks for metric in _metrics(check)]
     # those that fail first: a page holds only so many
     wanted = sorted(wanted, key=lambda item: item[0].passed)[:MOST_FIGURES]
     files: dict[str, bytes] = {}
     titles: dict[str, str] = {}
     for number, (check, metric) in enumerate(wanted):
-        files |= _files(check, metric, f"{number}")
+        courses = courses_of(metric, check.accepted, check.now, check.tolerances)
+        files[f"{number}.svg"] = svg_of(moved_figure(courses, metric))
         titles[f"{number}"] = f"{check.name}: {metric}, baseline and now"
     drawn: dict[str, list[Drawn]] = {check.name: [] for check in result.checks}
-    drawings = pictures(files, titles, MOST_DRAWING_BYTES)
-    for (check, metric), (name, title), drawing in zip(wanted, titles.items(), drawings, strict=True):
+    shown = drawings(files, titles)
+    for (check, metric), (name, title), drawing in zip(wanted, titles.items(), shown, strict=True):
         drawn[check.name].append(Drawn(f"{check.name}-{metric}-{name}", title, "", drawing))
     return rendered("check.html.jinja", result=result, drawn=drawn, folder=result.baseline_folder)
 
@@ -47,11 +51,3 @@ def _metrics(check: ScenarioCheck) -> Iterator[str]:
         name for key, numbers in check.accepted.items() for name in numbers if name in check.now.get(key, {})
     }
     yield from [name for name in (*FIRST_SHOWN, *sorted(both)) if name in both][:1]
-
-
-def _files(check: ScenarioCheck, metric: str, name: str) -> dict[str, bytes]:
-    from hammerstein.reporting.figures.moved import courses_of, moved_figure
-    from hammerstein.reporting.figures.write import images
-
-    courses = courses_of(metric, check.accepted, check.now, check.tolerances)
-    return {f"{name}.{kind}": content for kind, content in images(moved_figure(courses, metric)).items()}

@@ -8,8 +8,8 @@ from pathlib import PurePath
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.fit_page import CAPTIONS, fit_body, fit_json, headline, summary
-from hammerstein.reporting.html.markup import MOST_DRAWING_BYTES, link_to, page_of, rendered
-from hammerstein.reporting.html.vector import Drawn, pictures
+from hammerstein.reporting.html.markup import link_to, page_of, rendered
+from hammerstein.reporting.html.vector import Drawn, drawings
 
 TITLES = {
     "loops": "Loops",
@@ -25,12 +25,11 @@ def fit_html(model: HammersteinModel, fit: Fit, files: Mapping[str, bytes]) -> s
     Parameters
     ----------
     model, fit : what ``identify`` gave
-    files : bytes of its figures by name, each as SVG and as PNG; none gives a page without figures
+    files : bytes of its figures by name, as SVG; none gives a page without figures
     """
     here = {PurePath(name).stem for name in files}
     names = [name for name in TITLES if name in here] + sorted(here - set(TITLES))
     titles = {name: TITLES.get(name, name) for name in names}
-    drawings = pictures(files, titles, MOST_DRAWING_BYTES)
     records = [PurePath(record.source).name for record in fit.records]
     return rendered(
         "account.html.jinja",
@@ -40,7 +39,7 @@ def fit_html(model: HammersteinModel, fit: Fit, files: Mapping[str, bytes]) -> s
         facts=[KIND_NAMES[fit.kind], f"records: {', '.join(records)}"],
         figures=[
             Drawn(name, title, CAPTIONS.get(name, ""), drawing)
-            for (name, title), drawing in zip(titles.items(), drawings, strict=True)
+            for (name, title), drawing in zip(titles.items(), drawings(files, titles), strict=True)
         ],
         body=page_of(fit_body(model, fit)),
         links=[link_to("fit.json", fit_json(model, fit), "application/json")],

@@ -22,8 +22,6 @@ LARGEST_LINK_BYTES = 200_000
 """A larger file is linked where it lies beside the page, not carried along."""
 LONGEST_NUMBER = 36
 """Characters of a cell; a longer one holds words."""
-MOST_DRAWING_BYTES = 1_000_000
-"""Of all drawings of a page together; with text and tables it stays below 1.5 MB."""
 
 
 @dataclass(frozen=True)

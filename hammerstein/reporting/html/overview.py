@@ -102,7 +102,7 @@ def _sections(reports: Sequence[Report], out: Path) -> Iterator[Section]:
 
 
 def _card(report: Report, out: Path) -> Card:
-    drawn = [name for name in Manifest.read(out / report.name).files if name.endswith(".png")]
+    drawn = [name for name in Manifest.read(out / report.name).files if name.endswith(".svg")]
     picture = min(drawn, key=place_of, default="")
     worst = _worst(report)
     return Card(

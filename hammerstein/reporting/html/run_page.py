@@ -10,8 +10,8 @@ from markupsafe import Markup
 from hammerstein.escaping import clean
 from hammerstein.experiment.report import Report
 from hammerstein.reporting.html.interactive import Interactive
-from hammerstein.reporting.html.markup import MOST_DRAWING_BYTES, link_to, rendered
-from hammerstein.reporting.html.vector import Drawn, pictures
+from hammerstein.reporting.html.markup import link_to, rendered
+from hammerstein.reporting.html.vector import Drawn, drawings
 from hammerstein.reporting.page import (
     MOST_STATEMENTS,
     gathered,
@@ -35,10 +35,10 @@ def run_page(report: Report, files: Mapping[str, bytes], interactive: Interactiv
     Parameters
     ----------
     report : result of ``hammerstein.experiment.run.run``
-    files : bytes of its figures by name, each as SVG and as PNG; none gives a page without figures
+    files : bytes of its figures by name, as SVG; none gives a page without figures
     interactive : plots to zoom into, if they were asked for
     """
-    figures = list(_figures(report, files, MOST_DRAWING_BYTES // (2 if interactive else 1)))
+    figures = list(_figures(report, files))
     statements = gathered(report.statements)
     asked = report.scenario.assessment
     here = {
@@ -103,11 +103,11 @@ def _facts(report: Report) -> Iterator[str]:
     yield f"{scenario.signal.kind} {'in V' if scenario.drive is not None else 'in um'}"
 
 
-def _figures(report: Report, files: Mapping[str, bytes], most_bytes: int) -> Iterator[Drawn]:
-    names = sorted((name for name in files if name.endswith(".png")), key=place_of)
+def _figures(report: Report, files: Mapping[str, bytes]) -> Iterator[Drawn]:
+    names = sorted((name for name in files if name.endswith(".svg")), key=place_of)
     shown = {PurePath(name).stem: picture_of(name, report) for name in names}
     titles = {name: f"{picture.title} ({name})" for name, picture in shown.items()}
-    for (name, picture), drawing in zip(shown.items(), pictures(files, titles, most_bytes), strict=True):
+    for (name, picture), drawing in zip(shown.items(), drawings(files, titles), strict=True):
         yield Drawn(name, picture.title, picture.caption, drawing)
 
 
