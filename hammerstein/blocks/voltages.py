@@ -83,7 +83,7 @@ class Verdict(Strict):
 
     flagged: bool = Field(description="whether the records do what a model of this kind cannot")
     statements: tuple[str, ...] = Field(default=(), description="what it cannot represent")
-    held_out: bool = Field(default=False, description="whether it was judged by a record held back")
+    held_out: bool = Field(default=False, description="whether a validation record judged it")
     sentence: str = Field(default="", description="which block lowers the error")
     nrmse_percent: tuple[Figure, ...] = Field(default=(), description="error of each output it was judged by")
 
@@ -91,11 +91,11 @@ class Verdict(Strict):
         """Error of a model in words, by the names of its outputs; empty where no record has judged it.
 
         >>> Verdict(flagged=False, held_out=True, nrmse_percent=(0.45, 2.0)).error(("x", "y"))
-        '0.45 % of the range of x and 2 % of that of y on records held back'
+        '0.45 % of the range of x and 2 % of that of y on validation records'
         """
         if len(self.nrmse_percent) != len(outputs):
             return ""
         pairs = zip(self.nrmse_percent, outputs, strict=True)
         first, *others = (f"{percent:.2g} % of the range of {name}" for percent, name in pairs)
         told = " and ".join([first, *(text.replace("the range", "that") for text in others)])
-        return f"{told} on {'records held back' if self.held_out else 'the records it was fitted to'}"
+        return f"{told} on {'validation records' if self.held_out else 'the records it was fitted to'}"

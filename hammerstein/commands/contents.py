@@ -89,7 +89,7 @@ def contents_of(path: Path) -> Contents:
         refuse_missing(path)
         return Contents("arrays", tuple(arrays_in(path)))
     if path.suffix.lower() in PAGES:
-        raise InputError(str(path), "is a page to be read; what it is made of stands in the .json beside it")
+        raise InputError(str(path), "is a page to read; its data are in the .json beside it")
     facts = tuple(_table(path))
     return Contents(_kind_of_table([name for name, _ in facts]), facts)
 
@@ -198,13 +198,13 @@ def _fit(found: _Fit) -> Iterator[tuple[str, str]]:
     yield "model", found.model
     yield "verdict", found.verdict
     yield "records", ", ".join(found.records)
-    yield "held back", ", ".join(found.held_records) or "none"
+    yield "validation records", ", ".join(found.held_records) or "none"
 
 
 def _comparison(found: _Comparison) -> Iterator[tuple[str, str]]:
     yield "models", ", ".join(one.name for one in found.models)
     yield "records", ", ".join(found.records)
-    yield "held back", ", ".join(found.held_records) or "none"
+    yield "validation records", ", ".join(found.held_records) or "none"
     yield "recommended", " ".join(found.sentences)
 
 

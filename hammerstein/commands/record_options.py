@@ -64,7 +64,7 @@ class RecordFiles:
     ] = False
 
     def read(self, held: Sequence[Path] | None = None, all_driven: bool = True) -> tuple[Record, ...]:
-        """Records of the files, or of those that are held back."""
+        """Records to fit, or validation records."""
         from hammerstein.records.reading import read_records
 
         files = self.files if held is None else held
@@ -138,7 +138,7 @@ class HeldBack:
     """Records that are judged and not fitted."""
 
     validate: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="Records held back; may be repeated.")
+        list[Path] | None, typer.Option(metavar="FILE", help="Validation record; may be repeated.")
     ] = None
 
     def read(self, recorded: RecordFiles) -> tuple[Record, ...]:
@@ -146,7 +146,7 @@ class HeldBack:
         return recorded.read(self.validate, all_driven=False) if self.validate else ()
 
     def refuse_fitted(self, files: Sequence[Path]) -> None:
-        """Refuse records that are held back and fitted at once."""
+        """Refuse a validation record that is also fitted."""
         from hammerstein.errors import InputError
 
         fitted = {file.resolve() for file in files}

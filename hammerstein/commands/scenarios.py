@@ -123,7 +123,7 @@ def _assessed(scenarios: Iterable[Scenario], page: Path | None) -> list[type[Ass
 
     kinds = list(dict.fromkeys(type(s.assessment) for s in scenarios if s.assessment is not None))
     if page is not None and not kinds:
-        raise InputError("--page", "no scenario has an [assessment], which would say what stands on the page")
+        raise InputError("--page", "no scenario has an [assessment], which fills the page")
     return kinds
 
 
@@ -146,7 +146,7 @@ def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None, overwr
     kinds = _assessed((report.scenario for report in reports), None)
     if len(reports) < len(outcomes):
         if kinds:
-            complain("what stands over all reports is not written, as not every scenario has one")
+            complain("the pages over all reports are not written, because not every scenario has a report")
     else:
         for kind in kinds:
             kept += kind.write(reports, out, page, overwrite)

@@ -39,7 +39,7 @@ def init(
     announce_compiling(complain)
     with Spinner() as spinner:
         own_folder(folder, spinner.tell)
-    tell(f"what to do next stands in {folder / 'README.md'}")
+    tell(f"the next steps are in {folder / 'README.md'}")
     tell(f"look at {folder / 'reports/circle/report.html'}; {there}hammerstein run .")
 
 

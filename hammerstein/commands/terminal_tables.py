@@ -139,7 +139,7 @@ def _span(ends: Sequence[float]) -> str:
 
 
 def fit_table(fit: Fit) -> Table:
-    """One line for each kind of model and output: errors on the records fitted and on those held back."""
+    """One line for each kind of model and output: errors on fitted and validation records."""
     from hammerstein.identification.fit import KIND_NAMES
 
     names = ("fit_nrmse_percent", "fit_rms_um", "held_nrmse_percent", "held_rms_um")
@@ -167,7 +167,7 @@ def comparison_table(found: Comparison) -> Table:
 
 def rates_table(found: Comparison) -> Table:
     """One line a model: its error at the frequency of each record."""
-    where = "held back" if found.held else "fitted"
+    where = "validation" if found.held else "fitted"
     rates = [f"{hz:g} Hz" for hz in found.frequencies_hz]
     table = _table(f"Errors on records {where}, in % of the range there", ("", "model", *rates))
     for entry in found.entries:

@@ -50,7 +50,7 @@ def compare(
     ----------
     records : experiments on one actuator, as for ``identify``
     settings : how each kind is identified; its ``hysteresis`` and ``dead_zones`` are not used
-    validation : records that are held back and only judged: nothing is chosen by them
+    validation : validation records: reported, never used to choose
     jobs : identifications side by side, each a process, or an executor of ``concurrent.futures``
     progress : told what is being done, how many identifications are done, and of how many
 
@@ -152,7 +152,7 @@ def _entry(
 
 
 def _missed(one: Fitted, ready: Sequence[Record], held: Sequence[Record]) -> list[str]:
-    """Records, fitted or held back, that a model misses."""
+    """Fitted or validation records that a model misses."""
     return record_flags(one.candidate, [*ready, *held], [*one.starts, *one.held_starts])
 
 

@@ -60,7 +60,7 @@ class Compared:
     hysteresis : its kind of hysteresis, ``none`` for a linear model
     dynamics : its linear block, in words
     parameters : free numbers
-    fitted, held : errors on the records that it was fitted to, and on those held back; None if there are none
+    fitted, held : errors on fitted and on validation records; None if there are none
     fitted_at, held_at : the same of the records at one frequency [Hz]
     folds_percent : its error on parts of the fitted records that were left out in turn, in percent of the
         range: by it the model is recommended
@@ -94,7 +94,7 @@ class Compared:
 
     @property
     def judged(self) -> Score:
-        """Error that counts: on records held back, if there are any."""
+        """Error that counts: on validation records, if there are any."""
         return self.held or self.fitted
 
     @property
@@ -129,7 +129,7 @@ class Comparison:
     best : name of the model with the least error
     recommended : name of the model that ``RULE`` recommends
     inputs, outputs : names of the axes
-    records, held : names of the records fitted and held back
+    records, held : names of fitted and validation records
     frequencies_hz : of the records, one for those alike [Hz]
     """
 
@@ -154,7 +154,7 @@ class Comparison:
     def sentences(self) -> list[str]:
         """Say what is recommended and why, then what a reader must know."""
         chosen, best = self[self.recommended], self[self.best]
-        where = "on the records held back" if self.held else "on the fitted records themselves"
+        where = "on the validation records" if self.held else "on the fitted records themselves"
         count = f"{chosen.parameters} parameter{'s' * (chosen.parameters != 1)}"
         said = [
             f"Recommended: {chosen.name}, {count}; its error is {chosen.judged.mean_percent:.3g} % of the "

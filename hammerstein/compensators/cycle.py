@@ -169,7 +169,7 @@ class Design:
         at_range = int(limits.reached(asked_v).any(axis=0).sum())
         if at_range and not terms.clip:
             raise SimulationError(
-                f"{self.path}: the path is out of reach: its drive stands at the range in {at_range} of "
+                f"{self.path}: the path is out of reach: its drive is at the range in {at_range} of "
                 f"{asked_v.shape[1]} samples of a settled period, {limits.words(model.inputs)} (--range). "
                 "Make it smaller or slower, or accept it with --clip."
             )

@@ -127,7 +127,7 @@ class Compensation:
         if self.attempt.lead:
             seconds = self.attempt.lead * (self.time_s[1] - self.time_s[0])
             said.append(
-                f"The first {seconds:.4g} s lead in from where the actuator stands; then the path begins."
+                f"The first {seconds:.4g} s lead from the initial position to the start of the path."
             )
         said += [text] if (text := self.law.statement()) else []
         return said + self._path_statements()
@@ -156,7 +156,7 @@ class Compensation:
         limits, names = self.law.range, self.model.inputs
         start = ", ".join(f"{u:.6g} V on {n}" for n, u in zip(names, limits.start_v, strict=True))
         rest = ", ".join(f"{u:.6g} V" for u in limits.working_point_v)
-        text = f"Before the first row the actuator stands at {start}, from where the path counts: "
+        text = f"Initial state, from which the path counts: {start}, "
         if limits.conditioned:
             top, low = (", ".join(f"{u:.6g} V" for u in ends) for ends in (limits.high_v, limits.low_v))
             return f"{text}driven to {top}, then to {low}, then straight to there."
@@ -184,7 +184,7 @@ def verdict_statements(model: HammersteinModel) -> list[str]:
     if verdict is not None and verdict.flagged:
         said.append("FLAGGED by its fit report: " + "; ".join(verdict.statements or ("see there",)) + ".")
     if verdict is not None and not verdict.held_out:
-        said.append("Warning: no record was held back, so that nothing has tested this model (--validate).")
+        said.append("Warning: no validation record has tested this model (--validate).")
     return said
 
 

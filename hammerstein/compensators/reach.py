@@ -202,7 +202,7 @@ class Shortfall:
                 first = int(np.argmax(row))
                 end, volts = ("lower", self.limits.low_v) if self.at_low[k] else ("upper", self.limits.high_v)
                 parts.append(
-                    f"input {name} stands at its {end} limit, {volts[k]:.6g} V, in {int(row.sum())} of "
+                    f"input {name} is at its {end} limit, {volts[k]:.6g} V, in {int(row.sum())} of "
                     f"{len(row)} samples, first at sample {first} ({first * self.sample_time_s:.4g} s)"
                 )
         for name, row, worst_um in zip(outputs, self.error_um, self._worst(), strict=True):

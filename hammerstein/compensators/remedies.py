@@ -43,7 +43,7 @@ class Missed:
         """Say which limit is hit, by how much and where, and what helps: two lines."""
         listed = ", ".join(f"{option} ({error:.2g} um)" for error, option in self.remedies())
         alone = "" if "," in listed else "; or ask for a smaller or a slower path"
-        return f"{self._limits_hit()}\nWhat helps, with the error that it leaves: {listed}{alone}."
+        return f"{self._limits_hit()}\nRemedies, with the error of each: {listed}{alone}."
 
     def remedies(self) -> list[tuple[float, str]]:
         """Error that is left [um] and options of each remedy that helps, the best one first."""

@@ -263,7 +263,7 @@ def _verdict(model: HammersteinModel) -> str:
         return "none; the model file does not say how it was found."
     if verdict.flagged:
         return "FLAGGED by its fit report: " + "; ".join(verdict.statements or ("see there",)) + "."
-    held = "judged by a record held back" if verdict.held_out else "no record was held back to judge it"
+    held = "judged by a validation record" if verdict.held_out else "without a validation record"
     return verdict.sentence or f"not flagged ({held})."
 
 

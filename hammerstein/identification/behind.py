@@ -135,7 +135,7 @@ def sure_behind(task: Task, hysteresis: Hysteresis[Any], found: Behind) -> Behin
     fits = []
     for o, axis in enumerate(found.axes):
         shape, x = parameters_of(axis)
-        task.progress(f"fitting what stands between the hysteresis and {task.records[0].outputs[o]}")
+        task.progress(f"fitting the dynamics from the hysteresis to {task.records[0].outputs[o]}")
         [one] = _axis_tasks(late, hysteresis, o, (len(hysteresis.weights[o]),))
         one = replace(one, shape=shape)
         fit = found.fits[o] if found.fits else fit_axis(one, x)
@@ -225,7 +225,7 @@ def _forward_selection(task: Task, one: AxisTask, quick: AxisTask, begin: Axis) 
     here = refine(replace(one, shape=shape), x, SEARCHED) if shape.parameters else None
     x, error = (here.x, here.rms) if here else (x, rms_behind(replace(one, shape=shape), x))
     while True:
-        task.progress(f"trying what stands between the hysteresis and {name}: {shape.name} so far")
+        task.progress(f"trying the dynamics from the hysteresis to {name}: {shape.name} so far")
         steps = [step for step in fast if not getattr(shape, step)]
         steps += ["creep"] if shape.creep_modes < most else []
         tried = [_with(quick, shape, x, step) for step in steps]

@@ -113,13 +113,13 @@ class Fit(NotebookRepr):
     def __repr__(self) -> str:
         errors = self.judged[self.kind].nrmse_percent
         left = ", ".join(f"{name} {e:.3g} %" for name, e in zip(self.outputs, errors, strict=True))
-        where = "on records held back" if self.validation else "on the records it was fitted to"
+        where = "on validation records" if self.validation else "on the records it was fitted to"
         flagged = f"; {len(self.flags)} flags" if self.flags else ""
         return f"Fit({self.kind}: {left} of the range {where}{flagged})"
 
     @property
     def judged(self) -> Mapping[Kind, Score]:
-        """Errors that the verdict rests on: on records held back, if there are any."""
+        """Errors that the verdict rests on: on validation records, if there are any."""
         return self.validation or self.fit
 
     @property

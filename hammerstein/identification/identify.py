@@ -80,7 +80,7 @@ def identify(
     ----------
     records : experiments on one actuator, with any inputs driven in each
     settings : how it is done; if not given, thresholds, their number and the dynamics are found
-    validation : records that are held back and only judged
+    validation : validation records: reported, never used to choose
     name : of the model
     instruments : drive and sensor for the model file; ideal ones on the records' sample time if not given
     progress : told what is being done

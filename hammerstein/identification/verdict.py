@@ -79,11 +79,13 @@ def verdict(
     ...     "static_hysteresis": Score((0.8,), (0.3,), (2.0,)),
     ... }
     >>> print(verdict(scores, True, ()))
-    On records held back: linear gain 7.4 %, static hysteresis 0.8 % of the range. Hysteresis improves \
+    On validation records: linear gain 7.4 %, static hysteresis 0.8 % of the range. Hysteresis improves \
 the model: it lowers the error from 7.4 to 0.8 %.
     """
     errors = {kind: score.mean_percent for kind, score in scores.items()}
-    where = "On records held back" if held_back else "On the fitted records themselves (none was held back)"
+    where = (
+        "On validation records" if held_back else "On the fitted records themselves (no validation record)"
+    )
     listed = ", ".join(f"{KIND_NAMES[kind]} {error:.3g} %" for kind, error in errors.items())
     sentences = [f"{where}: {listed} of the range."]
     if {"linear_dynamics", "hammerstein"} <= errors.keys():

@@ -48,7 +48,7 @@ HEADER = (
     "model",
     "parameters",
     "fitted [%]",
-    "held back [%]",
+    "validation [%]",
     "as good",
     "exact inverse",
     "left [%]",

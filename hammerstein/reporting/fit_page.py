@@ -117,7 +117,7 @@ def headline(model: HammersteinModel, fit: Fit) -> str:
     where = (
         "on records that it was not fitted to"
         if fit.validation
-        else "on the records that it was fitted to; none was held back"
+        else "on the fitted records; there is no validation record"
     )
     warned = " It cannot represent all that they hold: see below." if fit.flags else ""
     return f"The model {model.name} is off by {off}, rms, {where}.{warned}"

@@ -217,7 +217,7 @@ def test_show_counts_what_is_met(folder: Path, capsys: pytest.CaptureFixture[str
         ("other.json", "{}", "is no model"),
         ("none.csv", None, "does not exist"),
         ("none.npz", None, "does not exist"),
-        ("report.html", "<p>1 2 3", "is a page to be read"),
+        ("report.html", "<p>1 2 3", "is a page to read"),
         ("report.json", json.dumps(REPORT | {"rows": 3}), "rows  must be a list"),
         ("asked.json", json.dumps(REPORT | {"scenario": [1]}), "scenario  must be a table"),
         ("claims.json", json.dumps(REPORT | {"verdicts": [1]}), "verdicts[1]  must be a table"),

@@ -249,7 +249,7 @@ def test_the_remedy_that_is_named_first_is_the_one_that_helps(tmp_path, capsys, 
     said = [line for line in lines if not line.startswith("compiling ")]  # on a machine that has not yet
     assert len(said) == 3
     assert "u hits its" in said[0]
-    named = said[1].removeprefix("What helps, with the error that it leaves: ")
+    named = said[1].removeprefix("Remedies, with the error of each: ")
     option, error_um = re.match(r"(--lead-in(?: --offset=\S+)?) \((\S+) um\)", named).groups()
     assert ("--offset" in option) == (kind == "below")
     assert _call("compensate", "stage.json", path, *option.split(), "--json") == 0

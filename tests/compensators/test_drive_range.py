@@ -258,7 +258,7 @@ def test_a_flagged_model_needs_a_word(stage, capsys):
     head = [line for line in (stage / "drive.csv").read_text().splitlines() if line.startswith("#")]
     assert any("FLAGGED" in line and flags[0] in line for line in head)
     assert compensate(stage, *law, model="untested.json") == 0
-    assert "no record was held back" in (stage / "drive.csv").read_text()
+    assert "no validation record" in (stage / "drive.csv").read_text()
 
 
 def test_the_drive_file_is_read_by_pandas_and_by_us(stage):
@@ -280,7 +280,7 @@ def test_the_drive_file_is_read_by_pandas_and_by_us(stage):
     assert record.sample_time_s == pytest.approx(T)
     text = out.read_text()
     assert "u from 0 to 100 V, at rest at 0 V; v from -20 to 120 V, at rest at -20 V" in text
-    assert "stands at 0 V on u, -20 V on v" in text
+    assert "Initial state, from which the path counts: 0 V on u, -20 V on v" in text
 
 
 def test_twins_of_a_name_keep_their_columns(stage):

@@ -108,7 +108,7 @@ def test_shortfall_names_samples_and_axes():
     assert (np.abs(found.error_um).max(axis=1) > 1e-6).tolist() == [True, False]
     first, number = int(np.argmax(found.at_range[0])), int(found.at_range[0].sum())
     assert (
-        f"u stands at its upper limit, 10 V, in {number} of 800 samples, first at sample {first} "
+        f"u is at its upper limit, 10 V, in {number} of 800 samples, first at sample {first} "
         in found.statement(*NAMES)
     ) == (2 * (drive[0] >= 10.0).sum() >= number)
     assert "output x is missed by up to" in found.statement(*NAMES)

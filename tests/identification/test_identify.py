@@ -239,7 +239,7 @@ def test_verdict_speaks_of_what_it_compares():
         "hammerstein": Score((0.69,), (0.1,), (2.9,)),
     }
     said = verdict(scores, False, ("y saturates",))
-    assert said.startswith("On the fitted records themselves (none was held back): linear gain 8 %")
+    assert said.startswith("On the fitted records themselves (no validation record): linear gain 8 %")
     assert (
         "The hysteresis block does not improve the model: the error is 0.7 % without and 0.69 % with it."
         in said

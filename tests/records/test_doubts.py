@@ -90,12 +90,14 @@ def test_warnings_of_a_model_are_printed_even_where_little_is_wanted(tmp_path, c
     said = capsys.readouterr()
     assert said.out == ""
     assert "FLAGGED by its fit report: the record drifts" in said.err
-    assert ("no record was held back" in said.err) == (command == "compensate")
+    assert ("no validation record" in said.err) == (command == "compensate")
 
 
 def test_what_is_designed_from_the_actuator_itself_is_said_with_the_error_of_its_fit(tmp_path):
     file = stage(tmp_path / "stage.json", 100.0, flagged=False, held_out=True, nrmse_percent=[0.5, 2.0])
-    off = "comes on top, by its fit report 0.5 % of the range of x and 2 % of that of y on records held back."
+    off = (
+        "comes on top, by its fit report 0.5 % of the range of x and 2 % of that of y on validation records."
+    )
     report = run(sine(file, file))
     assert "knows it better than anyone knows a real one" in answer(report)
     assert any(off in text for text in report.statements)

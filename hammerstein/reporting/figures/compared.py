@@ -44,7 +44,7 @@ def compared_figure(found: Comparison) -> Figure:
         figure = new_figure(1.5 + 0.34 * max(5, len(names)))
         panels = figure.subplots(1, 2)
         entries: dict[str, Artist] = {}
-        told, at = ("held back", "held_at") if found.held else ("fitted", "fitted_at")
+        told, at = ("validation", "held_at") if found.held else ("fitted", "fitted_at")
         if found.held:
             entries |= _draw_errors(panels[0], found, "fitted", "fitted_at", hollow=True)
         entries |= _draw_errors(panels[0], found, told, at, hollow=False)

@@ -235,7 +235,7 @@ def operators_figure(fit: Fit) -> Figure:
         for o in range(len(fit.outputs)):
             n = int(np.median([count for count in fit.operators[o] if count] or [0]))
             (point,) = axes.plot(n, max(fit.judged[fit.kind].nrmse_percent[o], LEAST), "*", markersize=11)
-            entries[f"its error on the {'held back' if fit.held else 'fitted'} records"] = point
+            entries[f"its error on the {'validation' if fit.held else 'fitted'} records"] = point
         axes.set(
             xlabel="operators of each pair",
             ylabel="rms error [% of range]",
