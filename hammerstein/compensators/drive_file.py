@@ -126,9 +126,7 @@ class Compensation:
         said.append(self._expected())
         if self.attempt.lead:
             seconds = self.attempt.lead * (self.time_s[1] - self.time_s[0])
-            said.append(
-                f"The first {seconds:.4g} s lead from the initial position to the start of the path."
-            )
+            said.append(f"The first {seconds:.4g} s lead from the initial position to the start of the path.")
         said += [text] if (text := self.law.statement()) else []
         return said + self._path_statements()
 
