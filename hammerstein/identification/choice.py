@@ -35,7 +35,7 @@ MOST_WORSE = 0.05
 ROUNDING = 1e-14
 """Mean squared error in parts of the range that counts as none: normal equations in double precision tell
 coefficients to the root of a rounding error, so that of models below it none is the better one."""
-READINGS = 5
+READINGS = 3
 """Readings that a free number must have at least: with fewer, folds that lie between those that were fitted
 are guessed from their neighbours."""
 CLOSE = (

@@ -87,7 +87,7 @@ def test_creep_that_is_asked_for_stands_behind_every_kind():
     assert mode.time_constant_s == pytest.approx(0.5, rel=0.1)
 
 
-def test_records_tell_no_more_numbers_than_a_fifth_of_their_readings():
+def test_records_tell_no_more_numbers_than_a_third_of_their_readings():
     """100 weights would follow each of 401 readings of noise between its neighbours."""
     u = 10.0 * np.sin(np.linspace(0.0, 12.0, 401))
     grids = (np.zeros(1), np.linspace(0.0, 9.9, 100))
