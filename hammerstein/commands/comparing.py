@@ -36,7 +36,7 @@ def compare(
     from hammerstein.comparison.compare import compare as compared
     from hammerstein.compiled import announce_compiling
     from hammerstein.files import refuse_unwritable
-    from hammerstein.reporting.compare_folder import ALWAYS, COMPARISON, write_comparison
+    from hammerstein.reporting.compare_page import ALWAYS, COMPARISON, write_comparison
     from hammerstein.runtime.storage.staging import prepare
 
     settings = identified.settings()

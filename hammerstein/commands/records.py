@@ -154,8 +154,7 @@ def identify(
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.identify import identify as identify_model
     from hammerstein.quantities import LONGEST_NAME
-    from hammerstein.reporting.fit_folder import ALWAYS, FIT, MODEL, write_fit
-    from hammerstein.reporting.fit_page import fit_json
+    from hammerstein.reporting.fit_page import ALWAYS, FIT, MODEL, fit_json, write_fit
     from hammerstein.runtime.storage.staging import prepare
 
     if hysteresis_in_loop:

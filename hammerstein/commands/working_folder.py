@@ -185,7 +185,7 @@ def _identify(files: list[Path], place: Path, say: Say) -> None:
     from hammerstein.identification.settings import Settings
     from hammerstein.model import HammersteinModel
     from hammerstein.records.reading import read_records
-    from hammerstein.reporting.fit_folder import write_fit
+    from hammerstein.reporting.fit_page import write_fit
 
     inputs, outputs = COLUMNS
     records = read_records(files, inputs=inputs, outputs=outputs, time="time_s")

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 from hammerstein.comparison.inverting import HEADROOM, SETTLING
 from hammerstein.comparison.result import RULE, Compared, Comparison
 from hammerstein.escaping import Markdown, markdown_page
+from hammerstein.reporting.account_page import AccountPage
+from hammerstein.runtime.storage.manifest import Owner
+from hammerstein.runtime.storage.staging import staged
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COMPARISON = Owner("comparison")
+ALWAYS = ("compare.html", "compare.json", "compare.md")
 
 CAPTION = (
     "One line a model, with its free numbers in brackets. Left: its errors, filled where they are judged, "
@@ -13,20 +25,41 @@ CAPTION = (
 )
 
 
-def compare_page(found: Comparison, with_figure: bool) -> str:
-    """Markdown page of a comparison."""
-    figure = Markdown("![compare](compare.svg)\n\n*{}*").format(CAPTION)
-    parts = [
-        Markdown("# Models compared"),
-        " ".join(found.sentences()),
-        *([figure] if with_figure else []),
-        compare_body(found),
-        Markdown("Every number with full precision is in `compare.json`.\n"),
-    ]
-    return Markdown("\n\n").join(parts)
+def compare_page(found: Comparison) -> AccountPage:
+    """Page of a comparison."""
+    return AccountPage(
+        heading=Markdown("# Models compared"),
+        what="Comparison",
+        title="Which model for these records",
+        points=(),
+        answer=found.sentences(),
+        facts=[f"{len(found.entries)} models", f"records: {', '.join(dict.fromkeys(found.records))}"],
+        captions={"compare": ("Error of every model", CAPTION)},
+        body=_body(found),
+        numbers=("compare.json", found.to_json()),
+    )
 
 
-def compare_body(found: Comparison) -> Markdown:
+def write_comparison(
+    found: Comparison, folder: Path, figures: bool = True, overwrite: bool = False
+) -> tuple[Path, ...]:
+    """Write both pages, ``compare.json`` and the figure: all of them, or none.
+
+    Gives the places of files of an earlier comparison that a person had changed and that were kept.
+
+    Raises InputError if they cannot be written.
+    """
+    with staged(folder, COMPARISON, overwrite) as stage:
+        drawn: dict[str, Figure] = {}
+        if figures:
+            from hammerstein.reporting.figures.compared import compared_figure
+
+            drawn = {"compare": compared_figure(found)}
+        compare_page(found).write(stage, "compare", drawn)
+    return stage.kept
+
+
+def _body(found: Comparison) -> Markdown:
     """Markdown of the tables."""
     faults: dict[str, list[str]] = {}  # what holds for several models is said once
     for entry in found.entries:

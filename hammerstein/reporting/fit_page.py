@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Sequence
-from pathlib import PurePath
-from typing import Any, NamedTuple
+from contextlib import ExitStack
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,15 +18,37 @@ from hammerstein.hysteresis import BoucWen, Hysteresis, PrandtlIshlinskii, slope
 from hammerstein.identification.choice import CLOSE
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.model import HammersteinModel
+from hammerstein.reporting.account_page import AccountPage
+from hammerstein.runtime.storage.manifest import Owner
+from hammerstein.runtime.storage.staging import staged, staged_beside
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FIT = Owner("fit")
+MODEL = Owner("model", single=True)
+ALWAYS = ("fit.json", "report.html", "report.md")
 
 CAPTIONS = {
-    "loops": "One cycle of each input, measured and by the model (dark, broken). Of an input that only moves "
-    "together with others, what the model says of the others is taken off what was measured.",
-    "residual": "What each kind of model leaves: over time, and the largest amplitude in bands of frequency.",
-    "operators": "Lines: error on parts of the records that were held out, against the number of operators, "
-    "with thresholds that are not fitted. The grey bar and the stars are this model.",
-    "response": "Gain of each pair: of the records, and of what the model makes of their voltages, by the "
-    "same estimate; and the part of each output's power that the inputs explain linearly.",
+    "loops": (
+        "Loops",
+        "One cycle of each input, measured and by the model (dark, broken). Of an input that only moves "
+        "together with others, what the model says of the others is taken off what was measured.",
+    ),
+    "residual": (
+        "What the models leave",
+        "What each kind of model leaves: over time, and the largest amplitude in bands of frequency.",
+    ),
+    "operators": (
+        "Error against the number of operators",
+        "Lines: error on parts of the records that were held out, against the number of operators, "
+        "with thresholds that are not fitted. The grey bar and the stars are this model.",
+    ),
+    "response": (
+        "Gain over frequency",
+        "Gain of each pair: of the records, and of what the model makes of their voltages, by the "
+        "same estimate; and the part of each output's power that the inputs explain linearly.",
+    ),
 }
 
 
@@ -48,24 +71,50 @@ def fit_json(model: HammersteinModel, fit: Fit) -> str:
     return json.dumps(plain, indent=1, sort_keys=True, allow_nan=False) + "\n"
 
 
-def fit_page(model: HammersteinModel, fit: Fit, figures: Sequence[str] = ()) -> str:
-    """Markdown page of a fit; equal fits give equal bytes.
+def fit_page(model: HammersteinModel, fit: Fit) -> AccountPage:
+    """Page of a fit; equal fits give equal pages.
 
     Parameters
     ----------
     model, fit : what ``identify`` gave
-    figures : names of SVG files beside the page
     """
-    parts = [
-        Markdown("# Fit report of {}").format(model.name),
-        Markdown("\n").join(Markdown("* {}").format(line) for line in summary(model, fit)),
-        headline(model, fit),
-        fit.verdict,
-        fit_body(model, fit),
-        *([Markdown("## Figures"), *_pictures(figures)] if figures else []),
-        Markdown("Every number with full precision is in `fit.json`.\n"),
-    ]
-    return Markdown("\n\n").join(parts)
+    return AccountPage(
+        heading=Markdown("# Fit report of {}").format(model.name),
+        what="Fit report",
+        title=f"How far to trust {model.name}",
+        points=summary(model, fit),
+        answer=[headline(model, fit), fit.verdict],
+        facts=[
+            KIND_NAMES[fit.kind],
+            f"records: {', '.join(PurePath(record.source).name for record in fit.records)}",
+        ],
+        captions=CAPTIONS,
+        body=_body(model, fit),
+        numbers=("fit.json", fit_json(model, fit)),
+    )
+
+
+def write_fit(
+    model: HammersteinModel, fit: Fit, path: Path, folder: Path, figures: bool = True, overwrite: bool = False
+) -> tuple[Path, ...]:
+    """Write the model file, both pages, ``fit.json`` and the figures: all of them, or none.
+
+    Gives the places of files of an earlier fit that a person had changed and that were kept.
+
+    Raises InputError if they cannot be written.
+    """
+    with ExitStack() as opened:
+        stage = opened.enter_context(staged(folder, FIT, overwrite))
+        together = folder.resolve() == path.parent.resolve()
+        models = stage if together else opened.enter_context(staged_beside(path, MODEL, overwrite))
+        drawn: dict[str, Figure] = {}
+        if figures:
+            from hammerstein.reporting.figures.identified import identified_figures
+
+            drawn = identified_figures(fit)
+        fit_page(model, fit).write(stage, "report", drawn)
+        models.write(path.name, model.to_json(), MODEL)
+    return tuple(dict.fromkeys(stage.kept + models.kept))
 
 
 def summary(model: HammersteinModel, fit: Fit) -> list[str]:
@@ -123,7 +172,7 @@ def headline(model: HammersteinModel, fit: Fit) -> str:
     return f"The model {model.name} is off by {off}, rms, {where}.{warned}"
 
 
-def fit_body(model: HammersteinModel, fit: Fit) -> Markdown:
+def _body(model: HammersteinModel, fit: Fit) -> Markdown:
     """Markdown of what stands between the verdict and the figures."""
     return markdown_page(
         "fit_body.md.jinja",
@@ -183,10 +232,3 @@ def _thresholds(block: Hysteresis[Any], fit: Fit) -> Iterator[tuple[str, float, 
     each = [(name, r) for name, pair in inputs for r in pair.thresholds_v]
     for i, ((name, r), error_v) in enumerate(zip(each, known.errors_v, strict=True)):
         yield name, r, None if i in known.open or r == 0.0 else error_v
-
-
-def _pictures(figures: Sequence[str]) -> Iterator[Markdown]:
-    for name in sorted(figures):
-        stem = PurePath(name).stem
-        yield Markdown("![{}]({})").format(stem, name)
-        yield Markdown("*{}*").format(CAPTIONS.get(stem, stem))

@@ -27,8 +27,8 @@ from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel
 from hammerstein.records.reading import read_paired_records, read_records
 from hammerstein.records.record import Record
-from hammerstein.reporting.compare_folder import write_comparison
-from hammerstein.reporting.fit_folder import write_fit
+from hammerstein.reporting.compare_page import write_comparison
+from hammerstein.reporting.fit_page import write_fit
 
 HERE = Path(__file__).parent
 NOTES = """# Measured records

@@ -150,7 +150,10 @@ def test_a_sure_gain_is_worth_its_parameters_from_two_percent_on(gain, kept):
 
 def test_the_model_that_is_kept_obeys_the_rule_on_its_page(stage_fit):
     model, fit = stage_fit
-    assert "within 2 % of the least, or within 5 % and one standard error of it" in fit_page(model, fit)
+    assert (
+        "within 2 % of the least, or within 5 % and one standard error of it"
+        in fit_page(model, fit).markdown()
+    )
     told = [trial for trial in fit.trials if trial.told]
     enough = [trial for trial in told if 0.98 * trial.percent <= min(t.percent for t in told)]
     kept = next(trial for trial in fit.trials if trial.kept)
@@ -162,7 +165,7 @@ def test_linear_dynamics_that_are_kept_alone_stand_on_the_page():
     fitted, held = stage_records(made, np.random.default_rng(3), cycles=4, hz=5.0)
     model, fit = identify(fitted, Settings(), validation=[held])
     assert fit.kind == "linear_dynamics"
-    row = next(line for line in fit_page(model, fit).splitlines() if line.startswith("| y1 | 1"))
+    row = next(line for line in fit_page(model, fit).markdown().splitlines() if line.startswith("| y1 | 1"))
     assert float(row.split("|")[2].split("±")[0]) == pytest.approx(150.0, rel=0.01)
     assert "response" in identified_figures(fit)
 

@@ -341,9 +341,9 @@ def test_the_command_line_runs_only_what_changed(place, tmp_path, worked_out, mo
     arguments = ("run", tmp_path / "s.toml", "--jobs", "1", "--out")
     assert called(*arguments, tmp_path / "1") == 0
     assert len(worked_out) == 2
-    drawn, real = [], sys.modules["hammerstein.reporting.figures.write"].images
+    drawn, real = [], sys.modules["hammerstein.reporting.figures.write"].svg_of
     monkeypatch.setattr(
-        "hammerstein.reporting.figures.write.images", lambda figure: drawn.append(figure) or real(figure)
+        "hammerstein.reporting.figures.write.svg_of", lambda figure: drawn.append(figure) or real(figure)
     )
     assert called(*arguments, tmp_path / "2") == 0
     (tmp_path / "s.toml").write_text(FILE.replace('"?"', '"Really?"'))
@@ -366,7 +366,7 @@ def test_a_figure_that_was_drawn_is_not_drawn_again(place, tmp_path, monkeypatch
     arguments = ("run", tmp_path / "s.toml", "--jobs", "1", "--out")
     from hammerstein.reporting.figures import write
 
-    count, real = [], write.images
+    count, real = [], write.svg_of
 
     def fails(figure):
         if count:
@@ -375,10 +375,10 @@ def test_a_figure_that_was_drawn_is_not_drawn_again(place, tmp_path, monkeypatch
         return real(figure)
 
     with monkeypatch.context() as patch:
-        patch.setattr(write, "images", fails)
+        patch.setattr(write, "svg_of", fails)
         assert called(*arguments, tmp_path / "1") == 70
     drawn = []
-    monkeypatch.setattr(write, "images", lambda figure: drawn.append(figure) or real(figure))
+    monkeypatch.setattr(write, "svg_of", lambda figure: drawn.append(figure) or real(figure))
     assert called(*arguments, tmp_path / "1") == 0
     assert len(drawn) == 1
     drawn.clear()

@@ -23,7 +23,7 @@ from hammerstein.records.excitation import run_in
 from hammerstein.records.reading import read_records
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures.identified import identified_figures, spectrum
-from hammerstein.reporting.figures.write import images
+from hammerstein.reporting.figures.write import svg_of
 from hammerstein.reporting.fit_page import fit_json, fit_page
 
 # Simulated: the published actuator through its drive and sensor ---------------------------------------------
@@ -97,9 +97,9 @@ def test_what_is_found_is_written_and_runs_again(bimorph_fit, tmp_path):
     assert again.to_json() == model.to_json()
     assert again.provenance["invertible"] is True
     assert again.hysteresis.pairs[0][0].weight_errors_um_per_v.min() > 0.0
-    page = fit_page(model, fit, ["loops.svg"])
+    page = fit_page(model, fit).markdown(["loops.svg"])
     assert fit.verdict in page
-    assert "![loops](loops.svg)" in page
+    assert "![Loops](loops.svg)" in page
     assert "| **Hammerstein** |" in page
     assert "| linear gain |" in page
     plain = json.loads(fit_json(model, fit))
@@ -114,7 +114,7 @@ def test_figures_are_drawn_and_repeat_to_the_byte(bimorph_fit):
     labels = {axes.get_xlabel() for axes in figures["residual"].axes}
     assert {"time [ms]", "frequency [Hz]"} <= labels
     assert next(axes.get_ylabel() for axes in figures["loops"].axes) == "y1 [µm]"
-    assert images(figures["loops"]) == images(identified_figures(bimorph_fit[1])["loops"])
+    assert svg_of(figures["loops"]) == svg_of(identified_figures(bimorph_fit[1])["loops"])
 
 
 # A model with dynamics that couple the outputs --------------------------------------------------------------
@@ -220,7 +220,7 @@ def test_a_lagging_loop_never_gives_a_model_without_inverse_silently():
     assert not said.invertible
     assert "no inverse" in said.invertibility
     assert free.provenance["invertible"] is False
-    assert "This model has no inverse" in fit_page(free, said)
+    assert "This model has no inverse" in fit_page(free, said).markdown()
 
 
 def test_a_butterfly_is_flagged():

@@ -48,7 +48,7 @@ def test_a_known_delay_of_the_sensor_is_not_the_actuators(sensor, actuator):
         assert axis.resonance_hz == pytest.approx(resonance_hz, rel=2e-3)
         assert axis.damping_ratio == pytest.approx(damping, rel=1e-2)
     assert max(fit.fit["hammerstein"].rms_um) < 0.03
-    page = fit_page(model, fit)
+    page = fit_page(model, fit).markdown()
     assert f"| sensor delay, as given | {sensor / PARTS * T:.4g} s" in page
     assert "beside the sensor's" in page
     assert "taken as the actuator's" not in page

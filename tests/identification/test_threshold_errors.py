@@ -118,7 +118,7 @@ def test_file_and_report_hold_them(identified):
     np.testing.assert_array_equal(again.factor_v, known.factor_v)
     np.testing.assert_array_equal(again.following_um_per_v2, known.following_um_per_v2)
     assert again.open == known.open
-    page = fit_page(model, fit)
+    page = fit_page(model, fit).markdown()
     assert "## Thresholds" in page
     r = model.hysteresis.pairs[0][0].thresholds_v
     assert f"{r[-1]:.4g}" in page.split("## Thresholds")[1]
@@ -148,7 +148,7 @@ def test_given_thresholds_have_no_error():
         [record(4)], Settings(thresholds_v=[0.0, 1.0, 2.0], dynamics="none", error_curve=False)
     )
     assert model.hysteresis.threshold_covariance is None
-    assert "## Thresholds" not in fit_page(model, fit)
+    assert "## Thresholds" not in fit_page(model, fit).markdown()
 
 
 def test_a_covariance_of_other_thresholds_is_refused():

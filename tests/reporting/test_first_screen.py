@@ -70,14 +70,14 @@ def test_a_fit_report_begins_with_what_it_is_good_for_and_ends_with_thresholds()
     fitted, held = stage_records(made, np.random.default_rng(1), cycles=4, hz=5.0)
     settings = plain(operators=6, partition="fitted")
     model, fit = identify(fitted, settings, validation=[held])
-    first = fit_page(model, fit).split("\n\n")[1].splitlines()
+    first = fit_page(model, fit).markdown().split("\n\n")[1].splitlines()
     assert first[0].startswith("* Usable")
     assert first[1].startswith("* Error: ")
     assert "validation records" in first[1]
     assert first[-1].startswith("* Next: hammerstein compensate")
     assert 4 <= len(first) <= 5
-    headings = [line for line in fit_page(model, fit).splitlines() if line.startswith("## ")]
+    headings = [line for line in fit_page(model, fit).markdown().splitlines() if line.startswith("## ")]
     assert headings[-1] == "## Thresholds"
-    alone = fit_page(*identify(fitted, settings)).split("\n\n")[1]
+    alone = fit_page(*identify(fitted, settings)).markdown().split("\n\n")[1]
     assert "untested on other records" in alone
     assert "--validate" in alone

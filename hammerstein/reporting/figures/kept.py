@@ -22,17 +22,27 @@ def drawn(report: Report, store: Store | None = None, png: bool = False) -> dict
     store : where figures are kept and found; all are drawn if not given
     png : whether PNG files are wanted beside SVG
     """
-    key = None if store is None else key_of("figures", [digest_of_shown(report), png])
-    known = None if store is None or key is None else store.read(key)
-    if known is not None:
-        return {name: content.tobytes() for name, content in known.arrays.items()}
     from hammerstein.reporting.figures.choice import figures_of
     from hammerstein.reporting.figures.write import files_of
 
-    files = dict(files_of(figures_of(report), png))
-    if store is not None and key is not None:
-        arrays = {name: np.frombuffer(content, np.uint8) for name, content in files.items()}
-        store.write(key, Kept(None, arrays))
+    if store is None:
+        return dict(files_of(figures_of(report), png))
+    shown = [digest_of_shown(report), png]
+    listed = store.read(key_of("figures", shown))
+    figures = {} if listed else figures_of(report)
+    names: list[str] = listed.document if listed else list(figures)
+    files: dict[str, bytes] = {}
+    for name in names:
+        key = key_of("figure", [*shown, name])
+        known = store.read(key)
+        if known is None:
+            figures = figures or figures_of(report)
+            made = files_of({name: figures[name]}, png)
+            known = Kept(None, {file: np.frombuffer(content, np.uint8) for file, content in made})
+            store.write(key, known)
+        files |= {file: content.tobytes() for file, content in known.arrays.items()}
+    if listed is None:
+        store.write(key_of("figures", shown), Kept(names))
     return files
 
 
