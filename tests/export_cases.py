@@ -6,7 +6,15 @@ import numpy as np
 
 from hammerstein.blocks.instruments import Drive, Instruments
 from hammerstein.blocks.voltages import Voltages
-from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StateSpaceDynamics, StaticDynamics
+from hammerstein.dynamics import (
+    AxesDynamics,
+    Axis,
+    CreepMode,
+    FeedbackHysteresisDynamics,
+    StateSpaceDynamics,
+    StaticDynamics,
+)
+from hammerstein.dynamics.products import InputProducts
 from hammerstein.export.code import CCode
 from hammerstein.export.request import Request
 from hammerstein.hysteresis import (
@@ -48,6 +56,27 @@ def stage(working_point_v=0.0, smallest_v=0.4):
         instruments=Instruments(drive=Drive(range_v=(0.0, 120.0))),
         voltages=Voltages.of([working_point_v], [0.0], [120.0]),
     )
+
+
+def loop(curved=False):
+    """Two axes with plays, and products of what drives them, in the loop of a state space of order five."""
+    rng = np.random.default_rng(7)
+    shapes = {"B": (5, 2), "C": (2, 5), "D": (2, 2), "E": (5, 2), "F": (3, 5), "G": (3, 2)}
+    matrices = {name: 0.2 * rng.normal(size=shape) for name, shape in shapes.items()}
+    grid, absent = [0.0, 0.4, 1.5], Pair.absent()
+    gamma = PrandtlIshlinskii(
+        [
+            [Pair(grid, [0.1, 0.05, 0.02]), absent, Pair([0.0, 2.0], [0.03, 0.02])],
+            [absent, Pair(grid, [0.08, 0.03, 0.01]), absent],
+        ]
+    )
+    terms = np.array([[0, 1, 3], [2, 2, 2]])
+    products = InputProducts(np.array([[0.1, 0.2], [-0.1, 0.05]]), np.array([3.0, 2.0, 4.0]), terms)
+    dynamics = FeedbackHysteresisDynamics.of(
+        gamma, sample_time_s=T, products=products if curved else None, A=0.4 * np.eye(5), **matrices
+    )
+    one = [[Pair([0.0], [float(i == k)]) for k in range(2)] for i in range(2)]
+    return HammersteinModel("loop", PrandtlIshlinskii(one), dynamics, 10.0, tuple("ab"), tuple("xy"))
 
 
 def three_inputs():
@@ -211,6 +240,8 @@ def _cases():
         yield Export(f"flattening {law}", slower, law, {"start_v": (3.0, -2.0)})
     yield Export("bouc-wen model", bouc_wen(), "model")
     yield Export("parallel model", parallel(), "model")
+    yield Export("loop model", loop(), "model")
+    yield Export("curved loop model", loop(curved=True), "model")
     others = {
         "asymmetric": asymmetric(),
         "generalised": generalised(),

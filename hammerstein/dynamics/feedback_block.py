@@ -171,10 +171,10 @@ class FeedbackBlock(SteppedBlock, ByValue):
         curved = self.products.limit, self.products.factors, self.products.weights
         for start, end in spans(stop - first, len(self.entries[2]) + bank.w.size):
             here = first + start, first + end
-            respond_plays(*self.entries, bank.r, bank.w, self._touched, *curved, x, plays, u_v, *here, y_um)
+            respond_plays(*self.entries, bank.r, bank.w, self.touched, *curved, x, plays, u_v, *here, y_um)
 
     @cached_property
-    def _touched(self) -> Indices:
+    def touched(self) -> Indices:
         """First and last + 1 of the outputs (h, 2) of plays that an input moves: most move one."""
         assert isinstance(self.hysteresis, PrandtlIshlinskii)
         moved = [np.flatnonzero(w.any(axis=0)) for w in self.hysteresis.bank.w]

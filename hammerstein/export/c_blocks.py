@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import LinearBlock
+from hammerstein.dynamics import FeedbackBlock, LinearBlock
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import (
     Asymmetric,
@@ -352,5 +352,77 @@ def linear_part(block: LinearBlock) -> CPart:
             Table("column", column, "Where they stand."),
         ),
         start={"x": np.zeros(n)} if n else {},
-        values={"n_states": n},
+        values={"n_states": n, "dynamics": "linear"},
+    )
+
+
+@singledispatch
+def dynamics_part(block: LinearBlock | FeedbackBlock) -> CPart:
+    """Dynamics from rest, linear or with plays in their loop.
+
+    Raises InputError for another hysteresis in the loop.
+    """
+    raise TypeError(type(block).__name__)
+
+
+dynamics_part.register(LinearBlock)(linear_part)
+
+
+@dynamics_part.register
+def _(block: FeedbackBlock) -> CPart:
+    """Plays in the loop, one after the other; the order of all sums is that of the compiled loop."""
+    gamma = block.hysteresis
+    if not isinstance(gamma, PrandtlIshlinskii):
+        raise InputError("export", f"hysteresis of kind {gamma.kind} in the loop has no C code; plays have")
+    n, bank, products = len(block.A), gamma.bank, block.products
+    loops, plays, outputs = bank.w.shape
+    start, column, value = block.entries
+    fours = np.diff(start) // 4
+    return CPart(
+        sizes=(
+            Size("STATES", n, "of the block around the loop"),
+            Size("LOOPS", loops, "inputs of the hysteresis in the loop"),
+            Size("LOOP_PLAYS", plays, "of each of them"),
+            Size("LOOP_OUTPUTS", outputs, "of that hysteresis"),
+            Size("LOOP_WIDTH", n + block.n_inputs + outputs, "of x, v and w together"),
+            Size("REST", 3, "entries of a row that are no group of four, at most"),
+            Size("MOST_FOURS", int(fours.max(initial=0)), "groups of four entries in a row, at most"),
+            *(
+                (Size("PRODUCTS", len(products.factors), "of inputs of the loops"),)
+                if products.factors.size
+                else ()
+            ),
+        ),
+        tables=(
+            Table("entry", value, "Entries of [[F, G, 0], [A, B, E], [C, D, 0]] that are not zero."),
+            Table("loop_threshold", bank.r, "Thresholds in the loop: input, play; filled up with walls."),
+            Table("loop_weight", bank.w, "Their weights: input, play, output."),
+            Table("loop_limit", products.limit, "Up to which an input of the loop counts in products."),
+            *(
+                (Table("product_weight", products.weights, "Of each product: output, product."),)
+                if products.factors.size
+                else ()
+            ),
+        ),
+        indices=(
+            Table("row_start", start, "First entry of each row."),
+            Table("row_fours", fours, "Groups of four in it."),
+            Table("column", column, "Where the entries stand."),
+            Table("touched_first", block.touched[:, 0], "First output that a loop moves."),
+            Table("touched_stop", block.touched[:, 1], "The one behind the last."),
+            *(
+                (Table("factor", products.factors, "Inputs of the loops that are multiplied."),)
+                if products.factors.size
+                else ()
+            ),
+        ),
+        start={"x": np.zeros(n), "loop_play": np.zeros((loops, plays))},
+        values={
+            "n_states": n,
+            "n_loops": loops,
+            "n_loop_plays": plays,
+            "n_products": len(products.factors),
+            "dynamics": "loop",
+            "helpers": ("least", "most"),
+        },
     )

@@ -25,8 +25,8 @@ from hammerstein.export.c_blocks import (
     Table,
     c_block_of,
     c_moving_block_of,
+    dynamics_part,
     envelopes_part,
-    linear_part,
 )
 from hammerstein.export.forward import ForwardModel
 from hammerstein.hysteresis.asymmetric import ZoneLines
@@ -301,7 +301,7 @@ def _(law: HammersteinInverseLaw) -> CPart:
 @c_law_of.register
 def _(law: ForwardModel) -> CPart:
     limits = law.range
-    part = c_block_of(law.model.hysteresis, law.rest().hysteresis) + linear_part(law.block)
+    part = c_block_of(law.model.hysteresis, law.rest().hysteresis) + dynamics_part(law.block)
     if has := bool(limits.working_point_v.any()):
         part += CPart(tables=(_working_point(limits),))
     return part + CPart(values={"has_working_point": has})

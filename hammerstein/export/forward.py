@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
-from hammerstein.dynamics import discretise
+from hammerstein.dynamics import on_grid
 from hammerstein.model import HammersteinModel
 
 
 @dataclass(frozen=True, eq=False)
 class ForwardState:
-    """Memory of the hysteresis, and state (n,) of the linear block."""
+    """Memory of the hysteresis, and state (n,) of the block behind it."""
 
     hysteresis: Any
     linear: Array
@@ -34,7 +34,7 @@ class ForwardModel:
 
     def __init__(self, model: HammersteinModel, range_v: DriveRange, sample_time_s: float):
         self.model, self.range, self.sample_time_s = model.on_grid(sample_time_s), range_v, sample_time_s
-        self.block = discretise(model.dynamics, sample_time_s)
+        self.block = on_grid(model.dynamics, sample_time_s)
         self.n_inputs, self.n_outputs = model.hysteresis.n_inputs, model.hysteresis.n_outputs
 
     preview_samples = 0
