@@ -6,19 +6,16 @@ What must hold from the first line on is here, and nothing else is imported befo
 import os
 import sys
 
-from hammerstein.runtime.signals import leave_on_interrupts
+from hammerstein.runtime.signals import end_when_asked
 
 
 def main() -> None:
     """Run the command line."""
-    leave_on_interrupts()
+    end_when_asked()
     _fill_the_standard_streams()
-    try:
-        from hammerstein.commands.cli import main as command_line
+    from hammerstein.commands.cli import main as command_line
 
-        command_line()
-    finally:
-        leave_on_interrupts()  # the interpreter's own end would answer one with a traceback
+    command_line()
 
 
 def _fill_the_standard_streams() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import signal
 import sys
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,15 +22,6 @@ from hammerstein.commands import (
 from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.smallest_memory import refuse_small_limit
 from hammerstein.commands.terminal import complain, show, tell, tell_json
-from hammerstein.runtime.signals import (
-    INTERRUPTED,
-    INTERRUPTS,
-    LEFT,
-    dropped_in_silence,
-    ended_in_time,
-    leave,
-    once,
-)
 
 if TYPE_CHECKING:
     from typer.models import CommandInfo
@@ -128,27 +118,6 @@ def _name(command: CommandInfo) -> str:
     return command.name or command.callback.__name__
 
 
-class _Interrupted(BaseException):
-    """Ctrl-C, SIGTERM or a closed terminal. Not KeyboardInterrupt, which Typer would catch itself."""
-
-
-def _interrupt(*_: object) -> None:
-    for number in INTERRUPTS:
-        signal.signal(number, leave)  # who asks twice does not want to wait
-    raise _Interrupted
-
-
-def _asked_to_end() -> bool:
-    return any(signal.getsignal(number) is leave for number in INTERRUPTS)
-
-
-def _take_interrupts() -> None:
-    """Let every polite request to end come as one exception; what nohup has switched off stays off."""
-    for number in INTERRUPTS:
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _interrupt)
-
-
 def _one_thread_a_job() -> None:
     """Let the jobs be the parallelism: the linear algebra is small, and its sums then depend on nothing."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -157,17 +126,9 @@ def _one_thread_a_job() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; a mistake of the user is one message and an exit code, never a traceback."""
-    say = once(lambda: complain(LEFT))
-    try:
-        _take_interrupts()
-        terminal.make_ready()
-        _one_thread_a_job()
-        with dropped_in_silence(_Interrupted), ended_in_time(say):
-            code = _exit_code(arguments)
-    except _Interrupted:
-        say()
-        code = INTERRUPTED
-    sys.exit(code)
+    terminal.make_ready()
+    _one_thread_a_job()
+    sys.exit(_exit_code(arguments))
 
 
 def _exit_code(arguments: list[str] | None) -> int | str | None:
@@ -189,8 +150,6 @@ def _exit_code(arguments: list[str] | None) -> int | str | None:
     except Exception as error:
         from hammerstein.runtime.faults import as_error
 
-        if _asked_to_end():  # a library that was being imported makes an error of its own of it
-            raise _Interrupted from error
         told = as_error(error)
         complain(str(told))
         return told.exit_code

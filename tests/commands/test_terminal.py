@@ -136,17 +136,19 @@ def test_ctrl_c_is_one_line_from_our_first_line_on(folder, number, wait_s):
 def test_what_a_library_makes_of_ctrl_c_is_ctrl_c_still():
     """An extension that is being imported turns it into an ImportError."""
     code = """
-import signal
+import signal, time
+from hammerstein.__main__ import main
 from hammerstein.commands import cli
 
 def imported(*_, **__):
     try:
         signal.raise_signal(signal.SIGINT)
+        time.sleep(60.0)
     except BaseException as error:
         raise ImportError("initialization failed") from error
 
 cli.app = imported
-cli.main([])
+main()
 """
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert found.returncode == 130

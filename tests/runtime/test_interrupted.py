@@ -185,19 +185,53 @@ def test_who_waits_for_a_signal_imports_nothing(monkeypatch):
         return real(name, *rest, **more)
 
     monkeypatch.setattr(builtins, "__import__", noted)
-    monkeypatch.setattr(signals, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(os, "write", lambda _, text: left.append(text))
     monkeypatch.setattr(os, "_exit", left.append)
     monkeypatch.setattr("multiprocessing.process.active_children", list)
     reader, writer = socket.socketpair()
-    with writer:
-        waits = threading.Thread(
-            target=signals._wait, args=(reader, lambda: left.append("told")), name="waits"
-        )
+    with reader, writer:
+        waits = threading.Thread(target=signals._wait, args=(reader, writer, [signal.SIGINT]), name="waits")
         waits.start()
-        writer.send(bytes([signal.SIGINT]))
+        writer.send(bytes([signal.SIGCHLD, signal.SIGINT]))
         waits.join(10.0)
-    assert left == ["told", signals.INTERRUPTED]
+    assert left[0].endswith(signals.TOLD)
+    assert left[1:] == [signals.INTERRUPTED]
     assert [name for thread, name in asked if thread == "waits"] == []
+
+
+def test_the_end_waits_for_what_must_not_be_left_in_the_middle(tmp_path):
+    code = """
+import os, signal, sys, time
+from hammerstein.runtime import signals
+signals.end_when_asked()
+with signals.uninterrupted:
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(0.5)
+    open(sys.argv[1], "w").write("whole")
+time.sleep(60.0)
+"""
+    done = subprocess.run([sys.executable, "-c", code, tmp_path / "file"], timeout=30, check=False)
+    assert done.returncode == signals.INTERRUPTED
+    assert (tmp_path / "file").read_text() == "whole"
+
+
+LAPACK = """
+import numpy as np
+from hammerstein.runtime.signals import end_when_asked
+end_when_asked()
+a = np.random.default_rng(0).normal(size=(6000, 6000))
+print("begun", flush=True)
+np.linalg.svd(a)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_an_interrupt_within_lapack_is_answered_at_once():
+    with subprocess.Popen([sys.executable, "-c", LAPACK], stdout=subprocess.PIPE, text=True) as process:
+        process.stdout.readline()
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10.0) == signals.INTERRUPTED
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="no other system enforces a limit on addresses")

@@ -23,7 +23,7 @@ from hammerstein.files import (
     register_cleanup,
     remove_empty,
 )
-from hammerstein.runtime.interrupts import deferred_interrupts
+from hammerstein.runtime.signals import uninterrupted
 from hammerstein.runtime.storage.exchange import NEW, Exchange, clear, exchange, recover
 from hammerstein.runtime.storage.lock import locked
 from hammerstein.runtime.storage.manifest import (
@@ -142,7 +142,7 @@ def staged(folder: Path, owner: Owner, overwrite: bool = False) -> Iterator[Stag
             stage = Stage(folder, room, owner, overwrite)
             stage.kept = kept
             yield stage
-            with deferred_interrupts():
+            with uninterrupted:
                 stage.publish()
     except OSError as error:
         what = f"cannot be written ({reason_of(error)}); choose another place"
@@ -247,7 +247,7 @@ def _room_of(folder: Path, made: Sequence[Path]) -> Iterator[tuple[Path, tuple[P
         with locked(lock):
             register_cleanup(room, discard)
             try:
-                with deferred_interrupts():
+                with uninterrupted:
                     kept = recover(folder, room)
                 room.mkdir(exist_ok=True)
                 yield room, kept
