@@ -59,6 +59,10 @@ class RecordFiles:
         float | None,
         typer.Option(metavar="S", help="Factor from the file's number to um; from its unit if not given."),
     ] = None
+    units: Annotated[
+        str | None,
+        typer.Option("--units", metavar="nm|um|mm", help="Unit of the displacements, where no name has it."),
+    ] = None
     accept_gain: Annotated[
         bool, typer.Option("--accept-gain", help="Take a gain outside 0.001 to 1000 um/V as it is.")
     ] = False
@@ -67,7 +71,7 @@ class RecordFiles:
         """Records to fit, or validation records."""
         from hammerstein.records.reading import read_records
 
-        files = self.files if held is None else held
+        files, scale = self.files if held is None else held, self._scale()
         if self.axes is not None:
             return tuple(record for pair in self._pairs(files) for record in self._of(*pair, all_driven))
         return read_records(
@@ -77,9 +81,32 @@ class RecordFiles:
             rate_hz=self.rate,
             time=self.time,
             input_scale=self.input_scale,
-            output_scale=self.output_scale,
+            output_scale=scale,
             all_driven=all_driven,
         )
+
+    def _scale(self) -> float | None:
+        """Factor from the displacements of the files to um, where an option gives it."""
+        from hammerstein.errors import InputError
+        from hammerstein.signals.units import FACTORS
+
+        if self.units is None:
+            return self.output_scale
+        if self.output_scale is not None:
+            raise InputError("--units", "says the same as --output-scale; leave one of them out")
+        known = FACTORS["displacement"]
+        if self.units not in known:
+            raise InputError("--units", f"{self.units!r} is not one of {', '.join(known)}")
+        return known[self.units]
+
+    def _named_unit(self) -> bool:
+        """Whether the unit of every displacement is known from an option or a name, not taken to be um."""
+        from hammerstein.signals.units import unit_in
+
+        if self.units is not None or self.output_scale is not None:
+            return True
+        columns = _columns(self.outputs)
+        return self.axes is None if columns is None else all(unit_in(name) is not None for name in columns)
 
     def _pairs(self, files: Sequence[Path]) -> Iterator[tuple[Path, Path]]:
         """Files with voltages and with displacements, in the order in which they were given."""
@@ -97,6 +124,7 @@ class RecordFiles:
 
         if self.rate is None or self.time is not None:
             raise InputError("--axes", "arrays in pairs have no column of time: give --rate, not --time")
+        scale = self._scale()
         with told_by_options("axes"):
             return read_paired_records(
                 voltages,
@@ -104,7 +132,7 @@ class RecordFiles:
                 axes=_columns(self.axes) or (),
                 rate_hz=self.rate,
                 input_scale=1.0 if self.input_scale is None else self.input_scale,
-                output_scale=1.0 if self.output_scale is None else self.output_scale,
+                output_scale=1.0 if scale is None else scale,
                 variables=(self.inputs, self.outputs),
                 all_driven=all_driven,
             )
@@ -112,13 +140,25 @@ class RecordFiles:
     def gains(self, records: Sequence[Record]) -> list[Gain]:
         """Gains of the records; a person is asked about those that no actuator has, a script is refused."""
         from hammerstein.errors import InputError
-        from hammerstein.records.gains import doubtful_clocks, doubtful_gains, doubtful_responses, pair_gains
+        from hammerstein.records.gains import (
+            doubtful_clocks,
+            doubtful_gains,
+            doubtful_responses,
+            doubtful_units,
+            pair_gains,
+        )
 
         if self.rate is None:
             for clock in doubtful_clocks(records):
                 complain(clock)
         gains = pair_gains(records)
-        doubts = [] if self.accept_gain else [*doubtful_responses(records), *doubtful_gains(gains)]
+        if self.accept_gain:
+            return gains
+        doubts = doubtful_responses(records)
+        unsure = [] if doubts or self._named_unit() else doubtful_units(gains)
+        if unsure:
+            raise InputError(records[0].source, f"{unsure[0]}; name the unit once: --units nm, um or mm")
+        doubts += doubtful_gains(gains)
         if doubts:
             doubt = "; ".join(doubts)
             asked = sys.stdin.isatty() and sys.stderr.isatty()

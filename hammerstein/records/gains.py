@@ -14,6 +14,8 @@ from hammerstein.records.turning_points import turning_points
 
 USUAL_GAIN = 1e-3, 1e3
 """Gains of piezo actuators from shear plates to amplified stages, with room on both sides [um/V]."""
+SURE_GAIN, SURE_TRAVEL_UM = 50.0, 1000.0
+"""Gain [um/V] and travel above which numbers without a unit are rather nm than um."""
 ANSWERED = 0.02
 """Part of an output's power that the voltages explain, below which it is noise or another signal."""
 SLOW_HZ, FINE = 100.0, 100
@@ -161,4 +163,22 @@ def doubtful_gains(gains: Sequence[Gain]) -> list[str]:
         f"{gain.span_v:.3g} V of {gain.input}), outside {low:g} to {high:g} um/V"
         for gain in strongest.values()
         if not low <= abs(gain.um_per_v) <= high
+    ]
+
+
+def doubtful_units(gains: Sequence[Gain]) -> list[str]:
+    """Sentences about outputs whose numbers, taken as um, are larger than those of most piezo actuators.
+
+    Examples
+    --------
+    >>> doubtful_units([Gain("u", "x", 100.0, 90.0, 0.9)])
+    []
+    >>> print(doubtful_units([Gain("u", "x", 100.0, 88000.0, 813.0)])[0])
+    x has no unit; in um it would travel 88 mm, 813 um for each V of u
+    """
+    return [
+        f"{gain.output} has no unit; in um it would travel {1e-3 * gain.span_um:.4g} mm, "
+        f"{abs(gain.um_per_v):.3g} um for each V of {gain.input}"
+        for gain in gains
+        if abs(gain.um_per_v) > SURE_GAIN or gain.span_um > SURE_TRAVEL_UM
     ]

@@ -189,6 +189,27 @@ def test_a_record_without_a_loop_says_so(records, tmp_path, capsys):
     assert "no loop found" in capsys.readouterr().err
 
 
+def test_displacements_in_nm_without_a_unit_are_asked_for_it(records, tmp_path, capsys):
+    """Ten um/V written in nm would be 10,000 um/V; a name with its unit is not asked, --units answers."""
+    frame = pd.read_csv(records[0])
+    outputs = COLUMNS[COLUMNS.index("--outputs") + 1].split(",")
+    frame[outputs] *= 90.0 / np.ptp(frame[outputs].to_numpy())  # at most 90 um, and then in nm
+    frame[outputs] *= 1000.0
+    frame.to_csv(tmp_path / "nm.csv", index=False)
+    call = ("loops", tmp_path / "nm.csv", *COLUMNS, "--rate", 20000, "--no-figures")
+    assert _call(*call) == 2
+    error = capsys.readouterr().err
+    assert "in um it would travel 90 mm" in error
+    assert "--units nm" in error
+    assert _call(*call, "--units", "nm", "--json") == 0
+    heights = [loop["height_um"] for loop in json.loads(capsys.readouterr().out)["loops"]]
+    assert max(heights) == pytest.approx(90.0, rel=0.1)
+    assert _call(*call, "--units", "inch") == 2
+    assert "is not one of" in capsys.readouterr().err
+    assert _call(*call, "--units", "nm", "--output-scale", "0.001") == 2
+    assert "says the same as --output-scale" in capsys.readouterr().err
+
+
 def test_a_gain_that_no_actuator_has_is_refused_until_it_is_accepted(records, tmp_path, capsys):
     call = ("loops", records[0], *COLUMNS, "--rate", 20000, "--no-figures", "--output-scale", 200)
     assert _call(*call) == 2
