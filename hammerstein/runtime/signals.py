@@ -42,15 +42,12 @@ def _wait(reader: socket.socket, writer: socket.socket, asked: Container[int]) -
 
 
 def end() -> None:
-    """End at once, with the processes beside this one and without half-written files.
+    """End at once, without half-written files; processes beside this one end with it and remove theirs.
 
     Nothing is imported here: of two threads that import at once, each may wait for the other for ever. What
     is not loaded has nothing to be cleaned up.
     """
-    files, processes = sys.modules.get("hammerstein.files"), sys.modules.get("multiprocessing.process")
-    for process in processes.active_children() if processes else ():
-        process.kill()
-    if files:
+    if files := sys.modules.get("hammerstein.files"):
         files.discard_unfinished()
     try:
         os.write(2, CLEAR_LINE_SHOW_CURSOR * os.isatty(2) + TOLD)

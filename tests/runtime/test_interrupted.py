@@ -187,7 +187,6 @@ def test_who_waits_for_a_signal_imports_nothing(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", noted)
     monkeypatch.setattr(os, "write", lambda _, text: left.append(text))
     monkeypatch.setattr(os, "_exit", left.append)
-    monkeypatch.setattr("multiprocessing.process.active_children", list)
     reader, writer = socket.socketpair()
     with reader, writer:
         waits = threading.Thread(target=signals._wait, args=(reader, writer, [signal.SIGINT]), name="waits")
@@ -213,6 +212,41 @@ time.sleep(60.0)
     done = subprocess.run([sys.executable, "-c", code, tmp_path / "file"], timeout=30, check=False)
     assert done.returncode == signals.INTERRUPTED
     assert (tmp_path / "file").read_text() == "whole"
+
+
+WORKER_WRITES = """
+import sys, time
+from pathlib import Path
+from hammerstein.files import register_cleanup
+from hammerstein.runtime.signals import end_when_asked
+from hammerstein.runtime.workers import Processes
+
+def half_written(place):
+    register_cleanup(place, place.unlink)
+    place.write_text("half")
+    time.sleep(60.0)
+
+if __name__ == "__main__":
+    end_when_asked()
+    with Processes(1, ["hammerstein.files"]) as processes:
+        processes.submit(half_written, Path(sys.argv[1])).result()
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_an_interrupt_leaves_no_file_that_a_worker_has_half_written(tmp_path):
+    script, place = tmp_path / "script.py", tmp_path / "half"
+    script.write_text(WORKER_WRITES)
+    with subprocess.Popen([sys.executable, script, place], start_new_session=True) as process:
+        until = time.monotonic() + 60.0
+        while not place.exists() and time.monotonic() < until:
+            time.sleep(0.02)
+        time.sleep(0.2)
+        workers = psutil.Process(process.pid).children(recursive=True)
+        os.killpg(process.pid, signal.SIGINT)
+        assert process.wait(10.0) == signals.INTERRUPTED
+    assert not psutil.wait_procs(workers, timeout=5.0)[1]
+    assert not place.exists()
 
 
 LAPACK = """
