@@ -220,6 +220,12 @@ def _fitted(
 ) -> Fitted:
     candidate = fit.candidates[kind]
     if kind != fit.kind:  # of plays, which count from any working point
-        model = replace(model, hysteresis=candidate.hysteresis, dynamics=candidate.dynamics, verdict=None)
+        model = replace(
+            model,
+            hysteresis=candidate.hysteresis,
+            dynamics=candidate.dynamics,
+            verdict=None,
+            covariance=None,
+        )
     flags = fit.flags if kind == fit.kind else ()
     return Fitted(name, hysteresis, model, candidate, fit.starts, fit.held_starts, flags, seconds)

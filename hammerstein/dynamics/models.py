@@ -86,6 +86,31 @@ class Axis(Strict):
             parts.append(f"lag of {self.lag_s:.3g} s")
         return " and ".join(parts) or "none"
 
+    @property
+    def free(self) -> Array:
+        """Its numbers: ln resonance, ln damping, ln time constant of the low-pass, then gain and ln time
+        constant of each slow mode; what it does not have is left out.
+        """
+        x: list[float] = []
+        if self.resonance_hz is not None and self.damping_ratio is not None:
+            x += [math.log(self.resonance_hz), math.log(self.damping_ratio)]
+        if self.lag_s is not None:
+            x.append(math.log(self.lag_s))
+        for mode in self.creep:
+            x += [mode.gain, math.log(mode.time_constant_s)]
+        return np.array(x)
+
+    def at(self, free: Array) -> Self:
+        """Give the axis with other ``free`` numbers."""
+        x = iter(free.tolist())
+        fast = ("resonance_hz", "damping_ratio", "lag_s")
+        other: dict[str, Any] = {key: math.exp(next(x)) for key in fast if getattr(self, key) is not None}
+        other["creep"] = tuple(
+            mode.model_copy(update={"gain": next(x), "time_constant_s": math.exp(next(x))})
+            for mode in self.creep
+        )
+        return self.model_copy(update=other)
+
     def system(self) -> control.StateSpace:
         """Give the axis as a continuous ``control.StateSpace``."""
         return self.block().system()
@@ -117,6 +142,17 @@ class AxesDynamics(Strict):
     def n_outputs(self) -> int:
         """Number of outputs."""
         return len(self.axes)
+
+    @property
+    def free(self) -> Array:
+        """Numbers of all axes, one after the other; see ``Axis.free``."""
+        return np.concatenate([axis.free for axis in self.axes])
+
+    def at(self, free: Array) -> Self:
+        """Give the axes with other ``free`` numbers."""
+        ends = np.cumsum([len(axis.free) for axis in self.axes])[:-1]
+        each = zip(self.axes, np.split(free, ends), strict=True)
+        return self.model_copy(update={"axes": tuple(axis.at(own) for axis, own in each)})
 
     def describe(self) -> str:
         """Say in a few words what it is."""

@@ -151,7 +151,9 @@ def _with_creep(
     for axis, said, read in zip(dynamics.axes, v, response.reading_um, strict=True):
         modes = fit_creep(said, read, setup.sample_time_s, spec.creep_modes)
         axes.append(axis.model_copy(update={"creep": modes}))
-    return replace(model, dynamics=dynamics.model_copy(update={"axes": tuple(axes)}))
+    slow = dynamics.model_copy(update={"axes": tuple(axes)})
+    known = model.covariance and model.covariance.beside_creep(model.dynamics, slow)
+    return replace(model, dynamics=slow, covariance=known)
 
 
 def _records(plant: Plant, spec: JointFitSpec, drive: _Excursion, seeds: list[int]) -> list[Record]:

@@ -7,7 +7,6 @@ from hammerstein.blocks import Memory
 from hammerstein.hysteresis.asymmetric import Asymmetric, AsymmetricFile, AsymmetricState, DeadZones
 from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.bouc_wen import BoucWen, BoucWenFile, BoucWenPair, BoucWenState
-from hammerstein.hysteresis.covariance import ThresholdCovariance
 from hammerstein.hysteresis.generalised import Envelope, Generalised, GeneralisedFile
 from hammerstein.hysteresis.kind import (
     HYSTERESIS,
@@ -46,7 +45,6 @@ __all__ = [
     "RatePlays",
     "RateState",
     "Sloped",
-    "ThresholdCovariance",
     "WeightCovariance",
     "play",
     "slopes_of",

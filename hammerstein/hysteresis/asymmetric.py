@@ -296,6 +296,21 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         plays = PrandtlIshlinskii(tuple(tuple(row) for row in rows))
         return Asymmetric(plays, tuple(tuple(row) for row in zones), self.working_point_v)
 
+    @property
+    def places(self) -> tuple[Array, ...]:
+        """Thresholds of each input, those of all outputs together, then the breakpoints of each pair [V]."""
+        bank, zones = self.plays.bank, (zone.breakpoints_v for row in self.zones for zone in row)
+        return (*(bank.r[k, :n] for k, n in enumerate(bank.n)), *zones)
+
+    def at_places(self, places: Sequence[Array]) -> Asymmetric:
+        """Give the same weights with other thresholds and breakpoints."""
+        plays, points = self.plays.at(np.concatenate(places[: self.n_inputs])), iter(places[self.n_inputs :])
+        zones = tuple(
+            tuple(DeadZones(np.sort(next(points)), zone.weights_um_per_v) for zone in row)
+            for row in self.zones
+        )
+        return Asymmetric(plays, zones, self.working_point_v)
+
     @classmethod
     def first_guesses(cls, driven: Driven) -> list[Asymmetric]:
         """Plays with a smallest threshold of 0, and few dead-zones in the range; see ``Identifiable``."""

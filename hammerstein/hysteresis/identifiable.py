@@ -102,6 +102,15 @@ class Identifiable(ABC):
         """Give the block with other free numbers (number,)."""
         return self
 
+    @property
+    def places(self) -> tuple[Array, ...]:
+        """Thresholds and breakpoints that are given and not among ``free``: sorted groups (place,) [V]."""
+        return ()
+
+    def at_places(self, places: Sequence[Array]) -> Self:
+        """Give the block with its ``places`` elsewhere."""
+        return self
+
     def limits(self, driven: Driven) -> Limits:
         """Give the box of the free numbers; one that ends at a bound is reported as not determined."""
         return Limits(np.empty(0), np.empty(0))

@@ -221,11 +221,6 @@ class Hysteresis(ByValue, ABC, Generic[S]):
     def n_beside_weights(self) -> int:
         """How many free numbers it has beside its weights: thresholds, breakpoints, growth."""
 
-    @property
-    def n_shared_errors(self) -> int:
-        """How many normal numbers ``drawn`` takes before those of the weights: for what outputs share."""
-        return 0
-
     def drawn(self, generator: Normals) -> Self:
         """Give another block, as far from this one as the covariance of its weights tells.
 

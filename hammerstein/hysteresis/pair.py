@@ -141,12 +141,6 @@ class Pair(ByValue):
         """Partial sums of the weights (operator,) [um/V]: the slope while operators 1..j move."""
         return np.cumsum(self.weights_um_per_v)
 
-    def moved(self, by_v: Array, change_um_per_v: Array) -> Pair:
-        """Give the pair with other thresholds and weights; what falls below 0 lies as far above it."""
-        r = np.abs(self.thresholds_v + by_v)
-        order = np.argsort(r)
-        return Pair(r[order], (self.weights_um_per_v + change_um_per_v)[order])
-
     def amplitude(self, amplitude_v: float) -> float:
         """Half height of the settled loop [um]: sum of w (A - r) over the thresholds below A."""
         r, w = self.thresholds_v, self.weights_um_per_v
@@ -171,7 +165,7 @@ def weighted_mistakes(name: str, places_v: Array, w: Array, errors: Array | None
 class WeightCovariance(ByValue):
     """How the errors of all weights of one output hang together: their covariance L L^T.
 
-    Where thresholds are fitted as well it holds for these thresholds, see ``ThresholdCovariance``.
+    It holds for given thresholds; how weights follow those that err is told by the model's covariance.
 
     factor_um_per_v : (weight, weight) lower triangle L [um/V]; pair after pair in the order of the inputs
     slopes_at_bound : slopes that the fit held at a bound; their weights vary with the others alone

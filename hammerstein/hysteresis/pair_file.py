@@ -1,4 +1,4 @@
-"""Pairs and the covariance of their weights and thresholds, as model files hold them."""
+"""Pairs and the covariance of their weights, as model files hold them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError
-from hammerstein.hysteresis.covariance import ThresholdCovariance
 from hammerstein.hysteresis.kind import refuse_unbuilt
 from hammerstein.hysteresis.pair import Pair, WeightCovariance
-from hammerstein.quantities import Entry, NoCycles, Threshold, Weight, WeightError
+from hammerstein.quantities import NoCycles, Threshold, Weight, WeightError
 from hammerstein.validation import Strict
 
 
@@ -45,7 +44,7 @@ class PairFile(PartFile):
         return Pair(**self.model_dump())
 
 
-def _rows(factor: Any) -> Any:
+def lower_rows(factor: Any) -> Any:
     """Rows of a lower triangle, each up to its diagonal."""
     return [row[: i + 1] for i, row in enumerate(factor)] if isinstance(factor, np.ndarray) else factor
 
@@ -53,7 +52,7 @@ def _rows(factor: Any) -> Any:
 class CovarianceFile(PartFile):
     """Covariance L L^T of all weights of one output, pair after pair in the order of the inputs."""
 
-    factor_um_per_v: Annotated[tuple[tuple[Weight, ...], ...], BeforeValidator(_rows)] = Field(
+    factor_um_per_v: Annotated[tuple[tuple[Weight, ...], ...], BeforeValidator(lower_rows)] = Field(
         description="rows of L, each up to its diagonal"
     )
     slopes_at_bound: NoCycles = Field(
@@ -62,7 +61,9 @@ class CovarianceFile(PartFile):
 
     def value(self) -> WeightCovariance:
         """Give the covariance this describes."""
-        return WeightCovariance(_square("weight_covariance", self.factor_um_per_v), self.slopes_at_bound)
+        return WeightCovariance(
+            lower_triangle("weight_covariance", self.factor_um_per_v), self.slopes_at_bound
+        )
 
 
 def covariances(files: Iterable[CovarianceFile] | None) -> tuple[WeightCovariance, ...] | None:
@@ -70,33 +71,8 @@ def covariances(files: Iterable[CovarianceFile] | None) -> tuple[WeightCovarianc
     return None if files is None else tuple(one.value() for one in files)
 
 
-class ThresholdCovarianceFile(PartFile):
-    """Covariance L L^T of the fitted thresholds of all inputs, and how the best weights follow them."""
-
-    factor_v: Annotated[tuple[tuple[Entry, ...], ...], BeforeValidator(_rows)] = Field(
-        description="rows of L, each up to its diagonal"
-    )
-    following_um_per_v2: tuple[tuple[tuple[Entry, ...], ...], ...] = Field(
-        description="of each output, a row a weight: what it changes by with each threshold"
-    )
-    open: tuple[NoCycles, ...] = Field(
-        default=(), description="thresholds that the records leave open, counted from 0; they are held"
-    )
-
-    def value(self) -> ThresholdCovariance:
-        """Give the covariance this describes."""
-        n = len(self.factor_v)
-        following = []
-        for matrix in self.following_um_per_v2:
-            if [len(row) for row in matrix] != [n] * n:
-                raise InputError("threshold_covariance", f"must have {n} rows of {n} numbers for each output")
-            following.append(np.array(matrix, dtype=float).reshape(n, n))
-        factor = _square("threshold_covariance", self.factor_v)
-        return ThresholdCovariance(factor, tuple(following), self.open)
-
-
-def _square(where: str, rows: tuple[tuple[float, ...], ...]) -> Array:
-    """Lower triangle with zeros above, from what ``_rows`` gave."""
+def lower_triangle(where: str, rows: tuple[tuple[float, ...], ...]) -> Array:
+    """Lower triangle with zeros above, from what ``lower_rows`` gave."""
     n = len(rows)
     if [len(row) for row in rows] != list(range(1, n + 1)):
         raise InputError(where, "row i of a factor must hold i numbers, up to its diagonal")

@@ -14,12 +14,12 @@ from pydantic import Field
 from hammerstein.arrays import Array, frozen
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.bank import Bank, PlayState
-from hammerstein.hysteresis.covariance import ThresholdCovariance, refuse_other_sizes
+from hammerstein.hysteresis.covariance import refuse_other_sizes
 from hammerstein.hysteresis.describing_function import describing_function, nonlinearity_of
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, Normals, refuse_not_finite
+from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import Pair, WeightCovariance, play, played
-from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, ThresholdCovarianceFile, covariances
+from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, covariances
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
@@ -42,7 +42,6 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
     ----------
     pairs : (output, input) nested sequence of ``Pair``
     weight_covariance : (output,) covariance of the weights, where it is known
-    threshold_covariance : that of the thresholds, where they were fitted
 
     Raises
     ------
@@ -61,7 +60,6 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
 
     pairs: tuple[tuple[Pair, ...], ...] = field()
     weight_covariance: tuple[WeightCovariance, ...] | None = None
-    threshold_covariance: ThresholdCovariance | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pairs", tuple(tuple(row) for row in self.pairs))
@@ -71,7 +69,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
             raise InputError("Prandtl-Ishlinskii model", [Mistake("pairs", what)])
         if not any(len(pair.thresholds_v) for row in self.pairs for pair in row):
             raise InputError("Prandtl-Ishlinskii model", "all pairs are absent; give at least one operator")
-        refuse_other_sizes(self.operators, self.weight_covariance, self.threshold_covariance)
+        refuse_other_sizes(self.operators, self.weight_covariance)
 
     def describe(self) -> str:
         """Say in a few words what it is."""
@@ -218,17 +216,18 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
 
     @property
     def free(self) -> Array:
-        """Thresholds of each input that the outputs share [V]."""
+        """Thresholds of each input, those of all outputs together [V]."""
         return np.concatenate([self.bank.r[k, :n] for k, n in enumerate(self.bank.n)])
 
     def at(self, free: Array) -> PrandtlIshlinskii:
-        """Give the same weights with other thresholds, which all outputs share."""
+        """Give the same weights with other thresholds; what falls below 0 lies as far above it."""
         ends = np.cumsum(self.bank.n)[:-1]
-        grids = [np.sort(part) for part in np.split(free, ends)]
-        rows = (
-            tuple(Pair(r, pair.weights_um_per_v) for r, pair in zip(grids, row, strict=True))
-            for row in self.pairs
-        )
+        old, new = np.split(self.free, ends), [np.sort(np.abs(part)) for part in np.split(free, ends)]
+
+        def moved(pair: Pair, k: int) -> Pair:
+            return Pair(new[k][np.searchsorted(old[k], pair.thresholds_v)], pair.weights_um_per_v)
+
+        rows = (tuple(moved(pair, k) for k, pair in enumerate(row)) for row in self.pairs)
         return PrandtlIshlinskii(tuple(rows))
 
     def limits(self, driven: Driven) -> Limits:
@@ -264,33 +263,6 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
         for row, own, counts in zip(self.pairs, weights, self.operators, strict=True):
             parts = np.split(np.asarray(own, dtype=np.float64), np.cumsum(counts)[:-1])
             rows.append(tuple(Pair(pair.thresholds_v, part) for pair, part in zip(row, parts, strict=True)))
-        return PrandtlIshlinskii(tuple(rows))
-
-    @property
-    def weight_errors(self) -> tuple[Array, ...] | None:
-        """Standard errors of the weights of each output [um/V], beside fitted thresholds if there are any."""
-        alone, places = super().weight_errors, self.threshold_covariance
-        if alone is None or places is None:
-            return alone
-        moved = [np.linalg.norm(m @ places.factor_v, axis=1) for m in places.following_um_per_v2]
-        return tuple(np.hypot(own, follow) for own, follow in zip(alone, moved, strict=True))
-
-    @property
-    def n_shared_errors(self) -> int:
-        """Number of fitted thresholds, which are drawn first."""
-        return 0 if self.threshold_covariance is None else len(self.threshold_covariance.factor_v)
-
-    def drawn(self, generator: Normals) -> PrandtlIshlinskii:
-        """Give another block, as far from this one as the errors of thresholds and weights tell."""
-        places = self.threshold_covariance
-        if places is None:
-            return super().drawn(generator)
-        moved = places.factor_v @ generator.standard_normal(len(places.factor_v))
-        other, rows = super().drawn(generator), []
-        for row, follow, counts in zip(other.pairs, places.following_um_per_v2, self.operators, strict=True):
-            ends = np.cumsum(counts)[:-1]
-            parts = zip(row, np.split(moved, ends), np.split(follow @ moved, ends), strict=True)
-            rows.append(tuple(pair.moved(by_v, change) for pair, by_v, change in parts))
         return PrandtlIshlinskii(tuple(rows))
 
     def file(self) -> PrandtlIshlinskiiFile:
@@ -346,10 +318,8 @@ class PrandtlIshlinskiiFile(HysteresisFile):
     describes: ClassVar = PrandtlIshlinskii
     pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
     weight_covariance: tuple[CovarianceFile, ...] | None = None
-    threshold_covariance: ThresholdCovarianceFile | None = None
 
     def hysteresis(self) -> PrandtlIshlinskii:
         """Give the hysteresis this describes."""
         pairs = tuple(tuple(pair.value() for pair in row) for row in self.pairs)
-        thresholds = None if self.threshold_covariance is None else self.threshold_covariance.value()
-        return PrandtlIshlinskii(pairs, covariances(self.weight_covariance), thresholds)
+        return PrandtlIshlinskii(pairs, covariances(self.weight_covariance))

@@ -288,6 +288,17 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         return found
 
     @property
+    def places(self) -> tuple[Array, ...]:
+        """Thresholds of each input [V]."""
+        return tuple(plays.thresholds_v for plays in self.inputs)
+
+    def at_places(self, places: Sequence[Array]) -> RateDependent:
+        """Give plays with other thresholds; what falls below 0 lies as far above it."""
+        each = zip(self.inputs, places, strict=True)
+        plays = tuple(replace(own, thresholds_v=np.sort(np.abs(r))) for own, r in each)
+        return replace(self, inputs=plays, weight_covariance=None)
+
+    @property
     def free(self) -> Array:
         """Logarithms of 2 pi f b of each input, the loop gain of the inverse on a fine grid, and of f."""
         hz = self.inputs[0].bandwidth_hz

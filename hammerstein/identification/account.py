@@ -11,17 +11,19 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.voltages import Verdict, Voltages
-from hammerstein.dynamics import StateSpaceDynamics
+from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics
+from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.choice import Trial
 from hammerstein.identification.excitation import excitation_statements
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.leftover import faults_left, is_flag, leftover_statements
+from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.linear.delay import delay_in_samples
 from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.score import Candidate, Score, ranges
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import direct_pairs, half_swing
-from hammerstein.identification.task import Built, Task
+from hammerstein.identification.task import Built, Found, Task
 from hammerstein.identification.verdict import (
     axis_statements,
     bound_notes,
@@ -33,6 +35,7 @@ from hammerstein.identification.verdict import (
     verdict,
 )
 from hammerstein.model import HammersteinModel
+from hammerstein.model.covariance import ParameterCovariance
 from hammerstein.records.faults import Fault
 from hammerstein.records.record import Record
 
@@ -63,6 +66,7 @@ def account(
     curve: tuple[CurvePoint, ...],
     errors: Errors,
     voltages: Voltages,
+    known: ParameterCovariance | None,
 ) -> Fit:
     """Everything that is said about the model."""
     fitted, judged, held, held_starts, response, trials = errors
@@ -91,11 +95,11 @@ def account(
         offsets_um=tuple(tuple(row) for row in _offsets(best, task).tolist()),
         starts=task.starts,
         held_starts=held_starts,
-        axes=built.best.axes,
+        axes=_sure_axes(built.best, known),
         trials=trials,
         order=len(best.dynamics.A) if isinstance(best.dynamics, StateSpaceDynamics) else None,
         error_curve=curve,
-        not_identifiable=tuple(_unknown(task, built, response)),
+        not_identifiable=tuple(_unknown(task, built, response, known)),
         flags=tuple(flags),
         notes=(
             *_left_out([*task.records, *held]),
@@ -107,6 +111,7 @@ def account(
         invertibility=sentence,
         verdict=verdict(judged or fitted, bool(judged), flags, settings.dynamics, built.kind, leftover),
         candidates=built.candidates,
+        covariance=known,
         records=task.records,
         held=held,
     )
@@ -149,7 +154,7 @@ def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
     return flags
 
 
-def _unknown(task: Task, built: Built, response: Array) -> list[str]:
+def _unknown(task: Task, built: Built, response: Array, known: ParameterCovariance | None) -> list[str]:
     """What the excitation cannot tell."""
     record = task.records[0]
     sums = [
@@ -157,22 +162,33 @@ def _unknown(task: Task, built: Built, response: Array) -> list[str]:
         for o, k in built.best.blocks.chosen.open
     ]
     axes = axis_statements(record.outputs, built.axes) if built.axes else []
-    return [*axes, *sums, *_open_places(task, built), *excitation_statements(task.records, response)]
+    return [*axes, *sums, *_open_places(task, built, known), *excitation_statements(task.records, response)]
 
 
-def _open_places(task: Task, built: Built) -> list[str]:
+def _sure_axes(best: Found, known: ParameterCovariance | None) -> tuple[AxisFit, ...]:
+    """The axes with their errors beside all other parameters."""
+    dynamics = best.candidate.dynamics
+    if known is None or not isinstance(dynamics, AxesDynamics) or len(best.axes) != len(dynamics.axes):
+        return best.axes
+    first = len(known.factor) - len(dynamics.free)
+    ends = first + np.cumsum([len(axis.free) for axis in dynamics.axes])[:-1]
+    errors = np.split(known.errors, [first, *ends])[1:]
+    alike = zip(best.axes, dynamics.axes, errors, strict=True)
+    return tuple(fit.with_errors(own) if fit.axis == axis else fit for fit, axis, own in alike)
+
+
+def _open_places(task: Task, built: Built, known: ParameterCovariance | None) -> list[str]:
     """Fitted thresholds whose place the records leave open."""
-    block = built.best.blocks.chosen.hysteresis
-    if block.threshold_covariance is None:
+    block = built.best.candidate.hysteresis
+    if known is None or not isinstance(block, PrandtlIshlinskii):
         return []
-    grids = [pair.thresholds_v for pair in block.pairs[0]]
-    places = [(name, r) for name, grid in zip(task.records[0].inputs, grids, strict=True) for r in grid]
+    places = [(task.records[0].inputs[k], r) for k, n in enumerate(block.bank.n) for r in block.bank.r[k, :n]]
     found: dict[str, list[str]] = {}
-    for i in block.threshold_covariance.open:
+    for i in known.open:
         found.setdefault(places[i][0], []).append(f"{places[i][1]:.3g}")
     return [
-        f"the place of {len(own)} of the thresholds of input {name} ({', '.join(own)} V): its standard error "
-        "is more than half of the way to a neighbour. The errors of the others hold with these where they are"
+        f"the place of {len(own)} of the thresholds of input {name} ({', '.join(own)} V): the "
+        "records tell it hardly better than that it lies between its neighbours"
         for name, own in found.items()
     ]
 
@@ -215,6 +231,7 @@ def model_of(
             "invertibility": fit.invertibility,
         },
         voltages=fit.voltages,
+        covariance=fit.covariance,
         verdict=Verdict(
             flagged=bool(fit.flags),
             statements=fit.flags,

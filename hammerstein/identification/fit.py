@@ -13,6 +13,7 @@ from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.regressors import Start
+from hammerstein.model.covariance import ParameterCovariance
 from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.records.record import Record
 
@@ -32,6 +33,7 @@ _OWN_FORM = frozenset(
         "fit",
         "validation",
         "candidates",
+        "covariance",
         "records",
         "held",
         "starts",
@@ -76,6 +78,7 @@ class Fit(NotebookRepr):
     invertibility : the same as a sentence, with the frequency or the slope to blame
     verdict : which block improves the model
     candidates : the models behind the errors
+    covariance : of all parameters of the model together
     records, held : the records as they were fitted and judged, without their dead start
     """
 
@@ -107,6 +110,7 @@ class Fit(NotebookRepr):
     invertibility: str
     verdict: str
     candidates: Mapping[Kind, Candidate]
+    covariance: ParameterCovariance | None
     records: tuple[Record, ...]
     held: tuple[Record, ...]
 

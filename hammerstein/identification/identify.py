@@ -21,6 +21,7 @@ from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_search import FirstGuess
+from hammerstein.identification.parameter_covariance import parameter_covariance
 from hammerstein.identification.recorded import counted, voltages_of
 from hammerstein.identification.score import Score, score
 from hammerstein.identification.settings import Settings
@@ -28,7 +29,7 @@ from hammerstein.identification.state_space_candidates import build_state_space
 from hammerstein.identification.static.history import judged_starts, own_starts
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import half_swing
-from hammerstein.identification.static_candidates import build_static, with_errors
+from hammerstein.identification.static_candidates import build_static
 from hammerstein.identification.task import Built, Found, Progress, Task
 from hammerstein.identification.verdict import axis_identified, invertibility_of
 from hammerstein.model import HammersteinModel
@@ -132,7 +133,11 @@ def identify(
     fitted = _scores(built, ready, task.starts, settings)
     judged = _scores(built, held, held_starts, settings) if held else {}
     errors = Errors(fitted, judged, held, held_starts, response, trials)
-    fit = account(task, built, curve, errors, voltages_of(records, ready, task.starts))
+    tell("finding how sure the parameters are")
+    known = parameter_covariance(
+        built.best.candidate, task.records, task.starts, plain and built.best.blocks.fitted
+    )
+    fit = account(task, built, curve, errors, voltages_of(records, ready, task.starts), known)
     return model_of(task, fit, built.best.candidate, name, instruments), fit
 
 
@@ -175,7 +180,7 @@ def _kept(task: Task, built: Built) -> tuple[Built, tuple[Trial, ...]]:
     i = chosen(trials)
     _, kind, found = named[i]
     marked = tuple(replace(trial, kept=k == i) for k, trial in enumerate(trials))
-    return replace(built, kind=kind, found={**built.found, kind: with_errors(task, found)}), marked
+    return replace(built, kind=kind, found={**built.found, kind: found}), marked
 
 
 def from_last_rest(

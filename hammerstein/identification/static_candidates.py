@@ -25,7 +25,6 @@ from hammerstein.identification.static.static_block import (
     solve_static,
     static_moments,
 )
-from hammerstein.identification.static.threshold_errors import with_threshold_errors
 from hammerstein.identification.static.threshold_search import ThresholdTask
 from hammerstein.identification.task import Blocks, Built, Found, Task
 from hammerstein.identification.verdict import invertibility_of
@@ -164,16 +163,6 @@ def fitted_thresholds(
     fitting = _fitting(task, dynamics, thinning(task.records))
     row = list(fit_thresholds(fitting, thresholds_v[0], rounds))
     return [row] * task.outputs
-
-
-def with_errors(task: Task, found: Found) -> Found:
-    """Give a model the errors of its thresholds, if they were fitted."""
-    if not found.blocks.fitted:
-        return found
-    dynamics = found.candidate.dynamics
-    chosen = with_threshold_errors(_fitting(task.delayed_as(dynamics), dynamics), found.blocks.chosen)
-    candidate = replace(found.candidate, hysteresis=chosen.hysteresis)
-    return replace(found, candidate=candidate, blocks=replace(found.blocks, chosen=chosen))
 
 
 def _fitting(task: Task, dynamics: Dynamics, every: int = 1) -> ThresholdTask:

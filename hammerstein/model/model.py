@@ -30,7 +30,8 @@ from hammerstein.dynamics import (
 )
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import is_there, read_limited, write_atomic
-from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
+from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile, Normals
+from hammerstein.model.covariance import ParameterCovariance, ParameterCovarianceFile, drawn_blocks
 from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.plugins import looked_up
 from hammerstein.quantities import Name, Plain, Size, no_name
@@ -66,6 +67,7 @@ class HammersteinModel(ByValue, NotebookRepr):
     provenance : where it comes from, as plain JSON
     voltages : working point and range of the records; symmetric about 0 V, with that amplitude, if not given
     verdict : what its identification says of it, if it was identified from records
+    covariance : how sure the numbers beside the weights are, and how the weights follow them
     """
 
     name: str
@@ -78,6 +80,7 @@ class HammersteinModel(ByValue, NotebookRepr):
     provenance: JsonValue = None
     voltages: Voltages | None = None
     verdict: Verdict | None = None
+    covariance: ParameterCovariance | None = None
 
     def __repr__(self) -> str:
         return (
@@ -108,6 +111,8 @@ class HammersteinModel(ByValue, NotebookRepr):
             if len(set(names)) < len(names):
                 mistakes.append(Mistake(key, "name two axes alike; every name must differ"))
         free = self.dynamics if isinstance(self.dynamics, MATRICES) else None
+        if self.covariance and (misfit := self.covariance.misfit(self.hysteresis, self.dynamics)):
+            mistakes.append(Mistake("covariance", misfit))
         if free and (unstable := free.instability()):
             mistakes.append(Mistake("dynamics.A", unstable))
         if mistakes:
@@ -126,7 +131,16 @@ class HammersteinModel(ByValue, NotebookRepr):
 
     def static(self) -> HammersteinModel:
         """Give the same static block without its dynamics."""
-        return replace(self, dynamics=StaticDynamics(n_outputs=self.hysteresis.n_outputs))
+        dynamics = StaticDynamics(n_outputs=self.hysteresis.n_outputs)
+        return replace(self, dynamics=dynamics, covariance=None)
+
+    def drawn(self, generator: Normals) -> HammersteinModel:
+        """Give another actuator, as far from this one as the errors of all its parameters tell.
+
+        Raises InputError where they are not known.
+        """
+        hysteresis, dynamics = drawn_blocks(self.hysteresis, self.dynamics, self.covariance, generator)
+        return replace(self, hysteresis=hysteresis, dynamics=dynamics, covariance=None)
 
     def simulate(
         self,
@@ -340,6 +354,7 @@ class ModelFile(Strict):
     instruments: Instruments = Instruments()
     voltages: Voltages | None = None
     verdict: Verdict | None = None
+    covariance: ParameterCovarianceFile | None = None
     provenance: Plain = None
 
     @model_validator(mode="before")
@@ -356,7 +371,8 @@ class ModelFile(Strict):
     def model(self) -> HammersteinModel:
         """Give the model this describes."""
         fields: dict[str, Any] = {n: getattr(self, n) for n in type(self).model_fields if n != "format"}
-        return HammersteinModel(**fields | {"hysteresis": self._built()})
+        known = None if self.covariance is None else self.covariance.value()
+        return HammersteinModel(**fields | {"hysteresis": self._built(), "covariance": known})
 
     def _built(self) -> Hysteresis[Any]:
         """Give the hysteresis; the mistakes in it stand below its key."""

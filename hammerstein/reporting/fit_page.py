@@ -14,7 +14,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.escaping import Markdown, markdown_page
 from hammerstein.experiment.selection import percent
-from hammerstein.hysteresis import BoucWen, Hysteresis, PrandtlIshlinskii, slopes_of
+from hammerstein.hysteresis import BoucWen, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.choice import CLOSE
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.model import HammersteinModel
@@ -184,7 +184,7 @@ def _body(model: HammersteinModel, fit: Fit) -> Markdown:
         longest_s=max(record.samples * record.sample_time_s for record in fit.records),
         begun=list(_begun(fit)),
         pairs=list(_pairs(model, fit)),
-        thresholds=list(_thresholds(model.hysteresis, fit)),
+        thresholds=list(_thresholds(model)),
     ).strip()
 
 
@@ -214,7 +214,9 @@ class _Pair(NamedTuple):
 def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[_Pair]:
     """Every pair that has operators."""
     hysteresis, gains = model.hysteresis, model.gain(model.amplitude_v)
-    known: Sequence[Array | None] = hysteresis.weight_errors or [None] * len(fit.outputs)
+    alone, joint = hysteresis.weight_errors, model.covariance
+    given = alone if alone is None or joint is None else joint.weight_errors(alone)
+    known: Sequence[Array | None] = given or [None] * len(fit.outputs)
     for o, (name, counts, errors) in enumerate(zip(fit.outputs, hysteresis.operators, known, strict=True)):
         stops = np.cumsum(counts)
         for k, (input_, count) in enumerate(zip(fit.inputs, counts, strict=True)):
@@ -224,11 +226,13 @@ def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[_Pair]:
                 yield _Pair(input_, name, count, float(gains[o, k]), slopes, own)
 
 
-def _thresholds(block: Hysteresis[Any], fit: Fit) -> Iterator[tuple[str, float, float | None]]:
-    """Input, value and standard error of each fitted threshold [V]; None where it is held."""
-    if not isinstance(block, PrandtlIshlinskii) or block.threshold_covariance is None:
+def _thresholds(model: HammersteinModel) -> Iterator[tuple[str, float, float | None]]:
+    """Input, value and standard error of each fitted threshold [V]; None where the records do not tell it."""
+    block, known = model.hysteresis, model.covariance
+    if not isinstance(block, PrandtlIshlinskii) or known is None:
         return
-    known, inputs = block.threshold_covariance, zip(fit.inputs, block.pairs[0], strict=True)
-    each = [(name, r) for name, pair in inputs for r in pair.thresholds_v]
-    for i, ((name, r), error_v) in enumerate(zip(each, known.errors_v, strict=True)):
-        yield name, r, None if i in known.open or r == 0.0 else error_v
+    each = [(name, r) for k, name in enumerate(model.inputs) for r in block.bank.r[k, : block.bank.n[k]]]
+    if not any(i < len(each) for i in known.fitted):
+        return
+    for i, ((name, r), error_v) in enumerate(zip(each, known.errors, strict=False)):
+        yield name, r, error_v if i in known.fitted and i not in known.open else None

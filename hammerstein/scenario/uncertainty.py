@@ -13,7 +13,7 @@ from hammerstein.arrays import Array
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import AxesDynamics, Axis, Dynamics
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import Hysteresis, Normals
+from hammerstein.hysteresis import Normals
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import BaseSamples, Deviation, Draws, Seed
 from hammerstein.validation import Strict
@@ -48,16 +48,15 @@ class Uncertainty(Strict):
     """Relative standard deviations of the actuator's parameters; each draw is another actuator.
 
     Frequencies, dampings, creep gains and noise are multiplied by exp(s g), g standard normal, so that they
-    stay positive. Each weight gets s |w| g added; or the weights of an output together get L g, with the
-    factor L of their covariance, for the errors of neighbouring weights cancel; fitted thresholds are drawn
-    with them.
+    stay positive. Each weight gets s |w| g added; or all parameters that an identification found are drawn
+    together, with the factor of their joint covariance: thresholds, axes, and the weights that follow them.
     """
 
     draws: Draws = Field(default=50, description="actuators that are drawn")
     seed: Seed = Field(default=1, description="of the draws")
     weights: Deviation | Literal["standard_errors"] = Field(
         default=0.0,
-        description='relative, or "standard_errors": covariance in the actuator\'s model file',
+        description='relative, or "standard_errors": all parameters by the covariance in the model file',
     )
     resonance: Deviation = Field(default=0.0, description="relative standard deviation of the resonances")
     damping: Deviation = Field(default=0.0, description="relative standard deviation of the damping ratios")
@@ -97,8 +96,8 @@ class Uncertainty(Strict):
 
     def parameters(self, model: HammersteinModel) -> tuple[Parameter, ...]:
         """What is drawn, in this order; errors of weights that hang together are one parameter."""
-        shared = model.hysteresis.n_shared_errors if isinstance(self.weights, str) else 0
-        found = [Parameter("thresholds", shared, True)] if shared else []
+        known = model.covariance if isinstance(self.weights, str) else None
+        found = [Parameter("numbers beside the weights", len(known.factor), True)] if known else []
         found += [
             Parameter(f"weights of {name}", len(weights), bool(self.weights))
             for name, weights in zip(model.outputs, model.hysteresis.weights, strict=True)
@@ -116,9 +115,8 @@ class Uncertainty(Strict):
         self, model: HammersteinModel, instruments: Instruments, generator: Normals
     ) -> tuple[HammersteinModel, Instruments]:
         """Actuator and instruments of the standard normal numbers that a generator gives."""
-        hysteresis = _weights_drawn(model.hysteresis, self.weights, generator)
-        dynamics = self._dynamics_drawn(model, generator)
-        drawn = replace(model, hysteresis=hysteresis, dynamics=dynamics)
+        drawn = _weights_drawn(model, self.weights, generator)
+        drawn = replace(drawn, dynamics=self._dynamics_drawn(drawn, generator), covariance=None)
         noise = instruments.sensor.noise_um * _factor(self.noise, generator)
         sensor = instruments.sensor.model_copy(update={"noise_um": noise})
         return drawn, instruments.model_copy(update={"sensor": sensor})
@@ -150,15 +148,17 @@ def _factor(relative: float, generator: Normals) -> float:
     return float(np.exp(relative * generator.standard_normal()))
 
 
-def _weights_drawn(hysteresis: Hysteresis[Any], relative: float | str, generator: Normals) -> Hysteresis[Any]:
+def _weights_drawn(model: HammersteinModel, relative: float | str, generator: Normals) -> HammersteinModel:
+    hysteresis = model.hysteresis
     if not isinstance(relative, str):
-        return hysteresis.with_weights(
-            [own + relative * np.abs(own) * generator.standard_normal(len(own)) for own in hysteresis.weights]
-        )
+        drawn = [
+            own + relative * np.abs(own) * generator.standard_normal(len(own)) for own in hysteresis.weights
+        ]
+        return replace(model, hysteresis=hysteresis.with_weights(drawn))
     if hysteresis.weight_covariance is None:
         raise InputError(
             "uncertainty.weights",
             "the actuator's model does not say how the errors of its weights hang together; identify it "
             "again, or give a relative deviation",
         )
-    return hysteresis.drawn(generator)
+    return model.drawn(generator)

@@ -64,7 +64,7 @@ class GeneralisedInverseLaw(StaticInverse[ExactState]):
         low, high, start = np.ascontiguousarray(seen.T)
         within = DriveRange(low, high, zero, start, limits.conditioned)
         voltages = Voltages.symmetric(model.amplitude_v, self.n_inputs)
-        plays = replace(model, hysteresis=self.hysteresis.plays, voltages=voltages)
+        plays = replace(model, hysteresis=self.hysteresis.plays, voltages=voltages, covariance=None)
         return ExactInverseLaw(plays, within, softening_v, run_anyway)
 
     def statement(self) -> str:

@@ -55,6 +55,18 @@ class AxisFit:
     excited: bool = True
     unsure: AxisFit | None = None
 
+    def with_errors(self, errors: Array) -> AxisFit:
+        """Give the same with the standard errors of ``axis.free`` (number,)."""
+        known = iter((100.0 * errors).tolist())
+        resonance, lag = self.axis.resonance_hz is not None, self.axis.lag_s is not None
+        return replace(
+            self,
+            resonance_error_percent=next(known) if resonance else None,
+            damping_error_percent=next(known) if resonance else None,
+            lag_error_percent=next(known) if lag else None,
+            creep_gain_errors=tuple(0.01 * gain for gain in list(known)[::2]),
+        )
+
 
 def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
     """Fit one axis from parameters near the best ones; creep is begun anew if ``begin`` holds none."""
@@ -68,17 +80,16 @@ def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
             replace(task, grids=uniform_grids(task.records, CREEP_OPERATORS)), x
         ).x  # many steps, each of them cheaper
     point = refine(task, x)
-    errors = 100.0 * standard_errors(task, point)
-    return AxisFit(
+    found = AxisFit(
         axis=axis_of(shape, point.x),
-        resonance_error_percent=float(errors[0]) if shape.resonance else None,
-        damping_error_percent=float(errors[1]) if shape.resonance else None,
-        creep_gain_errors=tuple((0.01 * errors[shape.slow :: 2]).tolist()),
+        resonance_error_percent=None,
+        damping_error_percent=None,
+        creep_gain_errors=(),
         rms_um=point.rms,
         static_rms_um=static,
-        lag_error_percent=float(errors[shape.slow - 1]) if shape.lag else None,
         excited=not shape.resonance or _excited(task, point),
     )
+    return found.with_errors(standard_errors(task, point))
 
 
 def standard_errors(task: AxisTask, point: Point) -> Array:

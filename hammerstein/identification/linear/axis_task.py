@@ -377,12 +377,5 @@ def axis_of(shape: AxisShape, x: Array) -> Axis:
 
 def parameters_of(axis: Axis) -> tuple[AxisShape, Array]:
     """Shape and parameters of an axis, creep included."""
-    x: list[float] = []
-    if axis.resonance_hz is not None and axis.damping_ratio is not None:
-        x += [math.log(axis.resonance_hz), math.log(axis.damping_ratio)]
-    if axis.lag_s is not None:
-        x.append(math.log(axis.lag_s))
-    for mode in axis.creep:
-        x += [mode.gain, math.log(mode.time_constant_s)]
     shape = AxisShape(axis.resonance_hz is not None, axis.lag_s is not None, len(axis.creep))
-    return shape, np.array(x)
+    return shape, axis.free

@@ -1,0 +1,232 @@
+"""One joint covariance of all parameters of a model: thresholds, axes, and the weights that follow them.
+
+About the model the readings of output o are, with the derivatives A_o by the numbers x beside the weights and
+G_o by the weights,
+
+    y_o ~ offset + A_o d + G_o (w + M_o d),     M_o = -C_o G_o' A_o / s_o^2,
+
+C_o the covariance of the weights for given x, s_o the rms of what is left. With the weights eliminated the
+outputs tell of d by H = sum of (A + G M)'(A + G M) / s^2.
+
+* Numbers that were fitted err by (H + P)^-1, where P says how far they can be from where they are: a
+  threshold within its cell, the others by about 1, which is a large change of each. Errors may be related
+  within a sixteenth of a record (White, Econometrica 48 (1980) 817-838): where that makes one larger, it is
+  scaled.
+* What the model leaves beyond the noise is its own error. It is put down to thresholds: they differ from
+  those of the actuator by independent parts of their cells, as large as leaves on the records what the model
+  leaves there. The numbers fitted follow.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hammerstein.arrays import Array, Indices
+from hammerstein.dynamics import AxesDynamics, StaticDynamics
+from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
+from hammerstein.hysteresis.covariance import triangle
+from hammerstein.hysteresis.identifiable import Identifiable
+from hammerstein.identification.linear.axis_fit import PARTS
+from hammerstein.identification.score import Candidate
+from hammerstein.identification.static.regressors import Start
+from hammerstein.model.covariance import ParameterCovariance, beside_weights, with_beside_weights
+from hammerstein.records.record import Record
+
+STEP = 1e-4
+"""Change of a number for its derivative, in parts of how far it can be from where it is."""
+RELATED = 16
+"""Samples over which what a model misses hangs together."""
+TOLD = 1e-9
+"""Information on a way of the places, in parts of the largest, from which the records tell it at all."""
+UNTOLD = 0.9
+"""Standard error in parts of what the cell alone tells, from which the records do not tell a threshold."""
+
+
+def parameter_covariance(
+    candidate: Candidate, records: Sequence[Record], starts: Sequence[Start], thresholds_fitted: bool
+) -> ParameterCovariance | None:
+    """Joint covariance of the parameters of a model whose axes do not couple the outputs.
+
+    Nothing where they do, or where the covariance of the weights is not known.
+
+    Parameters
+    ----------
+    candidate : the model at its best for these records
+    records, starts : what it was fitted to, and what went before each
+    thresholds_fitted : whether the thresholds of plays were fitted; where those of other kinds count among
+        their free numbers, they were
+    """
+    hysteresis = candidate.hysteresis
+    uncoupled = isinstance(candidate.dynamics, AxesDynamics | StaticDynamics)
+    if hysteresis.weight_covariance is None or not uncoupled:
+        return None
+    scale, cells = _scale(hysteresis, len(beside_weights(hysteresis, candidate.dynamics)))
+    told = [_told_by(candidate, record, start, scale) for record, start in zip(records, starts, strict=True)]
+    mean = _pooled(told, hysteresis)
+    free = np.flatnonzero(scale > 0.0)
+    fitted = free if thresholds_fitted else free[free >= cells]
+    own = _of_fitted(mean, told, fitted, scale)
+    misfit = _of_places(mean, told, fitted, free[free < cells], scale)
+    alone = np.linalg.norm(own, axis=1)
+    untold = [int(i) for i in fitted if i < cells and alone[i] > UNTOLD * scale[i]]
+    factor = triangle(np.hstack([own, misfit]))
+    return ParameterCovariance(factor, mean.following, tuple(fitted.tolist()), tuple(untold))
+
+
+def _scale(hysteresis: Hysteresis[Any], size: int) -> tuple[Array, int]:
+    """How far each number (number,) can be from where it is, as a standard deviation; how many are places.
+
+    A place lies anywhere within half of the way to its nearest neighbour, as far as a line about it holds.
+    """
+    scale = np.ones(size)
+    groups = hysteresis.places if isinstance(hysteresis, Identifiable) else ()
+    if isinstance(hysteresis, PrandtlIshlinskii):
+        groups = tuple(np.split(hysteresis.free, np.cumsum(hysteresis.bank.n)[:-1]))
+    cells = sum(map(len, groups))
+    scale[:cells] = np.concatenate([_cells(r) for r in groups]) if cells else 0.0
+    return scale, cells
+
+
+def _cells(r: Array) -> Array:
+    """Standard deviation (place,) of a uniform distribution as wide as the nearest gap [V].
+
+    A threshold of 0 stands at its end.
+    """
+    if not r.size:
+        return np.empty(0)
+    first = 0.0 if r[0] >= 0.0 else -np.inf
+    gaps = np.diff(r, prepend=first, append=np.inf if len(r) > 1 else 2.0 * r[0])
+    return np.asarray(np.where(r != 0.0, np.minimum(gaps[:-1], gaps[1:]) / np.sqrt(12.0), 0.0))
+
+
+class _Told(NamedTuple):
+    """Derivatives of a record by the numbers (output, number, sample) and the weights, and what is left."""
+
+    by_numbers: Array
+    by_weights: tuple[Array, ...]
+    left: Array
+
+
+def _told_by(candidate: Candidate, record: Record, start: Start, scale: Array) -> _Told:
+    """Derivatives by differences, each row about its mean; those of the weights are exact."""
+    hysteresis, dynamics = candidate.hysteresis, candidate.dynamics
+
+    def residual(block: Hysteresis[Any], axes: Any) -> Array:
+        return Candidate(block, axes, candidate.sensor).residual(record, start)
+
+    left, x = residual(hysteresis, dynamics), beside_weights(hysteresis, dynamics)
+    by_numbers = np.zeros((len(left), len(x), left.shape[1]))
+    for i in np.flatnonzero(scale > 0.0):
+        changed = x.copy()
+        changed[i] += STEP * scale[i]
+        moved = residual(*with_beside_weights(hysteresis, dynamics, changed))
+        by_numbers[:, i] = (left - moved) / (STEP * scale[i])
+    weights = [np.asarray(w) for w in hysteresis.weights]
+    by_weights = [np.zeros((len(w), left.shape[1])) for w in weights]
+    for j in range(max(map(len, weights))):
+        more = [w + (np.arange(len(w)) == j) for w in weights]  # axes do not couple the outputs
+        moved = left - residual(hysteresis.with_weights(more), dynamics)
+        for o, columns in enumerate(by_weights):
+            columns[j : j + 1] = moved[o]
+    return _Told(by_numbers, tuple(by_weights), left)
+
+
+class _Mean(NamedTuple):
+    """What all records tell together; variance : (output,) [um^2]; misfit : its part that is no noise."""
+
+    information: tuple[Array, ...]
+    following: tuple[Array, ...]
+    variance: Array
+    misfit: Array
+    samples: int
+
+
+def _pooled(told: Sequence[_Told], hysteresis: Hysteresis[Any]) -> _Mean:
+    """Information (number, number) of each output on the numbers, with the weights eliminated."""
+    samples = sum(one.left.shape[1] for one in told)
+    variance = np.sum([np.sum(one.left**2, axis=1) for one in told], axis=0) / samples
+    misfit = _misfit([one.left for one in told], variance)
+    information, following = [], []
+    known = hysteresis.weight_covariance or ()
+    for o, (weights, s2) in enumerate(zip(known, variance, strict=True)):
+        alone = np.sum([one.by_numbers[o] @ one.by_numbers[o].T for one in told], axis=0)
+        mixed = np.sum([one.by_weights[o] @ one.by_numbers[o].T for one in told], axis=0)
+        s2 = max(float(s2), np.finfo(float).tiny)
+        drag = weights.covariance @ mixed / s2
+        following.append(-drag)
+        information.append((alone - mixed.T @ drag) / s2)
+    return _Mean(tuple(information), tuple(following), variance, misfit, samples)
+
+
+def _misfit(left: Sequence[Array], variance: Array) -> Array:
+    """Part (output,) of what is left that hangs together from sample to sample, beyond chance [um^2].
+
+    The mean of n samples of white noise has the variance s^2 / n; what it has more is no noise.
+    """
+    n = RELATED
+    means = np.hstack([row[:, : row.shape[1] // n * n].reshape(len(row), -1, n).mean(axis=2) for row in left])
+    chance = np.sqrt(2.0 / max(means.shape[1], 1)) * variance / (n - 1)
+    more = (n * np.mean(means**2, axis=1) - variance) / (n - 1) if means.size else 0.0 * variance
+    return np.asarray(np.clip(more - chance, 0.0, variance))
+
+
+def _of_fitted(mean: _Mean, told: Sequence[_Told], fitted: Indices, scale: Array) -> Array:
+    """Matrix S (number, fitted), S S^T the covariance of the numbers that were fitted."""
+    spread = np.zeros((len(scale), len(fitted)))
+    if not fitted.size:
+        return spread
+    at = np.ix_(fitted, fitted)
+    information = np.sum([one[at] for one in mean.information], axis=0)
+    values, vectors = np.linalg.eigh(scale[fitted, None] * information * scale[fitted] + np.eye(len(fitted)))
+    root = scale[fitted, None] * vectors / np.sqrt(np.maximum(values, 1.0))
+    covariance = root @ root.T
+    scores = np.array([score for one in told for score in _scores(one, mean, fitted)])
+    related = np.linalg.norm(covariance @ scores.T, axis=1) / np.linalg.norm(root, axis=1)
+    most = scale[fitted] / np.linalg.norm(root, axis=1)
+    spread[fitted] = root * np.minimum(np.maximum(related, 1.0), most)[:, None]
+    return spread
+
+
+def _scores(one: _Told, mean: _Mean, fitted: Indices) -> list[Array]:
+    """Pull of each part of a record on the numbers fitted."""
+    found = []
+    ends = np.linspace(0, one.left.shape[1], PARTS + 1).astype(int)
+    moves = [
+        (one.by_numbers[o] + mean.following[o].T @ columns)[fitted] / max(s2, np.finfo(float).tiny)
+        for o, (columns, s2) in enumerate(zip(one.by_weights, mean.variance.tolist(), strict=True))
+    ]
+    for a, b in itertools.pairwise(ends):
+        found.append(np.sum([m[:, a:b] @ left[a:b] for m, left in zip(moves, one.left, strict=True)], axis=0))
+    return found
+
+
+def _of_places(mean: _Mean, told: Sequence[_Told], fitted: Indices, places: Indices, scale: Array) -> Array:
+    """Matrix S (number, place) of places as far from the actuator's as explains what is left of the records.
+
+    The numbers that were fitted beside them follow. With C the covariance of the cells, H what the records
+    tell of n places, and their pull q on them, moving the places by k C leaves k tr(H C) on the records;
+    they explain q' H^-1 q there, n of it by chance. What is left may hold more misfit than a line tells.
+    """
+    spread = np.zeros((len(scale), len(places)))
+    if not places.size:
+        return spread
+    spread[places] = np.diag(scale[places])
+    others = np.setdiff1d(fitted, places)
+    information = np.sum(mean.information, axis=0)
+    if others.size:
+        own = information[np.ix_(others, others)] + np.diag(1.0 / scale[others] ** 2)
+        spread[others] = -np.linalg.solve(own, information[np.ix_(others, places)] * scale[places])
+    values, vectors = np.linalg.eigh(spread.T @ information @ spread)
+    told_of = values > TOLD * max(float(values[-1]), np.finfo(float).tiny)
+    if not told_of.any():
+        return np.zeros_like(spread)
+    numbers = np.arange(len(scale))
+    pull = np.sum([score for one in told for score in _scores(one, mean, numbers)], axis=0)
+    values, pulls = values[told_of], (vectors.T @ (spread.T @ pull))[told_of]
+    excess = mean.samples * float(np.sum(mean.misfit / np.maximum(mean.variance, np.finfo(float).tiny)))
+    explained = float(np.sum(pulls**2 / values)) - len(values)
+    return np.asarray(spread * np.sqrt(max(explained, excess) / float(values.sum())))

@@ -1,0 +1,146 @@
+"""How sure all parameters of a model are, together, and draws of the actuators that it may as well be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from hammerstein.arrays import Array, ByValue, freeze_fields, frozen
+from hammerstein.dynamics import AxesDynamics, Axis, Dynamics
+from hammerstein.errors import InputError
+from hammerstein.hysteresis import Hysteresis, Normals
+from hammerstein.hysteresis.identifiable import Identifiable
+from hammerstein.hysteresis.pair_file import PartFile, lower_rows, lower_triangle
+from hammerstein.quantities import Entry, NoCycles
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterCovariance(ByValue):
+    """How the errors of the numbers beside the weights hang together, and how the weights follow them.
+
+        x + d,   w + M d + (what the weights err by with given x),   cov d = L L^T
+
+    x are places and free numbers of the hysteresis, such as thresholds, then those of the axes: ln resonance,
+    ln damping, ln time constant of a low-pass, gain and ln time constant of each slow mode.
+
+    Parameters
+    ----------
+    factor : (number, number) lower triangle L, in the units of the numbers
+    following : (output,) matrices M (weight, number)
+    fitted : numbers, counted from 0, that were fitted; the others were given, and differ from the actuator's
+        by as much as explains what the model leaves of the records
+    open : of those fitted, the ones whose value the records do not tell better than their neighbours do
+    """
+
+    factor: Array
+    following: tuple[Array, ...]
+    fitted: tuple[int, ...] = ()
+    open: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, "factor")
+        object.__setattr__(self, "following", tuple(map(frozen, self.following)))
+        if not all(np.isfinite(matrix).all() for matrix in (self.factor, *self.following)):
+            raise InputError("covariance", "holds a value that is not finite")
+
+    @property
+    def errors(self) -> Array:
+        """Standard errors (number,)."""
+        return np.asarray(np.linalg.norm(self.factor, axis=1))
+
+    def weight_errors(self, given: Sequence[Array]) -> tuple[Array, ...]:
+        """Standard errors of the weights of each output [um/V], from those for given numbers beside them."""
+        moved = [np.linalg.norm(m @ self.factor, axis=1) for m in self.following]
+        return tuple(np.hypot(own, follow) for own, follow in zip(given, moved, strict=True))
+
+    def beside_creep(self, before: Dynamics, after: AxesDynamics) -> ParameterCovariance:
+        """Give the same where slow modes, which are held, have come behind the numbers of the axes before."""
+        axes = before.axes if isinstance(before, AxesDynamics) else (Axis(),) * len(after.axes)
+        ends = (
+            len(self.factor) - sum(len(axis.free) for axis in axes) + np.cumsum([len(a.free) for a in axes])
+        )
+        counts = [len(new.free) - len(old.free) for new, old in zip(after.axes, axes, strict=True)]
+        at = np.repeat(ends, counts)
+        moved = np.arange(len(self.factor)) + np.searchsorted(at, np.arange(len(self.factor)), side="right")
+        factor = np.insert(np.insert(self.factor, at, 0.0, axis=0), at, 0.0, axis=1)
+        following = tuple(np.insert(one, at, 0.0, axis=1) for one in self.following)
+        fitted, open_ = (tuple(moved[list(one)].tolist()) for one in (self.fitted, self.open))
+        return ParameterCovariance(factor, following, fitted, open_)
+
+    def misfit(self, hysteresis: Hysteresis[Any], dynamics: Dynamics) -> str | None:
+        """Why it is not that of a model; nothing where it is."""
+        size, counts = len(beside_weights(hysteresis, dynamics)), [len(w) for w in hysteresis.weights]
+        if len(self.factor) != size or [m.shape for m in self.following] != [(n, size) for n in counts]:
+            return f"must have {size} rows, and for each of {len(counts)} outputs {size} numbers a weight"
+        if not all(0 <= i < size for i in (*self.fitted, *self.open)):
+            return f"names a number beyond the {size} that stand beside the weights"
+        return None
+
+
+def beside_weights(hysteresis: Hysteresis[Any], dynamics: Dynamics) -> Array:
+    """Numbers (number,) beside the weights: places and free numbers of the hysteresis, then the axes."""
+    own = (*hysteresis.places, hysteresis.free) if isinstance(hysteresis, Identifiable) else ()
+    axes = dynamics.free if isinstance(dynamics, AxesDynamics) else np.empty(0)
+    return np.concatenate([*own, axes])
+
+
+def with_beside_weights(
+    hysteresis: Hysteresis[Any], dynamics: Dynamics, x: Array
+) -> tuple[Hysteresis[Any], Dynamics]:
+    """Give both blocks with other numbers beside the weights."""
+    if isinstance(hysteresis, Identifiable):
+        ends = np.cumsum([len(part) for part in (*hysteresis.places, hysteresis.free)])
+        *places, free, x = np.split(x, ends)
+        moved: Any = hysteresis.at_places(places) if places else hysteresis
+        hysteresis = moved.at(free) if len(free) else moved
+    return hysteresis, dynamics.at(x) if isinstance(dynamics, AxesDynamics) else dynamics
+
+
+def drawn_blocks(
+    hysteresis: Hysteresis[Any], dynamics: Dynamics, known: ParameterCovariance | None, generator: Normals
+) -> tuple[Hysteresis[Any], Dynamics]:
+    """Give other blocks, as far from these as the errors of their parameters tell.
+
+    known : of what stands beside the weights; that stays as it is if not given
+
+    Raises InputError where the covariance of the weights is not known.
+    """
+    if known is None:
+        return hysteresis.drawn(generator), dynamics
+    change = known.factor @ generator.standard_normal(len(known.factor))
+    each = zip(hysteresis.drawn(generator).weights, known.following, strict=True)
+    weights = [own + follow @ change for own, follow in each]
+    moved, axes = with_beside_weights(hysteresis, dynamics, beside_weights(hysteresis, dynamics) + change)
+    return moved.with_weights(weights), axes
+
+
+class ParameterCovarianceFile(PartFile):
+    """Covariance L L^T of the numbers beside the weights, and how the best weights follow them."""
+
+    factor: Annotated[tuple[tuple[Entry, ...], ...], BeforeValidator(lower_rows)] = Field(
+        description="rows of L, each up to its diagonal"
+    )
+    following: tuple[tuple[tuple[Entry, ...], ...], ...] = Field(
+        description="of each output, a row a weight: what it changes by with each number"
+    )
+    fitted: tuple[NoCycles, ...] = Field(
+        default=(), description="numbers that were fitted, counted from 0; the others were given"
+    )
+    open: tuple[NoCycles, ...] = Field(
+        default=(), description="fitted numbers that the records do not tell, counted from 0"
+    )
+
+    def value(self) -> ParameterCovariance:
+        """Give the covariance this describes."""
+        n = len(self.factor)
+        following = []
+        for matrix in self.following:
+            if any(len(row) != n for row in matrix):
+                raise InputError("covariance", f"must have rows of {n} numbers for each output")
+            following.append(np.array(matrix, dtype=float).reshape(len(matrix), n))
+        factor = lower_triangle("covariance", self.factor)
+        return ParameterCovariance(factor, tuple(following), self.fitted, self.open)

@@ -1,0 +1,1 @@
+"""How often the true error lies in the stated band."""
