@@ -15,10 +15,9 @@ from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields, f
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.bank import PlayState
-from hammerstein.hysteresis.covariance import refuse_other_sizes
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
-from hammerstein.hysteresis.pair import Pair, WeightCovariance, played, weighted_mistakes
+from hammerstein.hysteresis.pair import Pair, WeightCovariance, played, refuse_other_sizes, weighted_mistakes
 from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, PartFile, covariances
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hammerstein.quantities import Offset, Weight, WeightError

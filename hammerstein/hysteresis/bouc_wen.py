@@ -16,10 +16,9 @@ from pydantic import Field
 from hammerstein.arrays import Array, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import IdentificationError, InputError, Mistake
-from hammerstein.hysteresis.covariance import refuse_other_sizes
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
-from hammerstein.hysteresis.pair import WeightCovariance
+from hammerstein.hysteresis.pair import WeightCovariance, refuse_other_sizes
 from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, covariances
 from hammerstein.quantities import PerVolt, Weight
 

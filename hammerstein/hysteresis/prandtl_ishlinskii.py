@@ -14,11 +14,10 @@ from pydantic import Field
 from hammerstein.arrays import Array, frozen
 from hammerstein.errors import InputError, Mistake
 from hammerstein.hysteresis.bank import Bank, PlayState
-from hammerstein.hysteresis.covariance import refuse_other_sizes
 from hammerstein.hysteresis.describing_function import describing_function, nonlinearity_of
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
-from hammerstein.hysteresis.pair import Pair, WeightCovariance, play, played
+from hammerstein.hysteresis.pair import Pair, WeightCovariance, play, played, refuse_other_sizes
 from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, covariances
 
 if TYPE_CHECKING:

@@ -20,6 +20,7 @@ outputs tell of d by H = sum of (A + G M)'(A + G M) / s^2.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -28,8 +29,8 @@ import numpy as np
 from hammerstein.arrays import Array, Indices
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
-from hammerstein.hysteresis.covariance import triangle
 from hammerstein.hysteresis.identifiable import Identifiable
+from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.linear.axis_fit import PARTS
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.regressors import Start
@@ -38,6 +39,8 @@ from hammerstein.records.record import Record
 
 STEP = 1e-4
 """Change of a number for its derivative, in parts of how far it can be from where it is."""
+COUNTED = 50_000
+"""Samples of all records together that count: of longer ones neighbours are averaged, to fit the memory."""
 RELATED = 16
 """Samples over which what a model misses hangs together."""
 TOLD = 1e-9
@@ -65,7 +68,11 @@ def parameter_covariance(
     if hysteresis.weight_covariance is None or not uncoupled:
         return None
     scale, cells = _scale(hysteresis, len(beside_weights(hysteresis, candidate.dynamics)))
-    told = [_told_by(candidate, record, start, scale) for record, start in zip(records, starts, strict=True)]
+    every = math.ceil(sum(record.samples for record in records) / COUNTED)
+    told = [
+        _told_by(candidate, record, start, scale, every)
+        for record, start in zip(records, starts, strict=True)
+    ]
     mean = _pooled(told, hysteresis)
     free = np.flatnonzero(scale > 0.0)
     fitted = free if thresholds_fitted else free[free >= cells]
@@ -104,35 +111,46 @@ def _cells(r: Array) -> Array:
 
 
 class _Told(NamedTuple):
-    """Derivatives of a record by the numbers (output, number, sample) and the weights, and what is left."""
+    """Derivatives of a record by the numbers (output, number, sample) and the weights, and what is left.
+
+    residual : the same with all samples; every : samples that are averaged in the others
+    """
 
     by_numbers: Array
     by_weights: tuple[Array, ...]
     left: Array
+    residual: Array
+    every: int
 
 
-def _told_by(candidate: Candidate, record: Record, start: Start, scale: Array) -> _Told:
+def _told_by(candidate: Candidate, record: Record, start: Start, scale: Array, every: int) -> _Told:
     """Derivatives by differences, each row about its mean; those of the weights are exact."""
     hysteresis, dynamics = candidate.hysteresis, candidate.dynamics
 
     def residual(block: Hysteresis[Any], axes: Any) -> Array:
         return Candidate(block, axes, candidate.sensor).residual(record, start)
 
-    left, x = residual(hysteresis, dynamics), beside_weights(hysteresis, dynamics)
+    whole, x = residual(hysteresis, dynamics), beside_weights(hysteresis, dynamics)
+    left = _averaged(whole, every)
     by_numbers = np.zeros((len(left), len(x), left.shape[1]))
     for i in np.flatnonzero(scale > 0.0):
         changed = x.copy()
         changed[i] += STEP * scale[i]
-        moved = residual(*with_beside_weights(hysteresis, dynamics, changed))
+        moved = _averaged(residual(*with_beside_weights(hysteresis, dynamics, changed)), every)
         by_numbers[:, i] = (left - moved) / (STEP * scale[i])
     weights = [np.asarray(w) for w in hysteresis.weights]
     by_weights = [np.zeros((len(w), left.shape[1])) for w in weights]
     for j in range(max(map(len, weights))):
         more = [w + (np.arange(len(w)) == j) for w in weights]  # axes do not couple the outputs
-        moved = left - residual(hysteresis.with_weights(more), dynamics)
+        moved = left - _averaged(residual(hysteresis.with_weights(more), dynamics), every)
         for o, columns in enumerate(by_weights):
             columns[j : j + 1] = moved[o]
-    return _Told(by_numbers, tuple(by_weights), left)
+    return _Told(by_numbers, tuple(by_weights), left, whole, every)
+
+
+def _averaged(rows: Array, every: int) -> Array:
+    """Means of so many neighbours (row, sample), without what is left over at the end."""
+    return np.asarray(rows[:, : rows.shape[1] // every * every].reshape(len(rows), -1, every).mean(axis=2))
 
 
 class _Mean(NamedTuple):
@@ -147,14 +165,14 @@ class _Mean(NamedTuple):
 
 def _pooled(told: Sequence[_Told], hysteresis: Hysteresis[Any]) -> _Mean:
     """Information (number, number) of each output on the numbers, with the weights eliminated."""
-    samples = sum(one.left.shape[1] for one in told)
-    variance = np.sum([np.sum(one.left**2, axis=1) for one in told], axis=0) / samples
-    misfit = _misfit([one.left for one in told], variance)
+    samples = sum(one.residual.shape[1] for one in told)
+    variance = np.sum([np.sum(one.residual**2, axis=1) for one in told], axis=0) / samples
+    misfit = _misfit([one.residual for one in told], variance)
     information, following = [], []
     known = hysteresis.weight_covariance or ()
     for o, (weights, s2) in enumerate(zip(known, variance, strict=True)):
-        alone = np.sum([one.by_numbers[o] @ one.by_numbers[o].T for one in told], axis=0)
-        mixed = np.sum([one.by_weights[o] @ one.by_numbers[o].T for one in told], axis=0)
+        alone = np.sum([one.every * one.by_numbers[o] @ one.by_numbers[o].T for one in told], axis=0)
+        mixed = np.sum([one.every * one.by_weights[o] @ one.by_numbers[o].T for one in told], axis=0)
         s2 = max(float(s2), np.finfo(float).tiny)
         drag = weights.covariance @ mixed / s2
         following.append(-drag)
@@ -168,7 +186,7 @@ def _misfit(left: Sequence[Array], variance: Array) -> Array:
     The mean of n samples of white noise has the variance s^2 / n; what it has more is no noise.
     """
     n = RELATED
-    means = np.hstack([row[:, : row.shape[1] // n * n].reshape(len(row), -1, n).mean(axis=2) for row in left])
+    means = np.hstack([_averaged(row, n) for row in left])
     chance = np.sqrt(2.0 / max(means.shape[1], 1)) * variance / (n - 1)
     more = (n * np.mean(means**2, axis=1) - variance) / (n - 1) if means.size else 0.0 * variance
     return np.asarray(np.clip(more - chance, 0.0, variance))
@@ -196,7 +214,9 @@ def _scores(one: _Told, mean: _Mean, fitted: Indices) -> list[Array]:
     found = []
     ends = np.linspace(0, one.left.shape[1], PARTS + 1).astype(int)
     moves = [
-        (one.by_numbers[o] + mean.following[o].T @ columns)[fitted] / max(s2, np.finfo(float).tiny)
+        one.every
+        * (one.by_numbers[o] + mean.following[o].T @ columns)[fitted]
+        / max(s2, np.finfo(float).tiny)
         for o, (columns, s2) in enumerate(zip(one.by_weights, mean.variance.tolist(), strict=True))
     ]
     for a, b in itertools.pairwise(ends):

@@ -25,8 +25,8 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import Axis
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Hysteresis, WeightCovariance
-from hammerstein.hysteresis.covariance import triangle
 from hammerstein.hysteresis.identifiable import Driven, Identifiable, mean_slopes
+from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.behind import Behind
 from hammerstein.identification.linear.axis_search import thinning
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, parameters_of

@@ -147,7 +147,7 @@ def found(kind: Kind, seed: int) -> Found:
     model, _ = identify([record], settings, instruments=truth.instruments)
     law = "hammerstein_inverse" if kind.dynamic else "exact_inverse"
     if kind.hysteresis == "bouc_wen":
-        law = "hammerstein_inverse" if kind.dynamic else "inverse_multiplicative"
+        law = "inverse_multiplicative"
     path = reference()
     drive = model.compensate(path, law=law, beyond_records=True, accept_flagged=True).drive_v
     true = _rms(truth, drive, path)

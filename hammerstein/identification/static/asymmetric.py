@@ -13,7 +13,7 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii, WeightCovariance
-from hammerstein.hysteresis.covariance import triangle
+from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.score import path_before
 from hammerstein.identification.static.folds import moments_of_folds
 from hammerstein.identification.static.normal_equations import (

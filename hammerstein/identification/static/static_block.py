@@ -14,7 +14,7 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, WeightCovariance
-from hammerstein.hysteresis.covariance import triangle
+from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.static.normal_equations import (
     Bounds,
     Moments,
