@@ -289,7 +289,7 @@ def test_a_page_is_not_replaced_by_one_that_lacks_what_failed(folder, capsys):
     )
     assert call("run", "s", "--page", "site", "--jobs", "1") == 3
     assert contents(folder / "site") == before
-    assert "is not written" in capsys.readouterr().err
+    assert "are not written" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
