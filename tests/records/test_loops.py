@@ -568,6 +568,8 @@ def test_the_table_of_loops_fits_80_columns(tmp_path, capsys, monkeypatch):
                 "x",
                 "--time",
                 "time_s",
+                "--units",
+                "um",
                 "--out",
                 str(tmp_path / "o"),
             ]
