@@ -52,7 +52,7 @@ def test_a_known_delay_of_the_sensor_is_not_the_actuators(sensor, actuator):
     assert f"| sensor delay, as given | {sensor / PARTS * T:.4g} s" in page
     assert "beside the sensor's" in page
     assert "taken as the actuator's" not in page
-    assert "They hold for the given delay and thresholds" in page
+    assert "hold for this delay" in page
 
 
 def test_records_of_several_sample_times_have_one_delay():
