@@ -119,7 +119,7 @@ class Site:
         named = {"hammerstein": self.folder / "index.html"}
         for guide in guide_pages().values():
             title = guide.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
-            named[title] = self.place(guide)
+            named[title] = self.place(TOP / "hammerstein/guide" / guide.name)  # even if installed elsewhere
         named |= {"Examples": self.folder / "gallery.html", "Keys of scenarios": self.folder / "keys.html"}
         for notebook in sorted((TOP / "hammerstein/examples").glob("*.ipynb")):
             named[notebook.stem.replace("_", " ").capitalize()] = self.place(notebook.with_suffix(".html"))
