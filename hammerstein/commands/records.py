@@ -54,7 +54,7 @@ def loops(
     from hammerstein.commands.terminal_tables import gains_table
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
-    from hammerstein.records.loops import loop_table, move_at_once, without_loops
+    from hammerstein.records.loops import loop_table, move_at_once, turned_backwards, without_loops
     from hammerstein.records.swapped_columns import refuse_swapped
     from hammerstein.reporting.figures.measured import LOOPS, LOOPS_FILES, loops_of_records
     from hammerstein.runtime.storage.manifest import refuse_name
@@ -76,6 +76,8 @@ def loops(
     for source, why in empty.items():
         complain(f"{source}: {why}")
     for record in records:
+        if turned := turned_backwards(found[record.source]):
+            complain(f"{record.source}: {turned}")
         for lost in record.outliers:
             complain(f"{record.source}: outliers of {lost.column} are left out: {lost.describe()}")
     if as_json:

@@ -41,6 +41,8 @@ SAME_SWING = 0.01
 """Part by which the swings of two cycles of one amplitude may differ."""
 CLEAR = 3.0
 """Noise, times this, by which an output must fall for its gain to be negative."""
+BACKWARDS_PERCENT = -5.0
+"""Width from which a loop turns the other way: bent branches and noise make small negative widths."""
 SETTLED_NOISE = 3.0
 """And the noise, times this: the rms difference of two equal cycles is 1.4 times the noise."""
 
@@ -172,6 +174,36 @@ def telling_loops(loops: Sequence[Loop], most: int | None = None) -> list[Loop]:
         telling.sort(key=lambda loop: (-loop.amplitude_v, -loop.start))
         kept |= {id(loop) for loop in telling[:most]}
     return [loop for loop in loops if id(loop) in kept]
+
+
+def turned_backwards(loops: Sequence[Loop]) -> str | None:
+    """Why the widths of a record are no hysteresis, where its loops turn the other way; else None.
+
+    An actuator's output lags. A settled loop in which it seems to lead is one of swapped columns, or one that
+    was driven so fast that the output lags by more than half a turn. Of each input only the output that it
+    moves most is judged.
+
+    Parameters
+    ----------
+    loops : of one record
+
+    Examples
+    --------
+    >>> turned = 2.0 * np.pi * np.arange(1200) / 400
+    >>> late = Record([10.0 * np.sin(turned)], [np.sin(turned - np.radians(305.0))], 5e-5)
+    >>> print(turned_backwards(loop_table(late))[:58])
+    y1 and u1: the loop turns backwards (width -82 %). The out
+    """
+    settled = [loop for loop in telling_loops(loops) if loop.settled]
+    for name in dict.fromkeys(loop.input for loop in settled):
+        largest = max((loop for loop in settled if loop.input == name), key=lambda loop: loop.height_um)
+        if largest.width_percent < BACKWARDS_PERCENT and largest.area_v_um < 0:
+            return (
+                f"{largest.output} and {name}: the loop turns backwards "
+                f"(width {largest.width_percent:.0f} %). The output leads, "
+                "or lags by more than half a turn: the width is not hysteresis. Drive slower, or swap the columns"
+            )
+    return None
 
 
 def widest_cycle(record: Record, k: int, alone: bool = True) -> slice | None:

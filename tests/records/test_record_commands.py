@@ -250,6 +250,18 @@ def test_a_record_without_a_loop_does_not_stop_the_others(records, tmp_path, cap
     assert "u_x" in said.out
 
 
+@pytest.mark.parametrize(("lag_deg", "said"), [(305.0, True), (60.0, False), (170.0, False)])
+def test_a_loop_that_turns_backwards_is_no_hysteresis(tmp_path, capsys, monkeypatch, lag_deg, said):
+    """A lag of 305 degrees looks like a lead of 55: its width of -82 % (its sine) was a plain number."""
+    monkeypatch.chdir(tmp_path)
+    turned = 2.0 * np.pi * np.arange(1600) / 400
+    late = np.sin(turned - np.radians(lag_deg))
+    pd.DataFrame({"u": np.sin(turned), "x": late}).to_csv("record.csv", index=False)
+    call = ("loops", "record.csv", "--inputs", "u", "--outputs", "x", "--rate", "20000", "--no-figures")
+    assert _call(*call, "--accept-gain") == 0
+    assert ("turns backwards (width -82 %)" in capsys.readouterr().err) is said
+
+
 @pytest.mark.parametrize("case", ["swapped", "noise", "copy"])
 def test_loops_ask_the_doubts_of_identify(tmp_path, capsys, monkeypatch, case):
     """A width of -12 %, a gain of 0.002, a copy of the voltage: each was a table with exit 0."""
