@@ -201,7 +201,8 @@ def turned_backwards(loops: Sequence[Loop]) -> str | None:
             return (
                 f"{largest.output} and {name}: the loop turns backwards "
                 f"(width {largest.width_percent:.0f} %). The output leads, "
-                "or lags by more than half a turn: the width is not hysteresis. Drive slower, or swap the columns"
+                "or lags by more than half a turn: the width is not hysteresis. "
+                "Drive slower, or swap the columns"
             )
     return None
 
