@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import itertools
+import json
 import os
 import re
 import stat
 import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 from hammerstein.errors import InputError
 
@@ -55,6 +58,17 @@ def _depth(text: str) -> int:
     """How many brackets stand in one another, those in quoted texts left out."""
     brackets = _BRACKETS.findall(_QUOTED.sub("", text))
     return max(itertools.accumulate(1 if found in "[{" else -1 for found in brackets), default=0)
+
+
+def digest_of(content: Any) -> str:
+    """Digest of plain JSON, in which the order of keys says nothing."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def digest_of_file(path: Path) -> str:
+    """Digest of what a file holds, however large it is; OSError where it cannot be read."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def is_there(path: Path) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import cached_property, partial
@@ -12,10 +11,11 @@ from typing import Any
 from hammerstein.experiment.measure import Result, rows_of
 from hammerstein.experiment.report import Target, Trace
 from hammerstein.experiment.set_up import Case, Progress, SetUp
+from hammerstein.files import digest_of, digest_of_file
 from hammerstein.metrics import Row
 from hammerstein.model.simulation import WIRES, Response
 from hammerstein.runtime.fanning import Jobs, in_order, on_workers
-from hammerstein.runtime.store import Kept, Store, digest_of, key_of
+from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.signals import FromFile
 
 NUMBERS_NOT = {"label", "identification", "model", "only_at_hz"}
@@ -107,8 +107,7 @@ def _signal(case: Case) -> list[Any]:
     signal = case.signal
     if not isinstance(signal, FromFile):
         return [signal.model_dump_json()]
-    digest = hashlib.sha256(Path(signal.path).read_bytes()).hexdigest()
-    return [signal.model_dump_json(exclude={"path"}), digest]
+    return [signal.model_dump_json(exclude={"path"}), digest_of_file(Path(signal.path))]
 
 
 def _packed(result: Result) -> Kept:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections.abc import Sequence
@@ -29,7 +28,7 @@ from hammerstein.dynamics import (
     WithLoop,
 )
 from hammerstein.errors import InputError, Mistake
-from hammerstein.files import is_there, read_limited, write_atomic
+from hammerstein.files import digest_of, is_there, read_limited, write_atomic
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile, Normals
 from hammerstein.model.covariance import ParameterCovariance, ParameterCovarianceFile, drawn_blocks
 from hammerstein.notebook_repr import NotebookRepr
@@ -330,7 +329,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         words = {"format", "name", "inputs", "outputs", "provenance", "verdict"}
         content = json.loads(ModelFile.of(self).model_dump_json(exclude=words, exclude_none=True))
         content["voltages"] = self.recorded.model_dump(exclude={"poling"})  # that follows from the others
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+        return digest_of(content)[:16]
 
     def to_json(self) -> str:
         """Text of the model file: full precision, sorted keys, a list of numbers in one line."""

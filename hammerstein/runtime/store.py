@@ -1,17 +1,16 @@
 """Results of a run kept on the disk under a key of their contents, so that nothing is done twice.
 
-An entry is plain JSON and raw arrays with a checksum: nothing in it can execute. It belongs to the user
+An entry is an .npz file of plain numbers with checksums: nothing in it can execute. It belongs to the user
 alone, several runs may share the folder, and what was used longest ago goes when it grows too large.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
+import io
 import json
 import os
 import stat
-import struct
 import time
 import warnings
 from collections.abc import Mapping
@@ -23,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.errors import InputError, Notice
-from hammerstein.files import UNFINISHED, reason_of, write_atomic
+from hammerstein.files import UNFINISHED, digest_of, reason_of, write_atomic
 from hammerstein.runtime.cache import folder_of_runs
 from hammerstein.runtime.provenance import computed_by
 
@@ -38,9 +37,8 @@ SHARE = 0.25
 """Part of it that one entry may have."""
 FORSAKEN_S = 3600.0
 """Age of a half-written file whose process must be dead."""
-MAGIC = b"hammerstein kept 1\n"
-DTYPES = ("<f8", "<i8", "|b1", "|u1")
-_LENGTHS = struct.Struct("<Q")
+HEAD = "key and document"
+"""Name of the array that holds these as JSON."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,15 +76,15 @@ class Store:
             return None
         path = self._path(key)
         try:
-            data = _read(path)
-            entry = None if data is None else _parsed(data, key)
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            entry = _loaded(path, key)
+        except FileNotFoundError:
+            return None
+        except Exception:  # a damaged file raises nearly anything
             text = f"{path}: what was kept was spoilt and is worked out again"
             warnings.warn(text, Notice, stacklevel=2)
             return None
-        if entry is not None:
-            with contextlib.suppress(OSError):
-                os.utime(path)  # the least recently used goes first
+        with contextlib.suppress(OSError):
+            os.utime(path)  # the least recently used goes first
         return entry
 
     def write(self, key: str, entry: Kept) -> None:
@@ -101,10 +99,7 @@ class Store:
             path.parent.mkdir(mode=0o700, exist_ok=True)
             write_atomic(path, data, private=True)
         except (InputError, OSError) as error:
-            what = (
-                reason_of(error) if isinstance(error, OSError) else error.mistakes[0].what.partition(";")[0]
-            )
-            self.problem = f"{self.folder}: results are not kept ({what}); the run goes on without"
+            self.problem = _useless(self.folder, error)
             return
         self._written.add(key)
         self._unseen += len(data)
@@ -118,7 +113,7 @@ class Store:
 
     def _path(self, key: str) -> Path:
         if self.elsewhere:
-            key = hashlib.sha256(f"{key} {self.elsewhere}".encode()).hexdigest()
+            key = digest_of([key, self.elsewhere])
         return self.folder / key[:2] / key[2:]
 
     def _shrink(self) -> None:
@@ -151,11 +146,6 @@ def key_of(kind: str, content: Any) -> str:
     content : everything that the result depends on beside them
     """
     return digest_of([kind, computed_by(), content])
-
-
-def digest_of(content: Any) -> str:
-    """Digest of plain JSON, in which the order of keys says nothing."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def opened(fresh: bool = False) -> tuple[Store | None, str]:
@@ -212,58 +202,21 @@ def _is_private(status: os.stat_result) -> bool:
     return status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
-def _read(path: Path) -> bytes | None:
-    """Bytes of an ordinary file; None if there is none."""
-    flags = (
-        os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-    )
-    try:
-        handle = os.open(path, flags)
-    except FileNotFoundError:
-        return None
-    with os.fdopen(handle, "rb") as file:
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
-            raise ValueError("no ordinary file")
-        return file.read()
-
-
 def _bytes(entry: Kept, key: str) -> bytes:
-    """An entry as bytes: mark, checksum, length of the head, head, arrays one after the other."""
-    arrays = {name: _plain(array) for name, array in entry.arrays.items()}
-    listed = [[name, array.dtype.str, list(array.shape)] for name, array in arrays.items()]
-    head = json.dumps({"document": entry.document, "arrays": listed}).encode()
-    raw: list[Any] = [array.reshape(-1).view(np.uint8).data for array in arrays.values()]
-    body = [_LENGTHS.pack(len(head)), head, *raw]
-    return b"".join([MAGIC, _checksum(key, *body), *body])  # one copy of the arrays, which may be large
+    """An entry as the bytes of an .npz file."""
+    file, head = io.BytesIO(), json.dumps([key, entry.document]).encode()
+    arrays: dict[str, Any] = {HEAD: np.frombuffer(head, np.uint8), **entry.arrays}
+    np.savez(file, **arrays)
+    return file.getvalue()
 
 
-def _plain(array: NDArray[Any]) -> NDArray[Any]:
-    plain = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
-    if plain.dtype.str not in DTYPES:
-        raise TypeError(f"arrays of {array.dtype} are not kept")
-    return plain
-
-
-def _parsed(data: bytes, key: str) -> Kept:
-    """Entry of these bytes; ValueError where they are not what was written under this key."""
-    start = len(MAGIC) + hashlib.sha256().digest_size
-    body = memoryview(data)[start:]
-    if not data.startswith(MAGIC) or data[len(MAGIC) : start] != _checksum(key, body):
-        raise ValueError("checksum")
-    end = _LENGTHS.size + _LENGTHS.unpack_from(body)[0]
-    head = json.loads(bytes(body[_LENGTHS.size : end]))
-    arrays = {}
-    for name, dtype, shape in head["arrays"]:
-        if dtype not in DTYPES:
-            raise ValueError("dtype")
-        count = int(np.prod(shape, dtype=np.int64))
-        arrays[name] = np.frombuffer(body, dtype, count, end).reshape(shape)
-        end += arrays[name].nbytes
-    return Kept(head["document"], arrays)
-
-
-def _checksum(key: str, *body: bytes | memoryview) -> bytes:
-    digest = hashlib.sha256(key.encode())
-    for part in body:
-        digest.update(part)
-    return digest.digest()
+def _loaded(path: Path, key: str) -> Kept:
+    """Entry of a file; an error of any kind where it is not what was written under this key."""
+    if not stat.S_ISREG(path.lstat().st_mode):
+        raise ValueError("no ordinary file")
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as found:
+        arrays = dict(found)
+    own_key, document = json.loads(arrays.pop(HEAD).tobytes())
+    if own_key != key:
+        raise ValueError("key of another entry")
+    return Kept(document, arrays)

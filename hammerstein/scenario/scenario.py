@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import json
 import math
@@ -19,7 +18,7 @@ from hammerstein.actuators import DEFAULT
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.errors import InputError, Mistake
-from hammerstein.files import read_limited
+from hammerstein.files import digest_of, digest_of_file, read_limited
 from hammerstein.metrics import Metric, metrics_of
 from hammerstein.model import place_of
 from hammerstein.plugins import load_plugins
@@ -280,23 +279,17 @@ class Scenario(Strict):
 
         Raises OSError where a file cannot be read.
         """
-        return [self.portable(), [_digest_of(path) for path in self.files()]]
+        return [self.portable(), [digest_of_file(path) for path in self.files()]]
 
     def digest(self) -> str:
         """Short hash of everything in the scenario that changes its numbers, what its files hold included."""
         content = {key: value for key, value in self.portable().items() if key not in WORDS}
-        content |= {path.name: _digest_of(path) for path in self._files()}
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+        content |= {path.name: digest_of_file(path) for path in self._files()}
+        return digest_of(content)[:16]
 
 
 for _family in (SIGNALS, COMPENSATORS, ASSESSMENTS):
     _family.used_by(Scenario)
-
-
-def _digest_of(path: Path) -> str:
-    """Hash of a file, however large."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 ScenarioSource = Scenario | str | Path | Mapping[str, Any]

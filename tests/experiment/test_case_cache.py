@@ -23,7 +23,7 @@ from hammerstein.experiment.run import run
 from hammerstein.files import UNFINISHED
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime import provenance, store as kept_results
-from hammerstein.runtime.store import DTYPES, Kept, Store, key_of
+from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario.uncertainty import Uncertainty
 
 SCENARIO = {
@@ -257,16 +257,14 @@ def test_an_entry_that_is_not_what_was_written_is_told_and_worked_out(store, wor
 
 
 def test_numbers_alone_are_kept_and_read(store):
-    with pytest.raises(TypeError):
-        store.write("a" * 64, Kept(None, {"objects": np.array([object()])}))
-    key, arrays = "b" * 64, {f"{dtype} {n}": np.ones(n, dtype) for dtype in DTYPES for n in (0, 3)}
+    dtypes = ("<f8", "<i8", "|b1", "|u1")
+    key, arrays = "b" * 64, {f"{dtype} {n}": np.ones(n, dtype) for dtype in dtypes for n in (0, 3)}
     store.write(key, Kept({"a": [1, None, float("inf")]}, arrays))
     found = store.read(key)
     assert found.document == {"a": [1, None, float("inf")]}
     for name, array in arrays.items():
         np.testing.assert_array_equal(found.arrays[name], array, strict=True)
-    body = store._path(key).read_bytes()[len(kept_results.MAGIC) + 32 :].replace(b"<f8", b"|O8")
-    store._path(key).write_bytes(kept_results.MAGIC + kept_results._checksum(key, body) + body)
+    store.write(key, Kept(None, {"objects": np.array([_Executes()])}))
     with pytest.warns(Notice, match="spoilt"):
         assert store.read(key) is None
 
