@@ -46,12 +46,26 @@ def test_many_reports_end_in_fifteen_lines(reports: list[Report], tmp_path: Path
     lines = digest(reports, tmp_path)
     assert len(lines) <= 15
     assert lines[0] == f"open first: {tmp_path / 'index.html'}"
-    told = [line for line in lines if " um with " in line]
+    told = [line for line in lines if line.endswith(" um (exact)")]
     assert len(told) == 3
     assert all("20 um" in line and "Hz" in line for line in told)
     assert any("sine, 20 um, 80 Hz" in line for line in told)  # not three of one kind
     assert "  duo_bimorph_static: 0 of 20 met, 0 undecided" in lines
     assert not any("not met" in line for line in lines)
+
+
+def test_a_headline_leaves_out_what_the_range_alone_decides(tmp_path: Path) -> None:
+    """Input y moves y by 50.5 um at 10 V, so no law follows a circle of 52 um."""
+    swept = run(_content(CIRCLE) | {"sweep": {"radius_um": [20, 52]}}, "swept")
+    line = digest([swept], tmp_path)[1]
+    words, _, value = line.removesuffix(" um (exact)").rpartition(": ")
+    assert words == "swept: worst error, circle, 20 um, 50 Hz"
+    assert float(value) < 0.5
+    write_overview([swept], tmp_path)
+    assert "beyond the drive's range: 52 um" in (tmp_path / "index.html").read_text(encoding="utf-8")
+    beyond = run(_content(CIRCLE | {"radius_um": 52}), "beyond")
+    told = digest([beyond], tmp_path)[1]
+    assert float(told.removesuffix(" um (exact)").rpartition(": ")[2]) > 0.5
 
 
 def test_claims_have_a_section_of_their_own_below_the_examples(reports: list[Report], tmp_path: Path) -> None:

@@ -9,7 +9,15 @@ from pathlib import Path
 from urllib.parse import quote
 
 from hammerstein.experiment.report import Report
-from hammerstein.experiment.selection import Condition, is_direct, labels_of, number
+from hammerstein.experiment.selection import (
+    Condition,
+    by_condition,
+    is_direct,
+    labels_of,
+    number,
+    told_apart,
+)
+from hammerstein.metrics import Row
 from hammerstein.reporting.html.markup import rendered
 from hammerstein.reporting.page import place_of
 from hammerstein.runtime.storage.manifest import Manifest, Owner
@@ -29,6 +37,7 @@ class Card:
     page, picture : places of its report and its key figure, as links; the picture may be missing
     told : what the numbers are
     worst : label and worst error of each compensator or model, best first
+    beyond : conditions that are left out, since the drive's range cut the voltages of every compensator
     """
 
     name: str
@@ -38,6 +47,7 @@ class Card:
     told: str
     worst: tuple[tuple[str, str], ...]
     more: int
+    beyond: str
     verdicts: str
 
 
@@ -66,7 +76,7 @@ def digest(reports: Sequence[Report], out: Path) -> list[str]:
     lines = [f"open first: {out / PAGE}"]
     for report in [r for r in _telling(reports) if not r.judgements][:MOST_SHOWN]:
         (label, value), told = _worst(report)[0], _told(report)
-        lines.append(f"{report.name}: {told[0].lower()}{told[1:]}: {value} um with {label}")
+        lines.append(f"{report.name}: {told[0].lower()}{told[1:]}: {value} um ({label})")
     for kind, asked in _assessed(reports).items():
         found = [f"  {line}" for line in kind.tally(asked)]
         lines += [f"{kind.title}, judged in each report and on the overview:", *found[:MOST_LINES]]
@@ -113,6 +123,7 @@ def _card(report: Report, out: Path) -> Card:
         told=_told(report),
         worst=tuple(worst[:MOST_SHOWN]),
         more=max(0, len(worst) - MOST_SHOWN),
+        beyond=_beyond_range(report),
         verdicts=_verdicts(report),
     )
 
@@ -125,7 +136,7 @@ def _verdicts(report: Report) -> str:
 
 def _conditions(report: Report) -> str:
     """Signal, amplitude and frequency, such as ``circle, 50 um, 50 to 200 Hz``."""
-    conditions = [Condition.of(row) for row in report.rows]
+    conditions = [Condition.of(row) for row in _within_range(report)]
     sizes = [c.amplitude for c in conditions if c.amplitude is not None]
     parts = [report.scenario.signal.kind, _span(sizes, conditions[0].unit if sizes else "")]
     return ", ".join(part for part in [*parts, _span([c.frequency_hz for c in conditions], "Hz")] if part)
@@ -149,21 +160,45 @@ def _told(report: Report) -> str:
     return words
 
 
+def _within_range(report: Report) -> list[Row]:
+    """Rows of conditions that some compensator reaches; all rows where none reaches any.
+
+    Where the drive's range cuts the voltages of every compensator, the error is the range's, not theirs.
+    """
+    inside = by_condition(report.rows)
+    reached = [rows for rows in inside.values() if not _all_cut(rows)] or list(inside.values())
+    return [row for rows in reached for row in rows]
+
+
+def _all_cut(rows: Sequence[Row]) -> bool:
+    """Whether the drive's range cut the voltages of every compensator."""
+    cut = {row.compensator for row in rows if row.saturated_samples}
+    return cut == set(labels_of(rows))
+
+
+def _beyond_range(report: Report) -> str:
+    """Conditions that the worst errors leave out, such as ``50 um``."""
+    kept = {Condition.of(row) for row in _within_range(report)}
+    names = told_apart(list(by_condition(report.rows)))
+    return "; ".join(words for condition, words in names.items() if condition not in kept)
+
+
 def _last_trial(report: Report) -> int | None:
     """Last trial of what learns; None where nothing does."""
     return max((row.trial for row in report.rows if row.trial is not None), default=None)
 
 
 def _worst(report: Report) -> list[tuple[str, str]]:
-    """Largest error of the true position of each label, over its direct transfers and paths.
+    """Largest error of the true position of each label, over direct transfers and paths within range.
 
     Of drawn actuators it is the band whose upper end is largest; of what learns that of the last trial.
     """
     last = _last_trial(report)
     bands = {(band.metric, *band.place): band for band in report.bands}
     found: dict[str, tuple[float, str]] = {}
-    for label in labels_of(report.rows):
-        own = [row for row in report.rows if row.compensator == label and row.trial == last]
+    rows = _within_range(report)
+    for label in labels_of(rows):
+        own = [row for row in rows if row.compensator == label and row.trial == last]
         values = []
         for row in [row for row in own if is_direct(report, row)] or own:
             metric = "euclidean_max_true_um" if row.euclidean_max_true_um else "max_true_um"
