@@ -12,7 +12,7 @@ from functools import cache, partial
 import numpy as np
 
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
-from hammerstein.errors import HammersteinError
+from hammerstein.errors import HammersteinError, IdentificationError
 from hammerstein.identification.choices import PLAYS, identifiable_kinds
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.identify import identify
@@ -198,6 +198,8 @@ def _identified(records: tuple[Record, ...], validation: tuple[Record, ...], ask
             if kind in fit.candidates
         )
         return _Given(asked, tuple(models))
+    if model.hysteresis.kind != asked.hysteresis:
+        return _Given(asked, error=IdentificationError(f"not identifiable: {fit.not_identifiable[0]}"))
     dynamic = not isinstance(model.dynamics, StaticDynamics)
     if asked.name.endswith(WITH_DYNAMICS) and not dynamic:
         return _Given(asked)  # the same as the kind alone

@@ -153,6 +153,13 @@ class Identifiable(ABC):
         """Blocks with more numbers, tried after this one; none where it is as large as it gets."""
         return ()
 
+    def without_own(self) -> tuple[Self, str] | None:
+        """The block whose numbers beside plays do nothing, and in words what they tell; None if it has none.
+
+        Where it is as good as the block itself, the records do not determine those numbers: plays are kept.
+        """
+        return None
+
     def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
         """Sentences about the numbers that were found, for the report."""
         return []

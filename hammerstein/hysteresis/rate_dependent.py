@@ -343,6 +343,11 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         side[first : first + sizes[input_]], bound[first] = np.sign(least), least
         return Bounds(np.eye(len(side)), side, bound)
 
+    def without_own(self) -> tuple[RateDependent, str]:
+        """Plays whose thresholds do not grow."""
+        still = tuple(replace(plays, growth_s=np.zeros(len(plays.growth_s))) for plays in self.inputs)
+        return replace(self, inputs=still, weight_covariance=None), "how thresholds grow with the rate"
+
     def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
         """Give the growth of every input."""
         return [

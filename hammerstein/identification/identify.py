@@ -129,6 +129,12 @@ def identify(
     built, trials = _kept(task, built)
     if not plain:
         task, built = with_hysteresis(replace(task, settings=asked), built)
+        if built.untold:
+            classical = replace(asked, hysteresis=PLAYS)
+            model, fit = identify(
+                records, classical, validation=validation, name=name, instruments=instruments, progress=tell
+            )
+            return model, replace(fit, not_identifiable=(built.untold, *fit.not_identifiable))
         held_starts = _starts_of_held(held, built, settle_s_of(guesses), settings)
     fitted = _scores(built, ready, task.starts, settings)
     judged = _scores(built, held, held_starts, settings) if held else {}

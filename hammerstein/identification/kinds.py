@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics
 from hammerstein.hysteresis import Hysteresis
-from hammerstein.hysteresis.identifiable import Driven
+from hammerstein.hysteresis.identifiable import Driven, Identifiable
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.behind import Behind, search_behind, sure_behind
 from hammerstein.identification.choice import Trial, chosen, trial_of
@@ -103,8 +103,26 @@ def with_hysteresis(task: Task, built: Built) -> tuple[Task, Built]:
     if name == built.kind == "static_hysteresis" and task.delay_samples != with_plays:
         plays = _better(task, plays, _plays_of(task))
     models = {**plays, name: Found(found.candidate, before.blocks, axes)}
-    notes = (*built.notes, *found.block.notes)
-    return task, replace(built, found=models, kind=name, axes=axes, notes=notes)
+    notes, untold = (*built.notes, *found.block.notes), _untold(task, thresholds_v, found)
+    return task, replace(built, found=models, kind=name, axes=axes, notes=notes, untold=untold)
+
+
+def _untold(task: Task, thresholds_v: Thresholds, found: Whole) -> str:
+    """What the records do not tell of a block: it is as good when its numbers beside plays do nothing."""
+    block = found.block.hysteresis
+    own = block.without_own() if isinstance(block, Identifiable) else None
+    if own is None:
+        return ""
+    without, words = own
+    like = Replacement(cast("Hysteresis[Any]", without), rough=True)
+    plain = _before(task, thresholds_v, found.behind, like)
+    with_own, alone = (replace(t, usable=True) for t in trials_of(task, [found, plain]))
+    if chosen([replace(alone, parameters=0), with_own]):
+        return ""
+    return (
+        f"{words}: plays alone leave {alone.percent:.3g} % of the range on folds of the records, "
+        f"{task.settings.hysteresis} {with_own.percent:.3g} %; plays are kept"
+    )
 
 
 def _plays_of(task: Task) -> dict[Kind, Found]:

@@ -103,7 +103,8 @@ class Found:
 class Built:
     """All models that were fitted: the best of each kind, and others by name.
 
-    ``axes`` is what the records say about the axes, also where the model has none.
+    ``axes`` is what the records say about the axes, also where the model has none; ``untold`` what they do
+    not say of the kind of hysteresis, so that plays are as good.
     """
 
     found: dict[Kind, Found]
@@ -111,6 +112,7 @@ class Built:
     axes: tuple[AxisFit, ...] = ()
     notes: tuple[str, ...] = ()
     others: tuple[tuple[str, Found], ...] = ()
+    untold: str = ""
 
     @property
     def best(self) -> Found:

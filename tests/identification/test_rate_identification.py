@@ -8,10 +8,11 @@ import theory
 from block_fits import fit_kind
 from likeness import assert_alike
 
+from hammerstein.comparison.compare import compare
 from hammerstein.compensators.exact.inverse import ExactInverse
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import IdentificationError
-from hammerstein.hysteresis import RateDependent, RatePlays
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii, RateDependent, RatePlays
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
@@ -68,6 +69,30 @@ def test_one_rate_cannot_tell_growth():
     block = RateDependent((RatePlays(R, [0.0, 3e-4, 3e-4, 3e-4], 400.0),), ((np.ones(4),),)).on_grid(T)
     with pytest.raises(IdentificationError, match="driven at one rate"):
         fit_kind("rate_dependent", records_of(block, sines((50.0,), (6,))), grids=[R])
+
+
+@cache
+def without_growth():
+    """An actuator of plays alone, driven at three rates."""
+    block = PrandtlIshlinskii([[Pair(R, [4.0, 0.5, 0.7, 0.9])]])
+    return records_of(block, sines((10.0, 60.0, 200.0), (1, 2, 4)), 0.04)
+
+
+def test_growth_that_is_not_there_is_not_identifiable_and_plays_are_kept():
+    model, fit = identify(without_growth(), Settings(hysteresis="rate_dependent", error_curve=False))
+    assert isinstance(model.hysteresis, PrandtlIshlinskii)
+    told = fit.not_identifiable[0]
+    assert told.startswith("how thresholds grow with the rate: plays alone leave")
+    assert told.endswith("plays are kept")
+    noise = 100.0 * 0.04 / np.ptp(without_growth()[0].y_um)
+    assert fit.fit[fit.kind].mean_percent == pytest.approx(noise, rel=0.05)
+
+
+def test_a_comparison_says_that_growth_is_not_identifiable():
+    found = compare(without_growth(), Settings(dynamics="none", error_curve=False))
+    reasons = {failed.hysteresis: failed.reason for failed in found.failed}
+    assert "how thresholds grow with the rate" in reasons["rate_dependent"]
+    assert "rate_dependent" not in [entry.hysteresis for entry in found.entries]
 
 
 @cache
