@@ -69,7 +69,7 @@ def run(
     from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.folder import Writer
     from hammerstein.reporting.html.interactive import refuse_without_library
-    from hammerstein.reporting.html.overview import OVERVIEW, PAGE
+    from hammerstein.reporting.overview import OVERVIEW, PAGE
     from hammerstein.runtime import store as kept_results
     from hammerstein.runtime.storage.staging import prepare
 
@@ -139,7 +139,7 @@ def _show_plan(paths: Sequence[Path], jobs: int) -> None:
 def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None, overwrite: bool) -> list[Report]:
     """Write what stands over several reports: what was asked of them, the overview."""
     from hammerstein.commands.terminal_tables import kept_aside
-    from hammerstein.reporting.html.overview import write_overview
+    from hammerstein.reporting.overview import write_overview
 
     reports = [outcome.report for outcome in outcomes if outcome.report is not None]
     kept = [place for outcome in outcomes for place in outcome.kept]
@@ -159,7 +159,7 @@ def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None, overwr
 def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: Path, as_json: bool) -> None:
     """Print the results, and where the reports are."""
     from hammerstein.commands.terminal_tables import judgement_tables, result_table
-    from hammerstein.reporting.html.overview import digest
+    from hammerstein.reporting.overview import digest
     from hammerstein.reporting.summary import doubts
 
     if as_json:
@@ -284,7 +284,7 @@ def check(
     from hammerstein.experiment.batch import load_all
     from hammerstein.regression.check import check_files
     from hammerstein.regression.result import JUNIT, SUMMARY
-    from hammerstein.reporting.html.check_page import CHECK_PAGE, check_page
+    from hammerstein.reporting.check_page import CHECK_PAGE, check_page
     from hammerstein.runtime.storage.staging import prepare_file
 
     outputs = (("--junit", junit, JUNIT), ("--markdown", markdown, SUMMARY), ("--html", html, CHECK_PAGE))

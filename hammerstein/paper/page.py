@@ -12,7 +12,7 @@ from hammerstein.escaping import cell, markdown_page
 from hammerstein.experiment.report import Report
 from hammerstein.model import HammersteinModel, packaged_actuators
 from hammerstein.paper.judgements import ClaimJudgement, Simulated
-from hammerstein.reporting.page import place_of
+from hammerstein.reporting.run_page import place_of
 from hammerstein.runtime.storage.manifest import Manifest, Owner
 from hammerstein.runtime.storage.staging import Stage, staged
 

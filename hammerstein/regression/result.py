@@ -8,6 +8,7 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from xml.etree import ElementTree
 
@@ -131,20 +132,30 @@ class CheckResult:
 
     def markdown(self) -> str:
         """Give a summary page: one line a scenario, then what differs."""
-        lines = [Markdown(TITLE), "", Markdown("| scenario | result |"), Markdown("|---|---|")]
+        return Markdown("\n\n").join([Markdown(TITLE), self.body()]) + "\n"
+
+    def body(self, figures: Mapping[str, Markdown] = MappingProxyType({})) -> Markdown:
+        """Summary without its title.
+
+        figures : of a scenario by its name, below what differs
+        """
+        lines = [Markdown("| scenario | result |"), Markdown("|---|---|")]
         for check in self.checks:
             found = check.headline.removeprefix(f"{check.name}: ")
             mark = Markdown("pass" if check.passed else "**FAIL**")
             note = "; new: " + ", ".join(check.new_columns) if check.new_columns else ""
             lines.append(Markdown("| {} | {}: {} |").format(check.name, mark, found + note))
-        for check in self.checks:
+        parts = [Markdown("\n").join(lines)]
+        for check in sorted(self.checks, key=lambda check: check.passed):
+            shown = [figures[check.name]] if figures.get(check.name) else []
             if not check.passed:
                 body = check.lines(self.baseline_folder)
                 fence = Markdown("`" * max(3, 1 + _longest_run_of_ticks(body)))
-                shown = [Markdown(clean(line)) for line in body]
-                title = Markdown("## {}").format(check.name)
-                lines += ["", title, "", fence + Markdown("text"), *shown, fence]
-        return Markdown("\n").join([*lines, ""])
+                text = [Markdown(clean(line)) for line in body]
+                shown.insert(0, Markdown("\n").join([fence + Markdown("text"), *text, fence]))
+            if shown:
+                parts += [Markdown("## {}").format(check.name), *shown]
+        return Markdown("\n\n").join(parts)
 
     def junit(self) -> str:
         """Give a JUnit XML file: one test case a scenario, without times so that two runs are equal."""

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hammerstein.comparison.inverting import HEADROOM, SETTLING
 from hammerstein.comparison.result import RULE, Compared, Comparison
-from hammerstein.escaping import Markdown, markdown_page
-from hammerstein.reporting.account_page import AccountPage
+from hammerstein.escaping import Markdown, markdown, markdown_page
+from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import staged
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 COMPARISON = Owner("comparison")
 ALWAYS = ("compare.html", "compare.json", "compare.md")
@@ -25,18 +22,20 @@ CAPTION = (
 )
 
 
-def compare_page(found: Comparison) -> AccountPage:
-    """Page of a comparison."""
-    return AccountPage(
+def compare_page(found: Comparison, figures: Collection[str] = ()) -> Page:
+    """Page of a comparison.
+
+    figures : names of its files beside the page
+    """
+    shown = [Shown("compare", "Error of every model", CAPTION)] if "compare.svg" in figures else []
+    return Page(
         heading=Markdown("# Models compared"),
         what="Comparison",
         title="Which model for these records",
-        points=(),
-        answer=found.sentences(),
+        answer=paragraphs(map(markdown, found.sentences())),
         facts=[f"{len(found.entries)} models", f"records: {', '.join(dict.fromkeys(found.records))}"],
-        captions={"compare": ("Error of every model", CAPTION)},
-        body=_body(found),
-        numbers=("compare.json", found.to_json()),
+        body=paragraphs([figures_section(shown), _body(found)]),
+        numbers=[NumberFile("compare.json", found.to_json())],
     )
 
 
@@ -50,12 +49,13 @@ def write_comparison(
     Raises InputError if they cannot be written.
     """
     with staged(folder, COMPARISON, overwrite) as stage:
-        drawn: dict[str, Figure] = {}
+        drawn: dict[str, bytes] = {}
         if figures:
             from hammerstein.reporting.figures.compared import compared_figure
+            from hammerstein.reporting.figures.write import files_of
 
-            drawn = {"compare": compared_figure(found)}
-        compare_page(found).write(stage, "compare", drawn)
+            drawn = dict(files_of({"compare": compared_figure(found)}))
+        compare_page(found, drawn).write(stage, "compare", drawn)
     return stage.kept
 
 

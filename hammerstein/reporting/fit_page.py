@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.escaping import Markdown, markdown_page
+from hammerstein.escaping import Markdown, markdown, markdown_page
 from hammerstein.experiment.selection import percent
 from hammerstein.hysteresis import BoucWen, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.choice import CLOSE
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.model import HammersteinModel
-from hammerstein.reporting.account_page import AccountPage
+from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs, points
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import staged, staged_beside
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 FIT = Owner("fit")
 MODEL = Owner("model", single=True)
@@ -71,26 +68,26 @@ def fit_json(model: HammersteinModel, fit: Fit) -> str:
     return json.dumps(plain, indent=1, sort_keys=True, allow_nan=False) + "\n"
 
 
-def fit_page(model: HammersteinModel, fit: Fit) -> AccountPage:
+def fit_page(model: HammersteinModel, fit: Fit, figures: Collection[str] = ()) -> Page:
     """Page of a fit; equal fits give equal pages.
 
     Parameters
     ----------
     model, fit : what ``identify`` gave
+    figures : names of its files beside the page
     """
-    return AccountPage(
+    shown = [Shown(name, *text) for name, text in CAPTIONS.items() if f"{name}.svg" in figures]
+    return Page(
         heading=Markdown("# Fit report of {}").format(model.name),
         what="Fit report",
         title=f"How far to trust {model.name}",
-        points=summary(model, fit),
-        answer=[headline(model, fit), fit.verdict],
+        answer=paragraphs([points(summary(model, fit)), *map(markdown, (headline(model, fit), fit.verdict))]),
         facts=[
             KIND_NAMES[fit.kind],
             f"records: {', '.join(PurePath(record.source).name for record in fit.records)}",
         ],
-        captions=CAPTIONS,
-        body=_body(model, fit),
-        numbers=("fit.json", fit_json(model, fit)),
+        body=paragraphs([figures_section(shown), _body(model, fit)]),
+        numbers=[NumberFile("fit.json", fit_json(model, fit))],
     )
 
 
@@ -107,12 +104,13 @@ def write_fit(
         stage = opened.enter_context(staged(folder, FIT, overwrite))
         together = folder.resolve() == path.parent.resolve()
         models = stage if together else opened.enter_context(staged_beside(path, MODEL, overwrite))
-        drawn: dict[str, Figure] = {}
+        drawn: dict[str, bytes] = {}
         if figures:
             from hammerstein.reporting.figures.identified import identified_figures
+            from hammerstein.reporting.figures.write import files_of
 
-            drawn = identified_figures(fit)
-        fit_page(model, fit).write(stage, "report", drawn)
+            drawn = dict(files_of(identified_figures(fit)))
+        fit_page(model, fit, drawn).write(stage, "report", drawn)
         models.write(path.name, model.to_json(), MODEL)
     return tuple(dict.fromkeys(stage.kept + models.kept))
 

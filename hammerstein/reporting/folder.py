@@ -68,26 +68,17 @@ def write_report(
     InputError : the folder cannot be written, is a link, or holds other people's files under these names
     """
     from hammerstein.reporting.html.interactive import interactive_of
-    from hammerstein.reporting.html.run_page import run_page
-    from hammerstein.reporting.page import render
+    from hammerstein.reporting.run_page import run_page
 
     with staged(folder, REPORT, overwrite) as stage:
         drawn: dict[str, bytes] = {}
         if figures:
             from hammerstein.reporting.figures.kept import drawn as files_drawn
-            from hammerstein.reporting.figures.write import write_drawn
 
-            drawn = write_drawn(stage, files_drawn(report, store, png).items())
+            drawn = files_drawn(report, store, png)
         if traces is not None:
             _write_traces(report, stage, traces)
-        if report.bands:
-            stage.write("bands.csv", report.bands_to_csv())
-        if report.sensitivities:
-            stage.write("sensitivities.csv", report.sensitivities_to_csv())
-        stage.write("rms.csv", report.to_csv())
-        stage.write("report.md", render(report, list(drawn)))
-        stage.write("report.html", run_page(report, drawn, interactive_of(report) if interactive else None))
-        stage.write("report.json", report.to_json())
+        run_page(report, drawn).write(stage, "report", drawn, interactive_of(report) if interactive else None)
     return WrittenReport(tuple(stage.written), stage.kept)
 
 

@@ -1,260 +1,115 @@
-"""The page of a report: the question, the answer, figures, numbers, and how it was run."""
+"""The page of a run, a fit, a comparison or a check: one Markdown text, also rendered for a browser."""
 
 from __future__ import annotations
 
-import inspect
-import math
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import PurePath
-from typing import TYPE_CHECKING, Any
+from typing import NamedTuple
 
-from hammerstein.escaping import Markdown, code, markdown, markdown_page
-from hammerstein.experiment.report import Report, Trace
-from hammerstein.experiment.selection import identified_at, percent
-from hammerstein.metrics import METRICS
-from hammerstein.model import HammersteinModel
-from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
-from hammerstein.reporting.figures.smooth_path import is_sparse
-from hammerstein.reporting.summary import sentences
-from hammerstein.reporting.tables import number_tables
-from hammerstein.scenario.source import ModelSource
+from hammerstein.escaping import Markdown
+from hammerstein.reporting.html.interactive import Interactive
+from hammerstein.reporting.html.markup import html_of, link_to, rendered
+from hammerstein.runtime.storage.staging import Stage
 
-if TYPE_CHECKING:
-    pass
+
+class NumberFile(NamedTuple):
+    """File with numbers for programs, beside a page."""
+
+    name: str
+    content: str
+    media_type: str = "application/json"
+
+
+class Verdict(NamedTuple):
+    """What was judged, in few words, and whether all of it is as it was wanted."""
+
+    words: str
+    good: bool
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A figure on the page: its file, what it is, and how to read it."""
+class Page:
+    """What was found, and what it rests on.
 
-    svg: str
+    heading : of the Markdown page
+    what, title : of the page for a browser
+    answer : sentences, the most important first
+    body : figures, tables and remarks, under headings
+    facts : few words each
+    verdict : of what the numbers were judged by, if by anything
+    numbers : files with every number
+    """
+
+    heading: Markdown
+    what: str
     title: str
-    caption: str
+    answer: Markdown
+    body: Markdown
+    facts: Sequence[str] = ()
+    verdict: Verdict | None = None
+    numbers: Sequence[NumberFile] = ()
+
+    def markdown(self) -> str:
+        """Page as Markdown; equal values give equal bytes."""
+        names = Markdown(", ").join(Markdown("`{}`").format(Markdown(file.name)) for file in self.numbers)
+        end = Markdown("Every number with full precision is in {}.\n").format(names)
+        return Markdown("\n\n").join([self.heading, self.answer, self.body, end])
+
+    def html(self, drawn: Mapping[str, bytes], interactive: Interactive | None = None) -> str:
+        """Page for a browser; equal values give equal bytes.
+
+        drawn : bytes of its figures by name, as SVG
+        interactive : plots to zoom into, if they were asked for
+        """
+        body, headings = html_of(self.body, drawn)
+        return rendered(
+            "page.html.jinja",
+            page=self,
+            answer=html_of(self.answer)[0],
+            headings=headings,
+            body=body,
+            links=[link_to(*file) for file in self.numbers],
+            interactive=interactive,
+        )
+
+    def write(
+        self, stage: Stage, stem: str, drawn: Mapping[str, bytes], interactive: Interactive | None = None
+    ) -> None:
+        """Write both pages, the figures, and the files with every number."""
+        for name, content in drawn.items():
+            stage.write(name, content)
+        for file in self.numbers:
+            stage.write(file.name, file.content)
+        stage.write(f"{stem}.md", self.markdown())
+        stage.write(f"{stem}.html", self.html(drawn, interactive))
 
 
-# What a figure is and how to read it, by the first words of its file name; longer ones first.
-TITLES = {
-    "trials_true": "Error of the true position against trial",
-    "trials": "Error against trial",
-    "sweep_true": "Error of the true position against frequency",
-    "sweep": "Sweep over frequency",
-    "operators": "Error against the number of operators",
-    "loops": "Loops",
-    "errors": "Errors over time",
-    "drift": "Drift",
-    "sensitivity": "What the spread is due to",
-    "path": "Path and axes over time",
-}
-CAPTIONS = {
-    "sensitivity": "Parts of the variance over the drawn actuators, for each compensator where its 95 % band "
-    "ends highest. Dark: of the parameter alone; pale: with all it does together with others; thin: 95 % "
-    "limits. Errors of the weights of one axis hang together and count as one parameter.",
-    "sweep_true": "As above, for the true position, which a sensor without lag and noise would read.",
-    "sweep": "One panel for each transfer, one curve for each compensator or model. Both axes are "
-    "logarithmic where the values span more than about a decade.",
-    "trials_true": "The error that no learner sees, one panel for each measured axis. Trial 1 is without "
-    "learning; each one after it corrects the voltages by what the sensor read in the one before.",
-    "trials": "The same, as the sensor reads it.",
-    "operators": "The rms error of models that differ by their number of play operators alone.",
-    "loops": "One row of panels for each measured axis, one column for each driven one. Each curve is the "
-    "mean of the measured cycles.",
-    "errors": "The sensor's reading less what it is compared with; of a path also the distance of the true "
-    "position. Where one curve would hide others the scale is logarithmic, of errors with a sign beyond the "
-    "first tick on each side of zero. The worst error in the legend is that of the whole run, also where a "
-    "part of it is drawn.",
-    "drift": "The mean error of the true position over each measured cycle, of the axis that is driven.",
-    "path": "(a) the path in the plane, (b) the axes over time. Thin short dashes are "
-    "what the path is compared with. The legend gives the worst distance of the whole run.",
-}
+class Shown(NamedTuple):
+    """A figure on a page: its file without ending, what it is, and how to read it."""
 
-IS_TRUE = "True is the actuator's position, without the sensor."
-READS_TRUTH = "The sensor is ideal: it reads the true position."
+    name: str
+    title: str
+    caption: str = ""
 
-MOST_STATEMENTS = 15
-
-# What tells the rows of rms.csv apart; each figure of merit says itself what it is.
-KEYS = {
-    "compensator": "label of the compensator or model in the scenario; empty if the actuator is alone",
-    "excited_axis": 'axis that was driven, the others being held at zero; "all" if they were driven together',
-    "measured_axis": "axis whose position the row is about",
-    "frequency_hz": "frequency of the signal [Hz], the higher of two; 0 for a signal from a file",
-    "amplitude_v": "amplitude or radius of the driving voltage [V]",
-    "amplitude_um": "amplitude or radius of the reference [um]",
-    "trial": "which trial of a compensator that learns; the first is without learning",
-}
+    def markdown(self) -> Markdown:
+        """Picture and caption."""
+        picture = Markdown("![{} ({})]({}.svg)\n\n*{}.* {}").format(
+            self.title, self.name, self.name, self.title, self.caption
+        )
+        return Markdown(picture.rstrip())
 
 
-def render(report: Report, figures: Sequence[str] = ()) -> str:
-    """Markdown page of a report; equal reports give equal bytes.
-
-    Parameters
-    ----------
-    report : result of ``hammerstein.experiment.run.run``
-    figures : names of its files beside the page, of which the SVG are shown
-
-    Examples
-    --------
-    >>> from hammerstein.experiment.run import run
-    >>> from hammerstein.scenario.scenario import Scenario
-    >>> scenario = Scenario.model_validate({
-    ...     "question": "How large is a loop?", "actuator": "duo_bimorph_static",
-    ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}})
-    >>> print(render(run(scenario, "loop")).splitlines()[2])
-    **How large is a loop?**
-    """
-    statements = gathered(report.statements)
-    return markdown_page(
-        "report.md.jinja",
-        report=report,
-        answer=_answer(report),
-        figures=[picture_of(name, report) for name in sorted(figures, key=place_of) if name.endswith(".svg")],
-        statements=statements[:MOST_STATEMENTS],
-        unsaid=len(statements[MOST_STATEMENTS:]),
-        tables=list(number_tables(report)),
-        setting=list(setting_of(report)),
-        sources=[source_of(s) for s in (*report.scenario.compensators, *report.scenario.models)],
-        glossary=glossary_of(report),
-        asked=report.scenario.assessment,
-        judged=[judgement.cells() for judgement in report.judgements],
-    )
+def figures_section(shown: Iterable[Shown]) -> Markdown:
+    """Figures under their heading; empty where there are none."""
+    figures = [one.markdown() for one in shown]
+    return Markdown("\n\n").join([Markdown("## Figures"), *figures]) if figures else Markdown()
 
 
-def _answer(report: Report) -> list[tuple[Markdown, list[Markdown]]]:
-    """The answer with its labels in italics; no text of the scenario is taken for Markdown."""
-    opening, closing = "\ue000", "\ue001"
-
-    def quoted(label: str) -> str:
-        return opening + re.sub(f"[{opening}{closing}]", "", label) + closing
-
-    def told(text: str) -> Markdown:
-        return Markdown(re.sub(f"[{opening}{closing}]", "*", markdown(text)))
-
-    return [sentence.map(told) for sentence in sentences(report, quoted)]
+def points(texts: Iterable[str]) -> Markdown:
+    """List of sentences."""
+    return Markdown("\n").join(map(Markdown("* {}").format, texts))
 
 
-def gathered(statements: Sequence[str]) -> list[str]:
-    """Statements, what is said of several things but once.
-
-    >>> gathered(["plays: no inverse", "The sensor lags.", "Bouc-Wen: no inverse"])
-    ['plays; Bouc-Wen: no inverse', 'The sensor lags.']
-    """
-    about: dict[str, list[str]] = {}
-    for statement in statements:
-        of, _, said = statement.partition(": ")
-        about.setdefault(said or statement, []).extend([of] if said else [])
-    return ["; ".join(dict.fromkeys(of)) + ": " * bool(of) + said for said, of in about.items()]
-
-
-def _kind(name: str) -> str:
-    """First words of a file name that TITLES knows; empty if none does."""
-    return next((kind for kind in TITLES if name.startswith(kind)), "")
-
-
-def place_of(name: str) -> tuple[int, str]:
-    """Order on the page: what is compared first, then its errors, the true position last."""
-    order = (
-        *("drift", "loops", "path", "operators", "trials_true", "trials", "sweep"),
-        *("errors", "sweep_true", "sensitivity", ""),
-    )
-    return order.index(_kind(name)), name
-
-
-def picture_of(name: str, report: Report) -> Picture:
-    """What the figure of a file is, and how to read it."""
-    kind, stem = _kind(name), PurePath(name).stem
-    compared, models = report.scenario.reference is not None, report.scenario.models
-    banded = [
-        "A line with a band is the median of the drawn actuators, the band 5 to 95 % of them; a thin line is "
-        "the nominal actuator."
-    ] * bool(report.bands)
-    remarks = {
-        "loops": ["The wide grey line is the ideal.", _lag(report)] * compared
-        + ["Dark broken lines are the models."] * bool(models and len(models) <= MOST_OVERLAYS),
-        "sweep": ["A vertical tick stands where a curve's model was identified."]
-        * bool(identified_at(report))
-        + banded,
-        "trials_true": banded,
-        "trials": banded,
-        "path": [READS_TRUTH if report.reads_truth else IS_TRUE] * compared
-        + ["Dots are the samples, few a turn; smooth curves join them."] * any(map(_sparse, report.traces)),
-    }
-    caption = " ".join([CAPTIONS.get(kind, ""), *remarks.get(kind, [])])
-    return Picture(name, TITLES.get(kind, stem), caption)
-
-
-def _sparse(trace: Trace) -> bool:
-    return trace.signal.smooth and is_sparse(trace.time_s, 1.0 / trace.signal.highest_frequency_hz)
-
-
-def _lag(report: Report) -> str:
-    """What a first-order sensor alone opens of a straight loop: sin(atan(f / f_b)) of its height."""
-    bandwidth = report.instruments.sensor.bandwidth_hz
-    highest = max(row.frequency_hz for row in report.rows)
-    if math.isinf(bandwidth):
-        return ""
-    opened = math.sin(math.atan(highest / bandwidth))
-    return (
-        f"The curves are readings: the lag of the {bandwidth:g} Hz sensor alone opens a straight loop by "
-        f"{percent(opened)} of its height at {highest:g} Hz."
-    )
-
-
-def glossary_of(report: Report) -> list[tuple[str, str]]:
-    """The columns that this report fills."""
-    meanings = KEYS | {name: metric.meaning for name, metric in METRICS.items()}
-    return [
-        (name, meaning)
-        for name, meaning in meanings.items()
-        if any(getattr(row, name) not in (None, "") for row in report.rows)
-    ]
-
-
-def setting_of(report: Report) -> Iterator[tuple[str, str]]:
-    """What was run, as pairs of a name and a text."""
-    scenario, portable = report.scenario, report.scenario.portable()
-    model = HammersteinModel.load(scenario.actuator)
-    yield "Actuator", Markdown("{}, dynamics: {}").format(code(report.actuator), model.dynamics.describe())
-    for name in ("drive", "reference"):
-        if name in portable:
-            kind = {"kind": portable[name]["kind"]}
-            yield ("Drive in V" if name == "drive" else "Reference in um"), _listed(kind | portable[name])
-    if portable.get("sweep"):
-        yield "Swept", _listed(portable["sweep"])
-    if scenario.uncertainty is not None:
-        yield "Drawn actuators, relative deviations", _listed(scenario.uncertainty.model_dump())
-    yield "Measured", _listed(scenario.measure.model_dump())
-    yield "Converter and amplifier", _listed(report.instruments.drive.model_dump())
-    yield "Sensor", _listed(report.instruments.sensor.model_dump())
-    yield "Seed of the noise", str(scenario.seed)
-    yield "Digest of the scenario", code(report.digest)
-    yield "Digest of the actuator's model", code(report.model_digest)
-
-
-def source_of(source: ModelSource) -> tuple[str, str, str, str]:
-    """Label, law, settings and origin of a compensator or model."""
-    described = (inspect.getdoc(type(source)) or "").splitlines()
-    is_law = hasattr(source, "law")
-    what = described[0].rstrip(".") if is_law and described else "Prandtl-Ishlinskii model"
-    own = source.model_dump(
-        mode="json", exclude_defaults=True, exclude={"label", "law", "identification", "model"}
-    )
-    if source.identification is None:
-        return source.label, what, _listed(own, plain=True), f"file {PurePath(str(source.model)).name}"
-    found = source.identification.model_dump(mode="json", exclude_none=True)
-    return source.label, what, _listed(own, plain=True), f"identified: {_listed(found, plain=True)}"
-
-
-def _listed(values: dict[str, Any], plain: bool = False) -> str:
-    """Keys and values in one line, as in ``frequency_hz = 50, amplitude_v = 10``."""
-    texts = [f"{key} = {_value(value)}" for key, value in values.items()]
-    return ", ".join(texts) if plain else Markdown(", ").join(map(code, texts))
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(_value(v) for v in value)}]"
-    if isinstance(value, float):
-        return f"{value:.10g}"
-    return str(value).lower() if isinstance(value, bool) else str(value)
+def paragraphs(parts: Iterable[str]) -> Markdown:
+    """Parts of a page below each other, but for empty ones."""
+    return Markdown("\n\n").join(part for part in parts if part)

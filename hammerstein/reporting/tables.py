@@ -18,7 +18,9 @@ from hammerstein.experiment.selection import (
 )
 from hammerstein.metrics import Row
 
-MOST_FREQUENCIES = 6
+MOST_LINES = 250
+"""Lines of all tables together; a longer sweep is thinned."""
+SHOWN_FREQUENCIES = (1000, 40, 20, 10, 6)
 MOST_LOOPS = 32  # more are left to rms.csv
 
 
@@ -32,16 +34,20 @@ class NumberTable:
     remark: str = ""
 
 
-def number_tables(report: Report, frequencies: int = MOST_FREQUENCIES) -> Iterator[NumberTable]:
+def number_tables(report: Report) -> list[NumberTable]:
     """Errors of the reading, errors of the true position, and loops, as far as the report has them.
 
-    A long sweep is shown at a few frequencies: its ends, those of identification, and some between.
-
-    Parameters
-    ----------
-    report : what was found
-    frequencies : how many are shown at most
+    A sweep that a page cannot hold is shown at a few frequencies: its ends, those of identification, and some
+    between.
     """
+    for frequencies in SHOWN_FREQUENCIES:
+        found = list(_tables(report, frequencies))
+        if sum(len(table.lines) for table in found) <= MOST_LINES:
+            break
+    return found
+
+
+def _tables(report: Report, frequencies: int) -> Iterator[NumberTable]:
     kept, remark = _kept_rows(report, frequencies)
     if any(row.rms_um is not None for row in kept):
         target = "reference" if report.scenario.reference is not None else "prediction"

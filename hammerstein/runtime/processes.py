@@ -33,7 +33,7 @@ LOADED_ONCE = (
     *FOR_RUNS,
     "hammerstein.commands.cli",
     "hammerstein.reporting.figures.write",
-    "hammerstein.reporting.page",
+    "hammerstein.reporting.run_page",
     "matplotlib.backends.backend_agg",
     "matplotlib.backends.backend_svg",
     "pandas",

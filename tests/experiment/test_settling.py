@@ -6,7 +6,7 @@ import pytest
 
 from hammerstein.experiment.run import run
 from hammerstein.model import HammersteinModel
-from hammerstein.reporting.page import gathered
+from hammerstein.reporting.run_page import gathered
 
 SINE = {"kind": "sine", "amplitude_um": 20.0, "frequency_hz": 50.0, "axis": 1}
 UNEVEN_HZ = 15.1

@@ -11,7 +11,7 @@ from hammerstein.experiment.selection import number
 from hammerstein.experiment.uncertainty_bands import _bands
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
-from hammerstein.reporting.html.overview import write_overview
+from hammerstein.reporting.overview import write_overview
 from hammerstein.runtime.workers import Processes
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.uncertainty import Uncertainty

@@ -23,8 +23,7 @@ from hammerstein.hysteresis.kind import SWEEP_SAMPLES
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
-from hammerstein.reporting.html.run_page import run_page
-from hammerstein.reporting.page import render
+from hammerstein.reporting.run_page import run_page
 from hammerstein.scenario.assessment import ASSESSMENTS, Assessment, Judgement
 from hammerstein.signals import SIGNALS, OnAxes, OneFrequency
 
@@ -239,8 +238,8 @@ def test_an_assessment_from_outside_has_judgement_page_tolerance_and_baseline(da
     (judgement,) = report.judgements
     assert judgement.worst_um == report.to_frame()["max_true_um"].max()
     assert not judgement.agrees
-    assert "## Promises of the data sheet" in render(report)
-    assert "Promises of the data sheet" in run_page(report, {})
+    assert "## Promises of the data sheet" in run_page(report).markdown()
+    assert "Promises of the data sheet" in run_page(report).html({})
     baseline = tmp_path / "promised.json"
     hammerstein.check(asked, baseline, update=True)
     assert "worst_of_all_um" in baseline.read_text()

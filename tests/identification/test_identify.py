@@ -97,7 +97,7 @@ def test_what_is_found_is_written_and_runs_again(bimorph_fit, tmp_path):
     assert again.to_json() == model.to_json()
     assert again.provenance["invertible"] is True
     assert again.hysteresis.pairs[0][0].weight_errors_um_per_v.min() > 0.0
-    page = fit_page(model, fit).markdown(["loops.svg"])
+    page = fit_page(model, fit, ["loops.svg"]).markdown()
     assert fit.verdict in page
     assert "![Loops](loops.svg)" in page
     assert "| **Hammerstein** |" in page

@@ -7,7 +7,7 @@ import hammerstein
 from hammerstein import metrics
 from hammerstein.metrics.path_errors import PathErrors
 from hammerstein.paper.epsilon import epsilon
-from hammerstein.reporting.page import render
+from hammerstein.reporting.run_page import run_page
 
 f, T = 50.0, 50e-6
 t = np.arange(4000) * T
@@ -83,7 +83,7 @@ def test_a_metric_from_outside_has_column_glossary_claim_tolerance_and_baseline(
     largest = float(report.to_frame()["crossing_um"].max())
     assert largest == pytest.approx(58.4, abs=0.3)  # facts: half height of the loop of x
     assert report.judgements[0].agrees
-    assert "largest reading of either sign" in render(report)
+    assert "largest reading of either sign" in run_page(report).markdown()
     baseline = tmp_path / "far.json"
     hammerstein.check(scenario, baseline, update=True)
     assert "crossing_um" in baseline.read_text()

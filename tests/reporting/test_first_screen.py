@@ -14,7 +14,7 @@ from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.identification.identify import identify
 from hammerstein.reporting.fit_page import fit_page
-from hammerstein.reporting.html.overview import digest, write_overview
+from hammerstein.reporting.overview import digest, write_overview
 
 CIRCLE = {"kind": "circle", "radius_um": 20, "frequency_hz": 50}
 SINE = {"kind": "sine", "amplitude_um": 20, "frequency_hz": 80}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -18,9 +19,9 @@ from hammerstein.experiment.run import run
 from hammerstein.experiment.selection import number
 from hammerstein.metrics import KEY, METRICS, Row
 from hammerstein.reporting.figures import figures_of
-from hammerstein.reporting.page import KEYS, render
+from hammerstein.reporting.run_page import KEYS, run_page
 from hammerstein.reporting.summary import answer
-from hammerstein.reporting.tables import MOST_FREQUENCIES, number_tables
+from hammerstein.reporting.tables import number_tables
 
 SINE_V = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}
 SINE_UM = {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 50.0}
@@ -53,6 +54,10 @@ def sine() -> Report:
 @cache
 def swept() -> Report:
     return report_of(reference=SINE_UM, sweep=SIX, compensators=[PAPER, NONE], assessment=of_figure("Fig. 9"))
+
+
+def render(report: Report, figures: Sequence[str] = ()) -> str:
+    return run_page(report, figures).markdown()
 
 
 def with_rms(report: Report, rms_of: Any) -> Report:
@@ -285,11 +290,20 @@ def test_table_of_a_path_holds_distance_radius_and_the_paper_s_epsilon() -> None
     assert true.lines[1][-1] == number(row.radial_max_true_um)
 
 
-def test_a_long_sweep_is_shown_at_its_ends_and_where_models_were_identified() -> None:
+def test_a_sweep_is_shown_whole_where_the_page_can_hold_it() -> None:
+    table = next(iter(number_tables(report_of(drive=SINE_V, sweep=TEN, models=[MODEL]))))
+    assert [float(line[1]) for line in table.lines] == TEN["frequency_hz"]
+    assert not table.remark
+
+
+def test_a_longer_sweep_is_shown_at_its_ends_and_where_models_were_identified(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("hammerstein.reporting.tables.MOST_LINES", 9)
     report = report_of(drive=SINE_V, sweep=TEN, models=[MODEL])
     table = next(iter(number_tables(report)))
     shown = [float(line[1]) for line in table.lines]
-    assert len(shown) == MOST_FREQUENCIES
+    assert len(shown) == 6
     assert {10.0, 70.0, 100.0} <= set(shown)
     assert table.remark == "Shown are 6 of 10 frequencies; all are in `rms.csv`."
     assert table.remark in render(report)
@@ -350,7 +364,7 @@ def test_how_it_was_run_is_told_without_clock_and_place(tmp_path: Path) -> None:
         "`noise_um = 0.02`",
         "`bandwidth_hz = 2000`",
         "`range_v = [-10, 10]`",
-        "Seed of the noise: 7",
+        "| Seed of the noise | 7 |",
         report.digest,
         report.model_digest,
     ):
@@ -382,10 +396,10 @@ def test_claims_of_the_paper_are_a_table() -> None:
             assessment={"kind": "paper", "claims": [claim, claim | {"id": "C2", "paper": 200.0}]},
         )
     )
-    first, second = (cells(line) for line in page.splitlines() if line.startswith("| C"))
+    first, second = (cells(line) for line in page.splitlines() if re.match(r"\| C\d", line))
     assert first[:4] == ["C1", "The loop of x is 2 x 58 um high", "", "116 um"]
     assert float(first[5]) == pytest.approx(116.8 / 116.0, abs=0.01)
-    assert (first[7], second[7]) == ("met", "not met")
+    assert (first[7], second[7]) == ("*met*", "**not met**")
 
 
 def test_words_of_the_user_do_not_break_the_page() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
@@ -13,7 +13,7 @@ from hammerstein.experiment.report import Report
 from hammerstein.reporting.figures.choice import figures_of
 from hammerstein.reporting.figures.style import PNG_COLOURS, PNG_DPI, styled
 from hammerstein.runtime.storage.manifest import Owner
-from hammerstein.runtime.storage.staging import Stage, staged
+from hammerstein.runtime.storage.staging import staged
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,16 +59,9 @@ def save_figures(
     InputError : the folder cannot be written, or holds other people's files under these names
     """
     with staged(folder, owner, overwrite) as stage:
-        write_drawn(stage, files_of(figures, png=True))
+        for name, content in files_of(figures, png=True):
+            stage.write(name, content)
     return stage.written
-
-
-def write_drawn(stage: Stage, files: Iterable[tuple[str, bytes]]) -> dict[str, bytes]:
-    """Write drawn files; gives all of them by name."""
-    found = dict(files)
-    for name, content in found.items():
-        stage.write(name, content)
-    return found
 
 
 def files_of(figures: Mapping[str, Figure], png: bool = False) -> Iterator[tuple[str, bytes]]:

@@ -1,17 +1,20 @@
-"""What all pages share: the template, what is escaped in it, and files that a page carries along."""
+"""Pages for a browser, made of Markdown: figures in their places, and files that a page carries along."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
 
 from markupsafe import Markup
 
 from hammerstein.escaping import Markdown, templates_of
+from hammerstein.reporting.html.vector import inlined
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -35,6 +38,14 @@ class Link:
     href: str
 
 
+@dataclass(frozen=True)
+class Heading:
+    """A part of a page and its anchor."""
+
+    text: str
+    id: str
+
+
 def link_to(name: str, content: str, media_type: str) -> Link:
     """Link that holds the whole file where it is small, so that it comes along with the page."""
     data = content.encode("utf-8")
@@ -52,7 +63,6 @@ def rendered(template: str, **content: Any) -> str:
 def environment() -> Environment:
     """Templates of the pages."""
     found = templates_of("hammerstein", Markup)
-    found.filters |= {"line": line_of, "slug": _slug}
     found.globals |= {"style": _own_file(found, "page.css"), "script": _own_file(found, "page.js")}
     return found
 
@@ -62,50 +72,88 @@ def _own_file(found: Environment, name: str) -> Markup:
     return Markup(found.loader.get_source(found, name)[0])  # of this package
 
 
-def _slug(text: str) -> str:
-    return "-".join("".join(c if c.isalnum() else " " for c in text.lower()).split())
+def html_of(text: Markdown, drawn: Mapping[str, bytes] | None = None) -> tuple[Markup, list[Heading]]:
+    r"""Markdown of ours as HTML, and its headings of the second level.
 
+    drawn : figures that its pictures name, as SVG; they stand where the pictures do, each with its caption
 
-def line_of(text: str) -> Markup:
-    """One line of Markdown as HTML; any other text as it is.
-
-    >>> line_of(Markdown("a *b* `c` <script>"))
-    Markup('a <em>b</em> <code>c</code> &lt;script&gt;')
+    >>> html_of(Markdown("a *b* `c` {}").format("<script>"))[0]
+    Markup('<p>a <em>b</em> <code>c</code> &lt;script&gt;</p>\n')
     """
-    return Markup(_reader().renderInline(Markdown.escape(text)))  # the reader escapes HTML
-
-
-def page_of(text: Markdown) -> Markup:
-    """Markdown of ours as HTML, its tables as those of the templates."""
-    return Markup(_reader().render(text))
+    reader = _reader()
+    tokens = reader.parse(text)
+    headings = _anchored(tokens)
+    _tabulated(tokens)
+    _framed(tokens, drawn or {})
+    return Markup(reader.renderer.render(tokens, reader.options, {})), headings
 
 
 @cache
 def _reader() -> MarkdownIt:
     from markdown_it import MarkdownIt
 
-    reader = MarkdownIt("commonmark", {"html": False}).enable("table")
-    reader.add_render_rule("table_open", _table_open)
-    reader.add_render_rule("table_close", _table_close)
-    return reader
+    return MarkdownIt("commonmark", {"html": False}).enable("table")
 
 
-def _table_open(_: object, tokens: Sequence[Token], start: int, *__: object) -> str:
-    """Numbers stand to the right on one line; long words are broken; a table without heads lists facts."""
-    stop = next(i for i in range(start, len(tokens)) if tokens[i].type == "table_close")
-    cells: dict[str, list[str]] = {"th_open": [], "td_open": []}
-    for before, token in pairwise(tokens[start:stop]):
-        if token.type == "inline":
-            cells[before.type].append(token.content)
-    if not any(cells["th_open"]):
-        kind = "words facts"
-    elif max(map(len, cells["td_open"]), default=0) > LONGEST_NUMBER:
-        kind = "sortable words"
-    else:
-        kind = "sortable numbers"
-    scroll = '<div class="scroll" tabindex="0" role="region" aria-label="table">'
-    return f'{scroll}<table class="{kind}">'
+def _anchored(tokens: Sequence[Token]) -> list[Heading]:
+    """Give each heading an id of its own."""
+    found: list[Heading] = []
+    taken: set[str] = set()
+    for token, words in pairwise(tokens):
+        if token.type == "heading_open":
+            text = "".join(child.content for child in words.children or ())
+            stem = "-".join("".join(c if c.isalnum() else " " for c in text.lower()).split())
+            id_ = next(i for i in (stem, *(f"{stem}-{n}" for n in range(2, len(tokens)))) if i not in taken)
+            taken.add(id_)
+            token.attrSet("id", id_)
+            found += [Heading(text, id_)] * (token.tag == "h2")
+    return found
 
 
-def _table_close(*_: object) -> str:
-    return "</table></div>"
+def _tabulated(tokens: Sequence[Token]) -> None:
+    """Tables scroll by themselves; every cell names its column for a telephone, which shows no heads.
+
+    Numbers stand to the right on one line; long words are broken; a table without heads lists facts.
+    """
+    title = ""
+    for start, token in enumerate(tokens):
+        if token.type == "heading_open":
+            title = tokens[start + 1].content
+        if token.type != "table_open":
+            continue
+        stop = next(i for i in range(start, len(tokens)) if tokens[i].type == "table_close")
+        inside, close = tokens[start:stop], tokens[stop]
+        heads = [text.content for head, text in pairwise(inside) if head.type == "th_open"]
+        cells = [(cell, text.content) for cell, text in pairwise(inside) if cell.type == "td_open"]
+        for number, (cell, _) in enumerate(cells):
+            cell.attrSet("data-name", heads[number % len(heads)])
+        if not any(heads):
+            kind = "words pairs"
+        elif max((len(text) for _, text in cells), default=0) > LONGEST_NUMBER:
+            kind = "sortable words"
+        else:
+            kind = "sortable numbers"
+        scroll = Markup('<div class="scroll" tabindex="0" role="region" aria-label="{}"><table class="{}">')
+        _replaced(token, scroll.format(title, kind))
+        _replaced(close, Markup("</table></div>\n"))
+
+
+def _framed(tokens: Sequence[Token], drawn: Mapping[str, bytes]) -> None:
+    """Put a drawing in the place of each picture, and the paragraph after it below as its caption."""
+    number = 0
+    for at, token in enumerate(tokens):
+        children = token.children or []
+        if token.type != "inline" or [child.type for child in children] != ["image"]:
+            continue
+        number += 1
+        name = unquote(str(children[0].attrs["src"]))
+        title = "".join(child.content for child in children[0].children or ())
+        tokens[at - 1].tag, tokens[at + 1].hidden, tokens[at + 2].tag = "figure", True, "figcaption"
+        tokens[at - 1].attrSet("id", f"figure-{PurePath(name).stem}")
+        drawing = inlined(drawn[name], f"f{number}", title)
+        _replaced(token, Markup('<div class="draw" tabindex="0">{}</div>').format(drawing))
+        _replaced(tokens[at + 4], Markup("</figcaption></figure>\n"))
+
+
+def _replaced(token: Token, html: Markup) -> None:
+    token.type, token.children, token.content = "html_block", None, html

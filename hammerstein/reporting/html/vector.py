@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from xml.etree import ElementTree
 
 from markupsafe import Markup
@@ -13,30 +12,6 @@ _SVG = "{http://www.w3.org/2000/svg}"
 PAGE_PT = 576.0
 """Width of a drawing that is as wide as a page [pt]."""
 _REFERENCE = re.compile(r"#([\w.-]+)")
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """One figure on a page.
-
-    name : of its files, without ending
-    title, caption : what it is, and how to read it
-    picture : the drawing
-    """
-
-    name: str
-    title: str
-    caption: str
-    picture: Markup
-
-
-def drawings(files: Mapping[str, bytes], titles: Mapping[str, str]) -> Iterator[Markup]:
-    """Each figure as an element of a page, from the bytes of ``NAME.svg``.
-
-    titles : text alternative of each name, in the order of the page
-    """
-    for number, (name, title) in enumerate(titles.items(), start=1):
-        yield inlined(files[f"{name}.svg"], f"f{number}", title)
 
 
 def inlined(svg: bytes, prefix: str, title: str) -> Markup:

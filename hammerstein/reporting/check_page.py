@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from hammerstein.escaping import Markdown
 from hammerstein.regression.compare import Kind
-from hammerstein.regression.result import CheckResult, ScenarioCheck
-from hammerstein.reporting.html.markup import rendered
-from hammerstein.reporting.html.vector import Drawn, drawings
+from hammerstein.regression.result import TITLE, CheckResult, ScenarioCheck
+from hammerstein.reporting.page import Page, Shown
 from hammerstein.runtime.storage.manifest import Owner
 
 CHECK_PAGE = Owner("check page", single=True)
@@ -24,17 +24,20 @@ def check_page(result: CheckResult) -> str:
     wanted = [(check, metric) for check in result.checks for metric in _metrics(check)]
     # those that fail first: a page holds only so many
     wanted = sorted(wanted, key=lambda item: item[0].passed)[:MOST_FIGURES]
-    files: dict[str, bytes] = {}
-    titles: dict[str, str] = {}
+    drawn: dict[str, bytes] = {}
+    shown: dict[str, list[Markdown]] = {check.name: [] for check in result.checks}
     for number, (check, metric) in enumerate(wanted):
         courses = courses_of(metric, check.accepted, check.now, check.tolerances)
-        files[f"{number}.svg"] = svg_of(moved_figure(courses, metric))
-        titles[f"{number}"] = f"{check.name}: {metric}, baseline and now"
-    drawn: dict[str, list[Drawn]] = {check.name: [] for check in result.checks}
-    shown = drawings(files, titles)
-    for (check, metric), (name, title), drawing in zip(wanted, titles.items(), shown, strict=True):
-        drawn[check.name].append(Drawn(f"{check.name}-{metric}-{name}", title, "", drawing))
-    return rendered("check.html.jinja", result=result, drawn=drawn, folder=result.baseline_folder)
+        drawn[f"{number}.svg"] = svg_of(moved_figure(courses, metric))
+        shown[check.name].append(Shown(f"{number}", f"{check.name}: {metric}, baseline and now").markdown())
+    failed = sum(not check.passed for check in result.checks)
+    return Page(
+        heading=Markdown(TITLE),
+        what=f"Check against {result.baseline_folder}",
+        title=f"{failed} of {len(result.checks)} scenarios left their baseline",
+        answer=Markdown(),
+        body=result.body({name: Markdown("\n\n").join(figures) for name, figures in shown.items()}),
+    ).html(drawn)
 
 
 def _metrics(check: ScenarioCheck) -> Iterator[str]:

@@ -19,7 +19,7 @@ from hammerstein.experiment.selection import (
 )
 from hammerstein.metrics import Row
 from hammerstein.reporting.html.markup import rendered
-from hammerstein.reporting.page import place_of
+from hammerstein.reporting.run_page import place_of
 from hammerstein.runtime.storage.manifest import Manifest, Owner
 from hammerstein.runtime.storage.staging import staged
 from hammerstein.scenario.assessment import Assessment

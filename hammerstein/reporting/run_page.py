@@ -1,0 +1,292 @@
+"""The page of a run: the question, the answer, figures, numbers, and how it was run."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import PurePath
+from typing import Any
+
+from hammerstein.escaping import Markdown, code, markdown, markdown_page
+from hammerstein.experiment.report import Report, Trace
+from hammerstein.experiment.selection import identified_at, percent
+from hammerstein.metrics import METRICS
+from hammerstein.model import HammersteinModel
+from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
+from hammerstein.reporting.figures.smooth_path import is_sparse
+from hammerstein.reporting.page import NumberFile, Page, Shown, Verdict, figures_section, paragraphs, points
+from hammerstein.reporting.summary import sentences
+from hammerstein.reporting.tables import number_tables
+from hammerstein.scenario.source import ModelSource
+
+# What a figure is and how to read it, by the first words of its file name; longer ones first.
+TITLES = {
+    "trials_true": "Error of the true position against trial",
+    "trials": "Error against trial",
+    "sweep_true": "Error of the true position against frequency",
+    "sweep": "Sweep over frequency",
+    "operators": "Error against the number of operators",
+    "loops": "Loops",
+    "errors": "Errors over time",
+    "drift": "Drift",
+    "sensitivity": "What the spread is due to",
+    "path": "Path and axes over time",
+}
+CAPTIONS = {
+    "sensitivity": "Parts of the variance over the drawn actuators, for each compensator where its 95 % band "
+    "ends highest. Dark: of the parameter alone; pale: with all it does together with others; thin: 95 % "
+    "limits. Errors of the weights of one axis hang together and count as one parameter.",
+    "sweep_true": "As above, for the true position, which a sensor without lag and noise would read.",
+    "sweep": "One panel for each transfer, one curve for each compensator or model. Both axes are "
+    "logarithmic where the values span more than about a decade.",
+    "trials_true": "The error that no learner sees, one panel for each measured axis. Trial 1 is without "
+    "learning; each one after it corrects the voltages by what the sensor read in the one before.",
+    "trials": "The same, as the sensor reads it.",
+    "operators": "The rms error of models that differ by their number of play operators alone.",
+    "loops": "One row of panels for each measured axis, one column for each driven one. Each curve is the "
+    "mean of the measured cycles.",
+    "errors": "The sensor's reading less what it is compared with; of a path also the distance of the true "
+    "position. Where one curve would hide others the scale is logarithmic, of errors with a sign beyond the "
+    "first tick on each side of zero. The worst error in the legend is that of the whole run, also where a "
+    "part of it is drawn.",
+    "drift": "The mean error of the true position over each measured cycle, of the axis that is driven.",
+    "path": "(a) the path in the plane, (b) the axes over time. Thin short dashes are "
+    "what the path is compared with. The legend gives the worst distance of the whole run.",
+}
+
+IS_TRUE = "True is the actuator's position, without the sensor."
+READS_TRUTH = "The sensor is ideal: it reads the true position."
+
+MOST_STATEMENTS = 15
+
+# What tells the rows of rms.csv apart; each figure of merit says itself what it is.
+KEYS = {
+    "compensator": "label of the compensator or model in the scenario; empty if the actuator is alone",
+    "excited_axis": 'axis that was driven, the others being held at zero; "all" if they were driven together',
+    "measured_axis": "axis whose position the row is about",
+    "frequency_hz": "frequency of the signal [Hz], the higher of two; 0 for a signal from a file",
+    "amplitude_v": "amplitude or radius of the driving voltage [V]",
+    "amplitude_um": "amplitude or radius of the reference [um]",
+    "trial": "which trial of a compensator that learns; the first is without learning",
+}
+
+
+def run_page(report: Report, figures: Iterable[str] = ()) -> Page:
+    """Page of a report; equal reports give equal pages.
+
+    Parameters
+    ----------
+    report : result of ``hammerstein.experiment.run.run``
+    figures : names of its files beside the page, of which the SVG are shown
+
+    Examples
+    --------
+    >>> from hammerstein.experiment.run import run
+    >>> from hammerstein.scenario.scenario import Scenario
+    >>> scenario = Scenario.model_validate({
+    ...     "question": "How large is a loop?", "actuator": "duo_bimorph_static",
+    ...     "drive": {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}})
+    >>> print(run_page(run(scenario, "loop")).markdown().splitlines()[2])
+    **How large is a loop?**
+    """
+    scenario, judged = report.scenario, report.judgements
+    asked = scenario.assessment
+    place = "" if asked is None else asked.place()
+    met = sum(judgement.agrees for judgement in judged)
+    printed = Markdown("{} (*{}*).").format(place[:1].upper() + place[1:], asked.source()) if asked else ""
+    return Page(
+        heading=paragraphs(
+            [
+                Markdown("# {}").format(report.name),
+                Markdown("**{}**").format(scenario.question),
+                printed if place else "",
+            ]
+        ),
+        what=" · ".join([report.name, place] if place else [report.name]),
+        title=scenario.question,
+        answer=_answer(report),
+        body=_body(report, sorted((name for name in figures if name.endswith(".svg")), key=place_of)),
+        facts=list(_facts(report)),
+        verdict=Verdict(f"{met} of {len(judged)} claims met", met == len(judged)) if judged else None,
+        numbers=list(_number_files(report)),
+    )
+
+
+def _answer(report: Report) -> Markdown:
+    """The answer with its labels in italics; no text of the scenario is taken for Markdown."""
+    opening, closing = "\ue000", "\ue001"
+
+    def quoted(label: str) -> str:
+        return opening + re.sub(f"[{opening}{closing}]", "", label) + closing
+
+    def told(text: str) -> Markdown:
+        return Markdown(re.sub(f"[{opening}{closing}]", "*", markdown(text)))
+
+    said = [sentence.map(told) for sentence in sentences(report, quoted)]
+    return paragraphs(part for words, listed in said for part in (words, points(listed)))
+
+
+def _body(report: Report, figures: Sequence[str]) -> Markdown:
+    statements, scenario = gathered(report.statements), report.scenario
+    return markdown_page(
+        "report.md.jinja",
+        report=report,
+        figures=figures_section(figure_of(name, report) for name in figures),
+        statements=statements[:MOST_STATEMENTS],
+        unsaid=len(statements[MOST_STATEMENTS:]),
+        tables=number_tables(report),
+        setting=list(setting_of(report)),
+        sources=[source_of(source) for source in (*scenario.compensators, *scenario.models)],
+        glossary=glossary_of(report),
+        asked=scenario.assessment,
+        judged=[(judgement.agrees, judgement.cells()) for judgement in report.judgements],
+    ).strip()
+
+
+def _facts(report: Report) -> Iterator[str]:
+    scenario = report.scenario
+    yield report.actuator
+    for number, what in ((len(scenario.compensators), "compensator"), (len(scenario.models), "model")):
+        if number:
+            yield f"{number} {what}{'s' * (number > 1)}"
+    found = sorted({row.frequency_hz for row in report.rows if row.frequency_hz})
+    if found:
+        yield f"{found[0]:g} Hz" if len(found) == 1 else f"{found[0]:g} to {found[-1]:g} Hz"
+    yield f"{scenario.signal.kind} {'in V' if scenario.drive is not None else 'in um'}"
+
+
+def _number_files(report: Report) -> Iterator[NumberFile]:
+    yield NumberFile("report.json", report.to_json())
+    yield NumberFile("rms.csv", report.to_csv(), "text/csv")
+    if report.bands:
+        yield NumberFile("bands.csv", report.bands_to_csv(), "text/csv")
+    if report.sensitivities:
+        yield NumberFile("sensitivities.csv", report.sensitivities_to_csv(), "text/csv")
+
+
+def gathered(statements: Sequence[str]) -> list[str]:
+    """Statements, what is said of several things but once.
+
+    >>> gathered(["plays: no inverse", "The sensor lags.", "Bouc-Wen: no inverse"])
+    ['plays; Bouc-Wen: no inverse', 'The sensor lags.']
+    """
+    about: dict[str, list[str]] = {}
+    for statement in statements:
+        of, _, said = statement.partition(": ")
+        about.setdefault(said or statement, []).extend([of] if said else [])
+    return ["; ".join(dict.fromkeys(of)) + ": " * bool(of) + said for said, of in about.items()]
+
+
+def _kind(name: str) -> str:
+    """First words of a file name that TITLES knows; empty if none does."""
+    return next((kind for kind in TITLES if name.startswith(kind)), "")
+
+
+def place_of(name: str) -> tuple[int, str]:
+    """Order on the page: what is compared first, then its errors, the true position last."""
+    order = (
+        *("drift", "loops", "path", "operators", "trials_true", "trials", "sweep"),
+        *("errors", "sweep_true", "sensitivity", ""),
+    )
+    return order.index(_kind(name)), name
+
+
+def figure_of(name: str, report: Report) -> Shown:
+    """What the figure of a file is, and how to read it."""
+    kind, stem = _kind(name), PurePath(name).stem
+    compared, models = report.scenario.reference is not None, report.scenario.models
+    banded = [
+        "A line with a band is the median of the drawn actuators, the band 5 to 95 % of them; a thin line is "
+        "the nominal actuator."
+    ] * bool(report.bands)
+    remarks = {
+        "loops": ["The wide grey line is the ideal.", _lag(report)] * compared
+        + ["Dark broken lines are the models."] * bool(models and len(models) <= MOST_OVERLAYS),
+        "sweep": ["A vertical tick stands where a curve's model was identified."]
+        * bool(identified_at(report))
+        + banded,
+        "trials_true": banded,
+        "trials": banded,
+        "path": [READS_TRUTH if report.reads_truth else IS_TRUE] * compared
+        + ["Dots are the samples, few a turn; smooth curves join them."] * any(map(_sparse, report.traces)),
+    }
+    caption = " ".join([CAPTIONS.get(kind, ""), *remarks.get(kind, [])])
+    return Shown(stem, TITLES.get(kind, stem), caption)
+
+
+def _sparse(trace: Trace) -> bool:
+    return trace.signal.smooth and is_sparse(trace.time_s, 1.0 / trace.signal.highest_frequency_hz)
+
+
+def _lag(report: Report) -> str:
+    """What a first-order sensor alone opens of a straight loop: sin(atan(f / f_b)) of its height."""
+    bandwidth = report.instruments.sensor.bandwidth_hz
+    highest = max(row.frequency_hz for row in report.rows)
+    if math.isinf(bandwidth):
+        return ""
+    opened = math.sin(math.atan(highest / bandwidth))
+    return (
+        f"The curves are readings: the lag of the {bandwidth:g} Hz sensor alone opens a straight loop by "
+        f"{percent(opened)} of its height at {highest:g} Hz."
+    )
+
+
+def glossary_of(report: Report) -> list[tuple[str, str]]:
+    """The columns that this report fills."""
+    meanings = KEYS | {name: metric.meaning for name, metric in METRICS.items()}
+    return [
+        (name, meaning)
+        for name, meaning in meanings.items()
+        if any(getattr(row, name) not in (None, "") for row in report.rows)
+    ]
+
+
+def setting_of(report: Report) -> Iterator[tuple[str, str]]:
+    """What was run, as pairs of a name and a text."""
+    scenario, portable = report.scenario, report.scenario.portable()
+    model = HammersteinModel.load(scenario.actuator)
+    yield "Actuator", Markdown("{}, dynamics: {}").format(code(report.actuator), model.dynamics.describe())
+    for name in ("drive", "reference"):
+        if name in portable:
+            kind = {"kind": portable[name]["kind"]}
+            yield ("Drive in V" if name == "drive" else "Reference in um"), _listed(kind | portable[name])
+    if portable.get("sweep"):
+        yield "Swept", _listed(portable["sweep"])
+    if scenario.uncertainty is not None:
+        yield "Drawn actuators, relative deviations", _listed(scenario.uncertainty.model_dump())
+    yield "Measured", _listed(scenario.measure.model_dump())
+    yield "Converter and amplifier", _listed(report.instruments.drive.model_dump())
+    yield "Sensor", _listed(report.instruments.sensor.model_dump())
+    yield "Seed of the noise", str(scenario.seed)
+    yield "Digest of the scenario", code(report.digest)
+    yield "Digest of the actuator's model", code(report.model_digest)
+
+
+def source_of(source: ModelSource) -> tuple[str, str, str, str]:
+    """Label, law, settings and origin of a compensator or model."""
+    described = (inspect.getdoc(type(source)) or "").splitlines()
+    is_law = hasattr(source, "law")
+    what = described[0].rstrip(".") if is_law and described else "Prandtl-Ishlinskii model"
+    own = source.model_dump(
+        mode="json", exclude_defaults=True, exclude={"label", "law", "identification", "model"}
+    )
+    if source.identification is None:
+        return source.label, what, _listed(own, plain=True), f"file {PurePath(str(source.model)).name}"
+    found = source.identification.model_dump(mode="json", exclude_none=True)
+    return source.label, what, _listed(own, plain=True), f"identified: {_listed(found, plain=True)}"
+
+
+def _listed(values: dict[str, Any], plain: bool = False) -> str:
+    """Keys and values in one line, as in ``frequency_hz = 50, amplitude_v = 10``."""
+    texts = [f"{key} = {_value(value)}" for key, value in values.items()]
+    return ", ".join(texts) if plain else Markdown(", ").join(map(code, texts))
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(_value(v) for v in value)}]"
+    if isinstance(value, float):
+        return f"{value:.10g}"
+    return str(value).lower() if isinstance(value, bool) else str(value)
