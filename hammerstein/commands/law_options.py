@@ -112,6 +112,10 @@ class Reached:
     offset: Annotated[
         str | None, typer.Option(metavar="UM[,UM]", help="Added to the positions of the path, in um.")
     ] = None
+    units: Annotated[
+        str | None,
+        typer.Option("--units", metavar="nm|um|mm", help="Unit of the path, where no column names one."),
+    ] = None
     clip: Annotated[bool, typer.Option("--clip", help="Accept a path partly out of reach.")] = False
     beyond_records: Annotated[
         bool, typer.Option("--beyond-records", help="Accept voltages that were never recorded.")
@@ -130,6 +134,7 @@ class Reached:
             sent.accept_flagged,
             self.lead_in,
             volts("--offset", self.offset),
+            self.units,
         )
 
     def refuse_with_period(self) -> None:

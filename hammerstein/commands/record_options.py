@@ -88,16 +88,13 @@ class RecordFiles:
     def _scale(self) -> float | None:
         """Factor from the displacements of the files to um, where an option gives it."""
         from hammerstein.errors import InputError
-        from hammerstein.signals.units import FACTORS
+        from hammerstein.signals.units import displacement_factor
 
         if self.units is None:
             return self.output_scale
         if self.output_scale is not None:
             raise InputError("--units", "says the same as --output-scale; leave one of them out")
-        known = FACTORS["displacement"]
-        if self.units not in known:
-            raise InputError("--units", f"{self.units!r} is not one of {', '.join(known)}")
-        return known[self.units]
+        return displacement_factor(self.units)
 
     def _named_unit(self) -> bool:
         """Whether the unit of every displacement is known from an option or a name, not taken to be um."""

@@ -202,7 +202,7 @@ def design_of(
     refuse_flagged(model, source, terms)
     limits = allowed_range(model, terms)
     time_s = model.instruments.drive.sample_time_s
-    _, reference, _ = read_path(path, model, time_s, cost=CYCLE_COST, onlooker=onlooker)
+    _, reference, _ = read_path(path, model, time_s, cost=CYCLE_COST, onlooker=onlooker, units=terms.units)
     onlooker.tell("designing the period")
     built = sensorless_law(law, options, model, limits, time_s)
     return Design(model, limits, built, reference, source, str(path))

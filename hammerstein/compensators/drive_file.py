@@ -199,6 +199,7 @@ class Terms:
     accept_flagged : accept a model that its own fit report flagged
     lead_in : go from where the actuator stands to where the path begins first
     offset_um : added to the positions of each output, or of all [um]
+    units : of positions in a file whose columns name none, such as nm
     """
 
     range_v: tuple[float, ...] | None = None
@@ -209,6 +210,7 @@ class Terms:
     accept_flagged: bool = False
     lead_in: bool = False
     offset_um: tuple[float, ...] | None = None
+    units: str | None = None
 
 
 def compensate(
@@ -238,9 +240,12 @@ def compensate(
         leaves the records
     IdentificationError : the model's own fit report flagged it
     """
+    terms = terms or Terms()
     model, source = HammersteinModel.load(model_path), PurePath(model_path).name
     sample_time_s = model.instruments.drive.sample_time_s
-    time_s, reference, resampled = read_path(reference_path, model, sample_time_s, onlooker=onlooker)
+    time_s, reference, resampled = read_path(
+        reference_path, model, sample_time_s, onlooker=onlooker, units=terms.units
+    )
     onlooker.tell("designing the drive")
     try:
         found = compensation_of(model, reference, law, options, terms, source)

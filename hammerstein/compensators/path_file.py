@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.compensators.path_units import in_um
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import duration, size
@@ -87,6 +88,7 @@ def read_path(
     word: str = "reference",
     cost: PathCost = DRIVE_COST,
     onlooker: Onlooker = UNWATCHED,
+    units: str | None = None,
 ) -> tuple[Array, Array, bool]:
     """Times (sample,), positions (output, sample) on the drive's grid, and whether they were resampled.
 
@@ -96,14 +98,16 @@ def read_path(
     word : what a column of a file of ours holds, ``reference`` or ``reading``
     cost : of a sample, in what is done with the path
     onlooker : told the cost before the grid is made
+    units : of the columns that name none
 
     Raises
     ------
-    InputError : the file is no such path
+    InputError : the file is no such path, or its unit must be named, see ``in_um``
     SimulationError : its samples do not fit the memory
     """
     times, values, names = read_signal(path)
-    values = values[chosen(path, names, model.outputs, "displacement", word)]
+    columns = chosen(path, names, model.outputs, "displacement", word)
+    values = in_um(path, [names[i] for i in columns], values[columns], model, units)
     samples = math.floor((times[-1] - times[0]) / sample_time_s + 1e-6) + 1
     if samples < 2:
         raise InputError(str(path), f"is shorter than two samples of {sample_time_s:g} s")

@@ -9,21 +9,16 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.compensators.path_units import half_span_v, travel_um
 from hammerstein.model import HammersteinModel
-
-
-def half_span_v(model: HammersteinModel) -> Array:
-    """Half of what the records covered of each input (m,) [V]; not finite where nothing limits it."""
-    return np.asarray(0.5 * (np.array(model.recorded.highest_v) - np.array(model.recorded.lowest_v)))
 
 
 def model_error_um(model: HammersteinModel) -> Array | None:
     """Rms error of the model itself (p,) [um], by its fit report; None where no record has judged it."""
-    verdict, half = model.verdict, half_span_v(model)
-    if verdict is None or len(verdict.nrmse_percent) != len(model.outputs) or not np.isfinite(half).all():
+    verdict, travel = model.verdict, travel_um(model)
+    if verdict is None or len(verdict.nrmse_percent) != len(model.outputs) or travel is None:
         return None
-    travel_um = 2.0 * np.abs(model.amplitude(half)).max(axis=1)
-    return np.asarray(0.01 * np.array(verdict.nrmse_percent) * travel_um)
+    return np.asarray(0.01 * np.array(verdict.nrmse_percent) * travel)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import Literal, NamedTuple
 
+from hammerstein.errors import InputError
+
 Kind = Literal["voltage", "displacement", "time"]
 
 BASE: dict[Kind, str] = {"voltage": "V", "displacement": "um", "time": "s"}
@@ -58,6 +60,20 @@ def unit_of(word: str) -> Unit | None:
             if symbol.lower() == short:
                 return Unit(symbol, kind, factor)
     return None
+
+
+def displacement_factor(units: str) -> float:
+    """Factor from a unit of length to um; InputError for the option that names another one.
+
+    Examples
+    --------
+    >>> displacement_factor("nm")
+    0.001
+    """
+    known = FACTORS["displacement"]
+    if units not in known:
+        raise InputError("--units", f"{units!r} is not one of {', '.join(known)}")
+    return known[units]
 
 
 def is_unit(word: str) -> bool:

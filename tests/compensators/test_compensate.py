@@ -57,7 +57,7 @@ def test_the_reach_of_a_block_that_knows_the_rate_is_that_of_slow_paths(tmp_path
 
 
 def test_a_start_out_of_the_range_names_its_option(tmp_path, capsys):
-    _circle(tmp_path / "path.csv", samples=30)
+    _circle(tmp_path / "path.csv", samples=300)
     path, out = tmp_path / "path.csv", tmp_path / "d.csv"
     assert _call("compensate", "duo_bimorph_static", path, "--out", out, "--start", "50") == 2
     assert "--start: 50 V of input 1 lies outside" in capsys.readouterr().err

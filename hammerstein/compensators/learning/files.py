@@ -45,19 +45,19 @@ def learn_from_files(
     Raises InputError for files that do not belong together, and what ``cycle_of`` does.
     """
     design = design_of(model_path, path, law, options, terms, onlooker)
-    found, _ = _taught(design, trial, uncertainty)
+    found, _ = _taught(design, trial, uncertainty, terms.units)
     if before is not None:
-        found = found.after(*_taught(design, before, uncertainty))
+        found = found.after(*_taught(design, before, uncertainty, terms.units))
     return design.cycle(found.drive_v, terms), found
 
 
 def _taught(
-    design: Design, trial: tuple[Path, Path], uncertainty: ModelUncertainty
+    design: Design, trial: tuple[Path, Path], uncertainty: ModelUncertainty, units: str | None
 ) -> tuple[IlcUpdate, Array]:
     """What the files of a trial teach, and its drive (m, N)."""
     samples, time_s = design.reference_um.shape[1], design.model.instruments.drive.sample_time_s
     drive = _drive_of(trial[0], design.model, samples)
-    _, measured, resampled = read_path(trial[1], design.model, time_s, "reading", CYCLE_COST)
+    _, measured, resampled = read_path(trial[1], design.model, time_s, "reading", CYCLE_COST, units=units)
     if resampled:
         raise InputError(str(trial[1]), f"is not sampled every {time_s:g} s, as the drive is; record it so")
     bandwidth = design.model.instruments.sensor.bandwidth_hz

@@ -1,0 +1,75 @@
+"""A path whose numbers cannot be um is asked about once; what its unit is, is an option or a header."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from hammerstein.commands.cli import main
+
+T = 50e-6
+RADIUS_UM = 0.05
+N = 400
+
+
+def _call(*words):
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    return ended.value.code or 0
+
+
+def _write(path, factor, names=("x", "y"), radius_um=RADIUS_UM):
+    angle = 2.0 * np.pi * np.arange(N) / N
+    columns = (
+        np.arange(N) * T,
+        factor * radius_um * (np.cos(angle) - 1.0),
+        factor * radius_um * np.sin(angle),
+    )
+    pd.DataFrame(dict(zip(("time_s", *names), columns, strict=True))).to_csv(path, index=False)
+    return path
+
+
+def _reference(path):
+    return pd.read_csv(path, comment="#")[["reference_x_um", "reference_y_um"]].to_numpy()
+
+
+def _drive(path, out, *more):
+    return _call("compensate", "duo_bimorph_static", path, "--law", "exact_inverse", "--out", out, *more)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mm", 1e-3), ("nm", 1e3), ("um", 1.0), ("m", 1e-6)])
+def test_a_small_path_is_asked_about_once_and_its_unit_counts(tmp_path, capsys, unit, factor):
+    path, out = _write(tmp_path / "path.csv", factor), tmp_path / "drive.csv"
+    if unit != "nm":  # 50 nm are 50 um to who does not know better
+        assert _drive(path, out) == 2
+        assert "x, y have no unit" in (said := capsys.readouterr().err)
+        assert "--units nm, um or mm" in said
+        assert not out.exists()
+    assert _drive(path, out, "--units", unit) == 0
+    assert np.abs(_reference(out)).max() == pytest.approx(2.0 * RADIUS_UM, rel=1e-9)
+    named = _write(tmp_path / "named.csv", factor, (f"x ({unit})", f"y [{unit}]"))
+    assert _drive(named, tmp_path / "named_drive.csv") == 0
+    np.testing.assert_allclose(_reference(tmp_path / "named_drive.csv"), _reference(out), atol=1e-9)
+
+
+def test_a_path_far_above_the_travel_is_asked_about(tmp_path, capsys):
+    path = _write(tmp_path / "path.csv", 1e3, radius_um=20.0)
+    assert _drive(path, tmp_path / "drive.csv") == 2
+    assert "in um the path goes to 4e+04 um, and the model travels" in capsys.readouterr().err
+
+
+def test_a_period_has_the_unit_of_its_option(tmp_path, capsys):
+    path, out = _write(tmp_path / "path.csv", 1e-3), tmp_path / "drive.csv"
+    assert _drive(path, out, "--cycle") == 2
+    assert "--units" in capsys.readouterr().err
+    assert _drive(path, out, "--cycle", "--units", "mm") == 0
+    assert np.ptp(_reference(out)[:, 0]) == pytest.approx(2.0 * RADIUS_UM, rel=1e-9)
+
+
+def test_a_unit_that_the_columns_contradict_or_nobody_knows_is_refused(tmp_path, capsys):
+    path, out = _write(tmp_path / "path.csv", 1.0, ("x_um", "y_um"), 5.0), tmp_path / "drive.csv"
+    assert _drive(path, out, "--units", "nm") == 2
+    assert "name their units: x_um, y_um" in capsys.readouterr().err
+    assert _drive(_write(path, 1.0), out, "--units", "inch") == 2
+    assert "--units: 'inch' is not one of um, nm" in capsys.readouterr().err
