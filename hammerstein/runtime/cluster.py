@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hashlib
 import logging
 import pickle
 import socket
@@ -21,6 +20,7 @@ from functools import cache, partial
 from typing import Any, ParamSpec, TypeVar
 
 from hammerstein.errors import InputError, LostProcessError, Notice
+from hammerstein.files import digest_of
 from hammerstein.runtime.provenance import computes_with, processor
 
 P = ParamSpec("P")
@@ -30,7 +30,7 @@ OPTION = "--cluster"
 PATIENCE_S = 5.0
 CLOSING_S = 1.0
 LOOK_S = 2.0
-"""Time between two looks at which workers are there."""
+"""Time between two looks at whether the scheduler and its workers are there."""
 LARGE = "100 MB"
 """Size of a task from which on Dask says that it is large."""
 
@@ -41,6 +41,10 @@ class Cluster(Executor):
     A task whose worker dies is given to another one by the scheduler, up to so many times as it allows
     (``distributed.scheduler.allowed-failures``). Workers may come and go.
 
+    Dask's own executor (``Client.get_executor``) asks for the state of a task after its result, when the
+    worker may be gone: that is a TypeError. It tells nobody of a task that was on its way while the
+    connection broke.
+
     Parameters
     ----------
     client : of the scheduler
@@ -48,25 +52,22 @@ class Cluster(Executor):
     """
 
     def __init__(self, client: Any, address: str) -> None:
-        self.address = address
-        self.workers = 0
-        self._client = client
-        self._expected = computes_with()
-        self._closed, self._gone = threading.Event(), threading.Event()
-        self._open: set[Future[Any]] = set()
-        self._guard = threading.Lock()
-        self._await_workers()
-        self.elsewhere = self._checked()
+        self.address, self._client, self._closed = address, client, threading.Event()
+        self._expected = tuple(computes_with().items())
+        self.workers = self._threads()
+        if not self.workers:
+            self._tell("no worker is there yet; waiting for one")
+            client.wait_for_workers(1)
+            self.workers = self._threads()
+        self.elsewhere = self._processors_elsewhere()
         threading.Thread(target=self._look, daemon=True).start()
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Hand over a function that a worker can import, with its arguments."""
         task = pickle.dumps(partial(fn, *args, **kwargs), protocol=pickle.HIGHEST_PROTOCOL)
         future: Future[T] = Future()
-        with self._guard:
-            if self._gone.is_set() or self._client.status != "running":
-                raise self._lost()
-            self._open.add(future)
+        if self._client.status != "running":
+            raise self._lost()
         try:
             inner = self._client.submit(_done, self._expected, task, pure=False)
             self._client.loop.add_callback(self._hand_over, future, inner)
@@ -82,18 +83,22 @@ class Cluster(Executor):
             self._client.close(timeout=CLOSING_S)
 
     async def _hand_over(self, future: Future[T], inner: Any) -> None:
-        """Tell what has become of a task.
-
-        Dask's own executor asks for the state after the result, when it may be lost again.
-        """
+        """Tell what has become of a task."""
+        error = result = None
         try:
-            result = await inner
-        except BaseException as error:
-            if self._taken(future):
-                future.set_exception(self._told(error))
-        else:
-            if self._taken(future):
-                future.set_result(result)
+            result = await self._result_of(inner)
+        except BaseException as raised:
+            error = self._told(raised)
+        if future.set_running_or_notify_cancel():
+            future.set_result(result) if error is None else future.set_exception(error)  # type: ignore[arg-type]
+
+    async def _result_of(self, inner: Any) -> Any:
+        waiting = asyncio.ensure_future(inner)
+        while not waiting.done() and self._client.status == "running":
+            await asyncio.wait([waiting], timeout=LOOK_S)
+        if not waiting.done():
+            raise self._lost()
+        return waiting.result()
 
     def _told(self, error: BaseException) -> BaseException:
         """An error of Dask in our own words; others as they are."""
@@ -109,67 +114,36 @@ class Cluster(Executor):
             )
         return error
 
-    def _taken(self, future: Future[Any]) -> bool:
-        """Whether it is for the caller to say what has become of a task: only once, and not if cancelled."""
-        with self._guard:
-            known = future in self._open
-            self._open.discard(future)
-        return known and future.set_running_or_notify_cancel()
-
-    def _give_up(self) -> None:
-        """Tell every task that the scheduler is lost.
-
-        One that is handed over while the connection breaks is not told by Dask, and would be waited for.
-        """
-        self._gone.set()
-        with self._guard:
-            left = list(self._open)
-        for future in left:
-            if self._taken(future):
-                future.set_exception(self._lost())
-
     def _lost(self) -> LostProcessError:
         return LostProcessError(
             f"the scheduler at {self.address} is lost; what was finished is kept, and the same command goes "
             "on from there"
         )
 
-    def _await_workers(self) -> None:
-        self.workers = self._threads()
-        if not self.workers:
-            warnings.warn(f"{self.address}: no worker is there yet; waiting for one", Notice, stacklevel=4)
-            self._client.wait_for_workers(1)
-            self.workers = self._threads()
+    def _tell(self, what: str) -> None:
+        warnings.warn(f"{self.address}: {what}", Notice, stacklevel=4)
 
     def _threads(self) -> int:
         """Tasks that the workers take at a time."""
         return sum(self._client.nthreads().values())
 
-    def _checked(self) -> str:
+    def _processors_elsewhere(self) -> str:
         """What computes beside this type of processor; empty if nothing does.
 
         Raises InputError where a worker has other versions.
         """
-        found = self._client.run(_versions_there, on_error="return")
-        unlike = {worker: text for worker, one in found.items() if (text := _unlike(self._expected, one))}
-        if unlike:
-            worker, text = next(iter(unlike.items()))
-            more = f", and {len(unlike) - 1} more" if len(unlike) > 1 else ""
-            raise InputError(
-                OPTION,
-                f"the numbers of a worker would not be those of this machine ({worker}{more}): {text}. "
-                "Install the same on both",
+        try:
+            found = self._client.run(_prepared, self._expected)
+        except ImportError as error:
+            what = f"a worker cannot use hammerstein ({error}); install the same version on both"
+            raise InputError(OPTION, what) from None
+        others = sorted({*found.values()} - {processor()})
+        if others:
+            self._tell(
+                "the workers have another type of processor than this machine; the last digits may differ, "
+                "and their results are kept apart"
             )
-        others = sorted({one["processor"] for one in found.values()} - {processor()})
-        if not others:
-            return ""
-        warnings.warn(
-            f"{self.address}: the workers have another type of processor than this machine; the last digits "
-            "may differ, and their results are kept apart",
-            Notice,
-            stacklevel=4,
-        )
-        return hashlib.sha256("\n".join(others).encode()).hexdigest()
+        return digest_of(others) if others else ""
 
     def _look(self) -> None:
         """Count the workers, and say when none is left: the run waits for others."""
@@ -177,10 +151,10 @@ class Cluster(Executor):
             before = self.workers
             try:
                 self.workers = self._threads()
-            except Exception:
-                return self._give_up()
+            except Exception:  # the scheduler is lost: who waits for a task is told
+                return
             if before and not self.workers:
-                warnings.warn(f"{self.address}: no worker is left; waiting for others", Notice, stacklevel=1)
+                self._tell("no worker is left; waiting for others")
 
 
 @contextmanager
@@ -189,7 +163,7 @@ def joined(address: str) -> Iterator[Cluster]:
 
     Raises
     ------
-    InputError : nothing can be reached there, or a worker has other versions
+    InputError : no scheduler answers there within seconds, or a worker has other versions
     """
     try:
         import dask
@@ -197,47 +171,31 @@ def joined(address: str) -> Iterator[Cluster]:
     except ImportError:
         what = "needs dask.distributed: pip install 'hammerstein-control[cluster]'"
         raise InputError(OPTION, what) from None
-    _refuse_unreachable(address)
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is told by us
+    _refuse_unreachable(address)
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGE}):
         client = Client(address, timeout=PATIENCE_S, set_as_default=False)
-        try:
+        with contextlib.ExitStack() as failed:
+            failed.callback(client.close, timeout=CLOSING_S)
             cluster = Cluster(client, address)
-        except BaseException:
-            with contextlib.suppress(Exception):
-                client.close(timeout=CLOSING_S)
-            raise
+            failed.pop_all()
         with cluster:
             yield cluster
 
 
 def _refuse_unreachable(address: str) -> None:
-    """Refuse what is no address, where nobody listens, and who is no scheduler; within seconds."""
-    from distributed.comm import parse_address, parse_host_port
-    from distributed.comm.registry import get_backend
-
+    """Refuse where no scheduler answers within seconds: a client waits for ever for a port that is mute."""
     try:
-        scheme, place = parse_address(address)
-        get_backend(scheme)
-        host, port = parse_host_port(place)
-    except ValueError as error:
-        what = f"{address!r} is no address of a scheduler ({error}); give one such as tcp://10.0.0.1:8786"
-        raise InputError(OPTION, what) from None
-    try:
-        socket.create_connection((host, port), PATIENCE_S).close()
-    except (OSError, UnicodeError) as error:
-        reason = (getattr(error, "strerror", None) or str(error)).lower()
-        what = f"{address}: nobody answers ({reason}); is the scheduler running, and is this its address?"
-        raise InputError(OPTION, what) from None
-    try:
-        kind = asyncio.run(asyncio.wait_for(_identity(address), PATIENCE_S)).get("type")
+        kind = asyncio.run(asyncio.wait_for(_identity(address), 2.0 * PATIENCE_S)).get("type")
+        reason = "" if kind == "Scheduler" else f"it is a {kind}"
     except Exception as error:
-        kind = type(error).__name__
-    if kind != "Scheduler":
+        reason = str(error) or "it is mute"
+    if reason:
         raise InputError(
             OPTION,
-            f"{address}: answers, but not as a Dask scheduler does ({kind}). Its port is mostly 8786; with "
-            "TLS the address begins with tls://, and Dask's configuration names the certificates",
+            f"{address}: no Dask scheduler answers ({reason}). Is it running, and is this its address, such "
+            "as tcp://10.0.0.1:8786? With TLS it begins with tls://, and Dask's configuration names the "
+            "certificates",
         )
 
 
@@ -251,30 +209,31 @@ async def _identity(address: str) -> Mapping[str, Any]:
         return found
 
 
-def _unlike(expected: Mapping[str, str], found: Mapping[str, str] | Exception) -> str:
-    """Versions that are not those expected, in words; empty if all are."""
-    if isinstance(found, Exception):
-        return f"hammerstein {expected['hammerstein']} here, not usable there ({found})"
-    return ", ".join(
-        f"{name} {here} here, {found.get(name, 'none')} there"
-        for name, here in expected.items()
-        if found.get(name) != here
-    )
-
-
 @cache
-def _versions_there() -> dict[str, str]:
-    """Make a worker ready, and give its versions: sums of one thread depend on nothing."""
+def _prepared(expected: tuple[tuple[str, str], ...]) -> str:
+    """Make a worker ready, whose sums then depend on no number of threads; give its type of processor.
+
+    Raises InputError where its versions are not those that are expected.
+    """
+    found = computes_with()
+    unlike = [
+        f"{name} {here} here, {found.get(name)} there" for name, here in expected if found.get(name) != here
+    ]
+    if unlike:
+        raise InputError(
+            OPTION,
+            f"the numbers of a worker would not be those of this machine ({socket.gethostname()}): "
+            f"{', '.join(unlike)}. Install the same on both",
+        )
     import numpy  # noqa: F401  # each brings a library of its own, and only what is loaded is limited
     import scipy.linalg  # noqa: F401
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(1, "blas")  # for good: other tasks run beside ours
-    return {**computes_with(), "processor": processor()}
+    return processor()
 
 
-def _done(expected: Mapping[str, str], task: bytes) -> Any:
-    """Do a task on a worker; one that has joined since the start may have other versions."""
-    if unlike := _unlike(expected, _versions_there()):
-        raise InputError(OPTION, f"the numbers of a worker that has joined would not be ours: {unlike}")
+def _done(expected: tuple[tuple[str, str], ...], task: bytes) -> Any:
+    """Do a task on a worker, which may have joined since the start."""
+    _prepared(expected)
     return pickle.loads(task)()

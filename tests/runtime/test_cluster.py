@@ -249,12 +249,12 @@ def test_a_task_that_kills_its_workers_is_told(own_dask):
 @pytest.mark.parametrize(
     ("address", "words"),
     [
-        ("nonsense", "no address of a scheduler .missing port"),
-        ("ftp://127.0.0.1:1", "no address of a scheduler .unknown address scheme 'ftp'"),
-        ("tcp://127.0.0.1:{closed}", "nobody answers .connection refused"),
-        ("tcp://nowhere.invalid:8786", "nobody answers"),
-        ("tcp://127.0.0.1:{mute}", "answers, but not as a Dask scheduler"),
-        ("{worker}", "answers, but not as a Dask scheduler does .Worker"),
+        ("nonsense", "missing port"),
+        ("ftp://127.0.0.1:1", "unknown address scheme 'ftp'"),
+        ("tcp://127.0.0.1:{closed}", "no Dask scheduler answers"),
+        ("tcp://nowhere.invalid:8786", "no Dask scheduler answers"),
+        ("tcp://127.0.0.1:{mute}", "no Dask scheduler answers"),
+        ("{worker}", "no Dask scheduler answers"),
     ],
 )
 def test_a_wrong_address_is_one_message_within_seconds(folder, dask, capfd, address, words):
@@ -290,8 +290,8 @@ def test_other_versions_are_named_before_work_is_sent(dask, monkeypatch, name):
 
 def test_a_worker_that_joins_later_is_looked_at_as_well(dask):
     with cluster.joined(dask.address) as crew:
-        crew._expected = crew._expected | {"numpy": "0.0.7"}
-        with pytest.raises(InputError, match=r"has joined would not be ours: numpy 0.0.7 here"):
+        crew._expected = (*crew._expected, ("numpy", "0.0.7"))
+        with pytest.raises(InputError, match=r"would not be those of this machine .*: numpy 0.0.7 here"):
             crew.submit(int, "3").result(30)
 
 
