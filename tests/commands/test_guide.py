@@ -50,6 +50,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "name", [name for name in PAGES if name != "deploy"]
 )  # tests/export/test_export_targets.py runs it
+@pytest.mark.full
 def test_a_page_does_what_it_says(
     name: str, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -88,6 +88,7 @@ def commands_of(page: Path) -> list[str]:
     return [line for block in blocks for line in block.splitlines()]
 
 
+@pytest.mark.full
 def test_every_command_of_the_page_that_init_writes_runs(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -137,7 +138,8 @@ def test_play_does_what_compensate_predicts(folder: Path) -> None:
     for axis in "xy":
         predicted = drive[f"predicted_{axis}_um"].to_numpy()
         assert played[f"position_{axis}_um"].to_numpy() == pytest.approx(predicted, abs=1e-9)
-        assert (played[f"played_u_{axis}_v"] == drive[f"drive_u_{axis}_v"]).all()
+        voltages = drive[f"drive_u_{axis}_v"].to_numpy()  # older pandas is off in the last bit
+        assert played[f"played_u_{axis}_v"].to_numpy() == pytest.approx(voltages, rel=1e-12, abs=1e-14)
 
 
 def test_play_reads_plain_columns_and_adds_the_sensor(folder: Path) -> None:
@@ -270,6 +272,7 @@ def test_every_help_has_one_example_that_works_as_typed(
     assert call(*words[1:]) == 0, capsys.readouterr().err
 
 
+@pytest.mark.full
 def test_quiet_prints_what_is_asked_for_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call("-q", "run", ".", "--no-figures") == 0
     assert capsys.readouterr().out == ""

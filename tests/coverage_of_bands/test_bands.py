@@ -9,6 +9,7 @@ FEWEST = 5
 """Of 8 bands that hold nine tenths of the errors, fewer than 5 hold theirs once in 200 times."""
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "kind",
     [kind for kind in KINDS if not kind.dynamic and kind.hysteresis != "rate_dependent"],

@@ -120,10 +120,11 @@ def _option(parameter: Any, command: str, chance: Any) -> list[str]:
         return [name, chance.choice(("0", "-1", "x", "1"))]
     if name in OUT_OF_FILES:
         return [name, chance.choice(OUT_OF_FILES[name])]
-    kind = str(parameter.type_descriptor.annotation)
+    described = getattr(parameter, "type_descriptor", None)
+    kind = str(described.annotation) if described else repr(parameter.type)  # older Typer: click's types
     if "Path" in kind:
         return [name, chance.choice(FILES)]
-    numeric = "float" in kind or "int" in kind
+    numeric = any(word in kind.lower() for word in ("float", "int"))
     return [name, chance.choice(NUMBERS if numeric and chance.random() < 0.9 else (*WORDS, *NUMBERS))]
 
 

@@ -73,7 +73,8 @@ def test_command_lines(folder):
         seen.append(option_case(line, folder))
 
     campaign()
-    assert {0, 2} <= set(seen)
+    assert 2 in seen
+    assert option_case(["show", "duo_bimorph"], folder) == 0
 
 
 def test_damaged_records(folder):

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.full
+
 TOP = Path(__file__).parents[2]
 PAGE = (TOP / "hammerstein/guide/architecture.md").read_text(encoding="utf-8")
 SCENARIO = {

@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 import hammerstein.examples
 from hammerstein.commands import working_folder
 
+pytestmark = pytest.mark.full
+
 ALL = sorted(Path(hammerstein.examples.__path__[0]).glob("[a-z]*.py"))
 NAMES = [path.stem for path in ALL if path.stem != "stream"]  # which prints times, and runs in real time
 WANTED = {"first_loop", "circle", "identify_csv", "in_python_control", "own_compensator", "limit_cycle"}

@@ -55,6 +55,7 @@ def test_the_readme_has_commands():
     assert len(_blocks("python")) >= 2
 
 
+@pytest.mark.full
 def test_every_command_of_the_readme_runs(own_folder):
     assert own_folder.name == "my_stage"
     for file in ("own.json", "own_fit/report.html", "drive.csv", "played.csv", "controller/selftest.c"):
@@ -67,6 +68,7 @@ def _call(*arguments):
     return caught.value.code or 0
 
 
+@pytest.mark.full
 def test_the_python_of_the_readme_runs(own_folder, monkeypatch):
     """One block after another, as a reader types them."""
     monkeypatch.chdir(own_folder)

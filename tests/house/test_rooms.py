@@ -112,6 +112,7 @@ def test_a_run_to_its_report_enters_few_modules(calls):
     assert 20 < len(modules) <= MODULES_OF_A_RUN
 
 
+@pytest.mark.full
 def test_the_command_identify_enters_few_modules(tmp_path, monkeypatch):
     monkeypatch.setenv("HAMMERSTEIN_CACHE", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)

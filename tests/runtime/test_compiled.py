@@ -110,6 +110,7 @@ MOST_LOOPS = 8
 @pytest.mark.parametrize(
     ("scenario", "most"), [(SCENARIO, MOST_LOOPS), pytest.param(LAWS, 25, marks=pytest.mark.long)]
 )
+@pytest.mark.full
 def test_one_scenario_compiles_what_it_needs_and_the_next_run_nothing(tmp_path, scenario, most):
     (tmp_path / "one.toml").write_text(scenario)
     env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "loops"), "HAMMERSTEIN_CACHE": ""}
