@@ -11,17 +11,21 @@ from dataclasses import dataclass, replace
 from functools import cache
 from heapq import heapify, heappop, heapreplace
 
+import numpy as np
+
+from hammerstein.blocks import Controller, Learner
 from hammerstein.compensators import (
     ExactInverse,
     Feedback,
     HammersteinInverse,
     InverseMultiplicative,
 )
+from hammerstein.compensators.feedback.pid import closed_loop
 from hammerstein.compensators.learning import Learned
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.recording import RECORDED_BLOCK
 from hammerstein.experiment.sensitivity import evaluations, varying
-from hammerstein.experiment.set_up import Window, driven_axes, loaded, plant_of, scenario_axes
+from hammerstein.experiment.set_up import Window, driven_axes, law_of, loaded, plant_of, scenario_axes
 from hammerstein.hysteresis import PrandtlIshlinskii, RateDependent
 from hammerstein.model.simulation import Plant
 from hammerstein.quantities import duration, size
@@ -52,6 +56,7 @@ BYTES_OF_DRAWN_FIGURES = 200
 RESAMPLED_BYTES = 50_000
 TRIED_OPERATORS = 60  # where their number is found
 BYTES_A_FITTED_SAMPLE, BYTES_A_REGRESSOR = 200, 24
+TRIED_SAMPLES = 200  # of a law that plugs in
 TAPS = 13.5  # of a reference filter of half the sample rate
 TOLD_S = 60.0
 LONG_S = 600.0
@@ -236,7 +241,7 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
     axes = len(driven_axes(scenario, len(scenario_axes(scenario, plant.model))))
     others = scenario.sweep.others("frequency_hz")
     cases = samples = work = reading = longest = 0.0
-    a_sample = {c.label: _work(c, plant.sample_time_s) for c in scenario.compensators}
+    a_sample = {c.label: _work(c, plant) for c in scenario.compensators}
     for signal in scenario.signals(only="frequency_hz"):
         total = float(Window.of(scenario, signal, plant.sample_time_s).total)
         tested = [c for c in scenario.compensators if c.is_tested_at(signal.highest_frequency_hz)]
@@ -295,7 +300,7 @@ def _on_drawn(
         )
 
 
-def _work(compensator: TestedCompensator, sample_time_s: float) -> float:
+def _work(compensator: TestedCompensator, plant: Plant) -> float:
     """Time [s] a sample of a law that works more on each than others."""
     kind = _kind(compensator)
     if isinstance(compensator, InverseMultiplicative):
@@ -304,13 +309,30 @@ def _work(compensator: TestedCompensator, sample_time_s: float) -> float:
     if isinstance(compensator, ExactInverse) and kind == RateDependent.kind:
         return SECONDS_A_RATE_DEPENDENT_SAMPLE
     if isinstance(compensator, HammersteinInverse):
-        taps = TAPS * 0.5 / (sample_time_s * compensator.filter_hz) if compensator.filter_hz else 0.0
+        taps = TAPS * 0.5 / (plant.sample_time_s * compensator.filter_hz) if compensator.filter_hz else 0.0
         return SECONDS_A_LOOKED_AHEAD_SAMPLE + SECONDS_A_TAP * taps
     if isinstance(compensator, Feedback):
         return SECONDS_A_FED_BACK_SAMPLE
     if isinstance(compensator, Learned):
         return SECONDS_A_LEARNT_SAMPLE
+    if type(compensator).__module__.partition(".")[0] != __name__.partition(".")[0]:
+        tried_s = [_tried_s(compensator, plant) for _ in range(2)]  # the first may have to be compiled
+        return min(tried_s) / TRIED_SAMPLES / slowness()
     return 0.0
+
+
+def _tried_s(compensator: TestedCompensator, plant: Plant) -> float:
+    """Time of some samples of a law of which nothing is known, designed for the actuator itself."""
+    law = law_of(compensator, plant.model, plant)
+    path_um = np.zeros((law.n_outputs, TRIED_SAMPLES))
+    begun = time.perf_counter()
+    if isinstance(law, Controller):
+        closed_loop(law, plant, path_um, [0])
+    elif isinstance(law, Learner):
+        law.following(path_um, law.first(path_um), path_um)
+    else:
+        law.drive_for(path_um)
+    return time.perf_counter() - begun
 
 
 def _kind(source: ModelSource) -> str:

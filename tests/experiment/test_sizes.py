@@ -1,14 +1,19 @@
 """What is too large is refused before it starts, with the largest part and what makes it smaller."""
 
+import time
+from typing import Literal
+
 import numpy as np
 import pytest
 
 from hammerstein.commands import cli, watch
+from hammerstein.compensators import COMPENSATORS, NoCompensation
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.plan import Part, Plan, jobs_that_fit, longest_first, plan_of, slowness, together
 from hammerstein.experiment.run import run, simulate
-from hammerstein.plugins import load_plugins
+from hammerstein.experiment.set_up import Window, plant_of
+from hammerstein.plugins import load_plugins, register
 from hammerstein.runtime import control_groups, memory
 from hammerstein.runtime.allocate_wires import PAGE, allocate_wires
 from hammerstein.scenario import Scenario
@@ -275,3 +280,31 @@ def test_a_text_of_many_blocks_is_the_text_of_one(monkeypatch):
     monkeypatch.setattr("hammerstein.compensators.drive_csv.ROWS_AT_ONCE", 10)
     assert drive_csv(time_s, groups, ["To be sent."], told.append) == whole
     assert told == [f"writing {n} of 25 rows" for n in (10, 20, 25)]
+
+
+class _SlowLaw(NoCompensation):
+    """Plays what it is told, and takes a millisecond a sample."""
+
+    law: Literal["slow"] = "slow"
+
+    def design(self, model, range_v, sample_time_s):
+        law = super().design(model, range_v, sample_time_s)
+        quick = law.respond
+
+        def respond(reference_um, start=None):
+            time.sleep(1e-3 * np.shape(reference_um)[1])
+            return quick(reference_um, start)
+
+        law.respond = respond
+        return law
+
+
+def test_a_law_that_plugs_in_counts_as_what_it_takes():
+    register(_SlowLaw)
+    try:
+        scenario = _scenario("slow", measure={"measured_cycles": 500})
+        plant, (signal,) = plant_of(scenario), scenario.signals()
+        seconds = 2 * 1e-3 * Window.of(scenario, signal, plant.sample_time_s).total  # two axes
+        assert seconds < plan_of(scenario).seconds < 2.0 * seconds
+    finally:
+        COMPENSATORS.remove(_SlowLaw)
