@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import multiprocessing
 import os
 import shutil
 import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from functools import cache
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,8 @@ def compiled(**options: Any) -> Callable[[Loop], Loop]:
                 dispatcher = numba.njit(cache=folder is not None, **as_options)(loop)
         except RuntimeError:  # a folder within it belongs to somebody else
             folder, dispatcher = None, numba.njit(**as_options)(loop)
-        dispatcher.compile = _OneAtATime(dispatcher.compile, folder, f"{loop.__module__}.{loop.__qualname__}")
+        name = f"{loop.__module__}.{loop.__qualname__}"
+        dispatcher.compile = partial(_compile, dispatcher.compile, folder, name)
         return dispatcher  # type: ignore[no-any-return]  # numba has no types
 
     return decorate
@@ -106,70 +108,49 @@ def spans(samples: int, products: int = LEAST) -> Iterator[tuple[int, int]]:
         yield first, min(first + length, samples)
 
 
-class _OneAtATime:
-    """Compiles a loop, or loads it; of several processes that need it one compiles, the others wait.
+def _compile(compile_it: Callable[[Any], Any], folder: Path | None, name: str, given: Any) -> Any:
+    """Compile a loop for these types, or load it; of several processes that need it one compiles.
 
-    Two processes that keep a loop for different types at once could otherwise take one for the other.
+    Two that keep a loop for different types at once could otherwise take one for the other.
     """
-
-    def __init__(self, compile_it: Callable[[Any], Any], folder: Path | None, name: str) -> None:
-        self.compile_it, self.folder, self.name = compile_it, folder, name
-
-    def __call__(self, given: Any) -> Any:
-        """Give the compiled loop for these types."""
-        if self.folder is None:
-            _warn_once("compiled loops cannot be kept: set NUMBA_CACHE_DIR to a folder that can be written")
-        with _one_thread(), _locked(self.folder, self.name), uncollected():
-            try:
-                return self.compile_it(given)
-            except NumbaError:
+    if folder is None:
+        _warn_once("compiled loops cannot be kept: set NUMBA_CACHE_DIR to a folder that can be written")
+    with _alone(folder, name), uncollected():
+        try:
+            return compile_it(given)
+        except NumbaError:
+            raise
+        except Exception as error:  # a full disk; a damaged file raises nearly anything
+            if folder is None:
                 raise
-            except Exception as error:  # a full disk; a damaged file raises nearly anything
-                if self.folder is None:
-                    raise
-                reason = error
-            with suppress(Exception):
-                found = self.compile_it(given)  # compiled, and not kept
-                _warn_once(f"compiled loops cannot be kept in {self.folder} ({reason})")
-                return found
-            shutil.rmtree(self.folder, ignore_errors=True)
-            return self.compile_it(given)
+            reason = error
+        with suppress(Exception):
+            found = compile_it(given)  # compiled, and not kept
+            _warn_once(f"compiled loops cannot be kept in {folder} ({reason})")
+            return found
+        shutil.rmtree(folder, ignore_errors=True)
+        return compile_it(given)
 
 
 _compiling = threading.RLock()
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    """One thread at a time asks for the locks of loops, of which a compiling one may need several.
+def _alone(folder: Path | None, name: str) -> Iterator[None]:
+    """Hold the lock of a loop, where the system has one and nobody holds it for too long.
 
-    With a time limit: a loop of a user's own that calls these holds the compiler before.
+    One thread at a time asks for such locks, of which a compiling one may need several, and with a time
+    limit: a loop of a user's own that calls these holds the compiler before.
     """
-    held = _compiling.acquire(timeout=LOCK_TIMEOUT_S)
-    try:
+    with ExitStack() as held:
+        if _compiling.acquire(timeout=LOCK_TIMEOUT_S):
+            held.callback(_compiling.release)
+        if folder is not None:
+            lock = filelock.FileLock(folder / f"{name}.lock", timeout=LOCK_TIMEOUT_S, is_singleton=True)
+            with suppress(OSError, NotImplementedError):  # Timeout is an OSError
+                folder.mkdir(parents=True, exist_ok=True)
+                held.enter_context(lock)
         yield
-    finally:
-        if held:
-            _compiling.release()
-
-
-@contextmanager
-def _locked(folder: Path | None, name: str) -> Iterator[None]:
-    """Hold the lock of a loop, where the system has one and nobody holds it for too long."""
-    if folder is None:
-        yield
-        return
-    lock = filelock.FileLock(folder / f"{name}.lock", timeout=LOCK_TIMEOUT_S, is_singleton=True)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock.acquire()
-    except (OSError, NotImplementedError):  # Timeout is an OSError
-        yield
-        return
-    try:
-        yield
-    finally:
-        lock.release()
 
 
 @contextmanager
@@ -223,19 +204,21 @@ def _digest() -> str:
 
 
 class _Watch(numba_events.Listener):
-    """Says once what is compiled and how long that took the last time; keeps how long it takes."""
+    """Says once what is compiled and how long that took the last time; keeps how long it takes.
 
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self.say, self.said, self.depth, self.seconds, self.began = say, False, 0, 0.0, 0.0
+    Processes that work for another one are silent.
+    """
+
+    said, depth, seconds, began = False, 0, 0.0, 0.0
 
     def on_start(self, begun: Any) -> None:
         """Begin to compile a loop, or one that it calls."""
-        if not self.said:
-            self.said = True
+        if not self.said and multiprocessing.parent_process() is None:
             before = _last_time()
             known = f"last time it took {before:.0f} s" if before else "once after installation"
             loop = begun.data["dispatcher"].py_func.__name__
-            self.say(f"compiling {loop} and the other time loops that are needed; {known}")
+            _warn_once(f"compiling {loop} and the other time loops that are needed; {known}")
+        self.said = True
         if self.depth == 0:
             self.began = time.monotonic()
         self.depth += 1
@@ -250,18 +233,7 @@ class _Watch(numba_events.Listener):
                     place.write_text(f"{self.seconds:.1f}\n", encoding="utf-8")
 
 
-_watches: list[_Watch] = []
-
-
-def announce_compiling(say: Callable[[str], None]) -> None:
-    """Let a person know that loops are compiled, once, before the first of them.
-
-    say : told one line, with how long it took the last time
-    """
-    for watch in _watches:
-        event.unregister("numba:compile", watch)
-    _watches[:] = [_Watch(say)]
-    event.register("numba:compile", _watches[0])
+event.register("numba:compile", _Watch())
 
 
 def _note() -> Path | None:
@@ -271,11 +243,10 @@ def _note() -> Path | None:
 
 
 def _last_time() -> float | None:
-    try:
-        place = _note()
-        return None if place is None else float(place.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
+    with suppress(OSError, ValueError):
+        if (place := _note()) is not None:
+            return float(place.read_text(encoding="utf-8"))
+    return None
 
 
 _told: set[str] = set()
@@ -284,4 +255,5 @@ _told: set[str] = set()
 def _warn_once(text: str) -> None:
     if text not in _told:
         _told.add(text)
-        warnings.warn(text, Notice, stacklevel=2)
+        with suppress(Notice):  # where warnings are errors, the loop is compiled all the same
+            warnings.warn(text, Notice, stacklevel=2)

@@ -34,7 +34,6 @@ def compare(
     """Fit every kind of hysteresis and the linear models to the same records, and recommend one."""
     from hammerstein.commands.terminal_tables import kept_aside
     from hammerstein.comparison.compare import compare as compared
-    from hammerstein.compiled import announce_compiling
     from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.compare_page import ALWAYS, COMPARISON, write_comparison
     from hammerstein.runtime.storage.staging import prepare
@@ -43,7 +42,6 @@ def compare(
     held.refuse_fitted(recorded.files)
     refuse_unwritable("--out", out)
     prepare(out, COMPARISON, ALWAYS, overwrite)
-    announce_compiling(complain)
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
     samples = sum(record.samples for record in records)

@@ -66,10 +66,8 @@ def export(
 
 
 def _check(folder: Path, as_json: bool) -> None:
-    from hammerstein.compiled import announce_compiling
     from hammerstein.export.folder import check_export
 
-    announce_compiling(complain)
     files = check_export(folder)
     if as_json:
         tell_json({"check": str(folder), "files": files})
@@ -87,7 +85,6 @@ def _write(
     as_json: bool,
 ) -> None:
     from hammerstein.commands.terminal_tables import kept_aside
-    from hammerstein.compiled import announce_compiling
     from hammerstein.errors import InputError
     from hammerstein.export.folder import ALWAYS, EXPORT, write_export
     from hammerstein.export.request import request_of
@@ -99,7 +96,6 @@ def _write(
     refuse_unwritable("--out", out)
     prepare(out, EXPORT, ALWAYS, overwrite)
     request, loaded = request_of(model, law, sample_time, **given)
-    announce_compiling(complain)
     written = write_export(request, loaded, out, overwrite)
     for place in written.kept:
         complain(kept_aside(place))

@@ -150,7 +150,6 @@ def identify(
 ) -> None:
     """Identify a model from measured records, and say how far it can be trusted."""
     from hammerstein.commands.terminal_tables import gains_table, kept_aside
-    from hammerstein.compiled import announce_compiling
     from hammerstein.errors import InputError
     from hammerstein.escaping import one_line
     from hammerstein.files import refuse_unwritable
@@ -172,7 +171,6 @@ def identify(
     folder = report or out.parent / f"{out.stem}_fit"
     refuse_unwritable("--report", folder)
     prepare(folder, FIT, ALWAYS, overwrite)
-    announce_compiling(complain)
     records, validation = recorded.read(), held.read(recorded)
     gains = recorded.gains(records)
     with Spinner() as spinner:
@@ -197,12 +195,10 @@ def _identify_in_loop(
     recorded: RecordFiles, order: int | None, minutes: float, out: Path, as_json: bool
 ) -> None:
     """Identify hysteresis in the loop; what is found so far is kept beside the model until that is there."""
-    from hammerstein.compiled import announce_compiling
     from hammerstein.escaping import one_line
     from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
     from hammerstein.quantities import LONGEST_NAME
 
-    announce_compiling(complain)
     records = recorded.read()
     recorded.gains(records)
     kept = out.with_name(f"{out.stem}.search.json")
@@ -287,7 +283,6 @@ def compensate(
     from hammerstein.commands.periods import Period, TableRequest, run_up_of, write_cycle, write_ilc_update
     from hammerstein.commands.terminal_tables import compensation_table
     from hammerstein.compensators.drive_file import DRIVE, compensate as compensated
-    from hammerstein.compiled import announce_compiling
     from hammerstein.errors import InputError
 
     if uncertainty is not None and learn is None:
@@ -302,7 +297,6 @@ def compensate(
     periodic = cycle or table is not None or learn is not None
     if periodic:
         refuse_output(run_up_of(out), read, DRIVE, overwrite)
-    announce_compiling(complain)
     terms = reached.terms(sent)
     with told_by_options("compensate", words.own), watched() as onlooker:
         period = Period(model, reference, law, options, terms, out, wanted, as_json, onlooker, overwrite)

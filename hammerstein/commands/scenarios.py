@@ -211,12 +211,10 @@ def _run_what_changed(
 
     if jobs > 1 and len(left) > 1 and cluster is None:
         begin_loading()  # before this process loads what it needs itself
-    from hammerstein.compiled import announce_compiling
     from hammerstein.experiment.batch import run_all
 
     with workers(jobs, cluster) as asked, _planned(left, asked, yes) as crew:
         there = writer.on(crew)
-        announce_compiling(complain)
         with Watch(len(left)) as watch:
             for outcome in run_all(left, there, crew, watch.progress, there.store):
                 watch.finished(outcome.name)
@@ -280,7 +278,6 @@ def check(
 ) -> None:
     """Run scenarios again and compare every number with its baseline."""
     from hammerstein.commands.refusals import write_output
-    from hammerstein.compiled import announce_compiling
     from hammerstein.experiment.batch import load_all
     from hammerstein.regression.check import check_files
     from hammerstein.regression.result import JUNIT, SUMMARY
@@ -292,7 +289,6 @@ def check(
         if file is not None:
             prepare_file(option, file, owner, overwrite)
     scenarios = load_all(paths)
-    announce_compiling(complain)
     with (
         workers(jobs, cluster) as asked,
         _planned(scenarios, asked, yes) as crew,
@@ -322,7 +318,6 @@ def plot(
     overwrite: Overwrite = False,
 ) -> None:
     """Draw the figures of one scenario, and nothing else."""
-    from hammerstein.compiled import announce_compiling
     from hammerstein.errors import InputError
     from hammerstein.experiment.batch import load_all
     from hammerstein.experiment.run import run as run_scenario
@@ -337,7 +332,6 @@ def plot(
     ((name, scenario),) = load_all([path]).items()
     _planned({name: scenario}, jobs, yes)
     prepare(out / name, FIGURES, (), overwrite)
-    announce_compiling(complain)
     with Watch(1) as watch:
         report = run_scenario(scenario, name, jobs, watch.progress)
     for figure in write_figures(report, out / name, overwrite):

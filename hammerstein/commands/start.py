@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from hammerstein.commands.record_options import AsJson, Overwrite
-from hammerstein.commands.terminal import complain, show as show_table, tell, tell_json
+from hammerstein.commands.terminal import show as show_table, tell, tell_json
 
 
 def init(
@@ -33,10 +33,8 @@ def init(
         tell(f"scenarios in {folder}; {there}hammerstein run . or hammerstein check .")
         return
     from hammerstein.commands.watch import Spinner
-    from hammerstein.compiled import announce_compiling
 
     refuse_started(folder)
-    announce_compiling(complain)
     with Spinner() as spinner:
         own_folder(folder, spinner.tell)
     tell(f"the next steps are in {folder / 'README.md'}")
@@ -117,10 +115,8 @@ def play(
     from hammerstein.commands.playing import PLAYED, played
     from hammerstein.commands.refusals import refuse_output, write_output
     from hammerstein.commands.terminal_tables import played_table
-    from hammerstein.compiled import announce_compiling
 
     refuse_output(out, [Path(model), drive], PLAYED, overwrite)
-    announce_compiling(complain)
     with watched() as onlooker:
         found = played(model, drive, sensor, onlooker)
         write_output(out, found.to_csv(onlooker.tell), PLAYED, overwrite)

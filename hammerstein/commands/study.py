@@ -44,7 +44,6 @@ def sweep(
     Rows are written as they come: memory does not grow with their number. What was run is kept, and a sweep
     that was interrupted goes on there.
     """
-    from hammerstein.compiled import announce_compiling
     from hammerstein.experiment.study import sampled, study_of
     from hammerstein.runtime import store as kept_results
     from hammerstein.runtime.fanning import workers_of
@@ -64,7 +63,6 @@ def sweep(
         announce(told, seconds, yes)
         if store is not None:
             store = store.computed(getattr(asked, "elsewhere", ""))
-        announce_compiling(complain)
         with process_pool(asked, workers_of(asked) * seconds) as crew, Watch(1) as watch:
             for one in sampled(scenario, str(path), crew, watch.progress, store):
                 failed += bool(one.error)
