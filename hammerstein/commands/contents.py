@@ -166,6 +166,7 @@ def _model(path: Path) -> Iterator[tuple[str, str]]:
 
     model = HammersteinModel.load(path)
     yield "name", model.name
+    yield "origin", model.origin
     yield "inputs", ", ".join(model.inputs)
     yield "outputs", ", ".join(model.outputs)
     yield "hysteresis", model.hysteresis.describe()

@@ -315,4 +315,4 @@ def compensate(
         return
     show(compensation_table(found))
     tell_statements(found.essentials())
-    tell(f"voltages in {out}, with more notes below its columns")
+    tell(f"voltages in {out}, for the stage of model {found.model.origin}; more notes below its columns")

@@ -86,8 +86,8 @@ class Cycle:
         step, jump = self.largest_steps_v()
         seconds = self.run_up_v.shape[1] * self.sample_time_s
         said = [
-            f"Model {self.source}. One settled period of {self.period_s:.6g} s, to be played again and "
-            "again; after the last row the first one follows.",
+            f"Model {self.source} ({self.model.origin}). One settled period of {self.period_s:.6g} s, to be "
+            "played again and again; after the last row the first one follows.",
             *verdict_statements(self.model),
             f"Run-up of {seconds:.6g} s from {_volts(self.limits.start_v)} to the period, to be sent once. "
             f"Largest step {step:.3g} V; without the run-up the first one is {jump:.3g} V.",

@@ -120,7 +120,9 @@ class Compensation:
 
     def statements(self) -> list[str]:
         """Say all that is known of the voltages."""
-        said = [f"Model {self.source}, found from {self.model.recorded.statement(self.model.inputs)}."]
+        said = [
+            f"Model {self.source} ({self.model.origin}): {self.model.recorded.statement(self.model.inputs)}."
+        ]
         said += verdict_statements(self.model)
         said += [self._start(), f"Range {self.law.range.words(self.model.inputs)}."]
         said.append(self._expected())

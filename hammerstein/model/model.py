@@ -122,6 +122,16 @@ class HammersteinModel(ByValue, NotebookRepr):
         """Working point and range of the records; symmetric about 0 V where the file does not say."""
         return self.voltages or Voltages.symmetric(self.amplitude_v, self.hysteresis.n_inputs)
 
+    @property
+    def origin(self) -> str:
+        """Name of the model and the records that it was identified from.
+
+        >>> HammersteinModel.load("duo_bimorph_static").origin
+        'duo_bimorph_static'
+        """
+        files = self.provenance.get("records") if isinstance(self.provenance, dict) else None
+        return f"{self.name}, from {', '.join(map(str, files))}" if isinstance(files, list) else self.name
+
     def _dynamics_inputs(self) -> int:
         dynamics = self.dynamics
         if isinstance(dynamics, MATRICES):
@@ -403,12 +413,23 @@ LARGEST_MODEL_BYTES = 5_000_000
 """Models of several axes with hundreds of operators have a tenth of it."""
 
 
+TABLES = (".csv", ".txt", ".dat", ".npy", ".npz", ".mat", ".parquet", ".xlsx", ".tdms", ".h5", ".hdf5")
+"""Files that hold records or paths, and no model."""
+
+
 def model_text(name: str) -> str:
     """Text of the model file of a packaged actuator, or of the file that is named.
 
     Raises InputError for a name that is neither, and for a file that cannot be read or is too large.
     """
-    return read_limited(place_of(name), "model file", LARGEST_MODEL_BYTES)
+    place = place_of(name)
+    if place.is_file() and place.suffix.lower() in TABLES:
+        raise InputError(
+            str(place),
+            "is a table, and a model file (.json) was expected; identify one from records first: "
+            "hammerstein identify RECORD --out model.json",
+        )
+    return read_limited(place, "model file", LARGEST_MODEL_BYTES)
 
 
 def place_of(name: str) -> Path:

@@ -91,9 +91,9 @@ def still_mistakes(names: Sequence[str], values: Array, rows: Indices, kind: str
 def still_mistake(place: str, column: Array, kind: str) -> Mistake:
     """One column that never moves."""
     remedy = (
-        "drive it, or leave it out of the inputs"
+        "add a record that drives it, or leave it out of --inputs"
         if kind == "input"
-        else "check the sensor and its cable, or leave it out of the outputs"
+        else "check the sensor and its cable, or leave it out of --outputs"
     )
     return Mistake(place, f"constant {kind}, always {column[0]:.9g}; {remedy}")
 
@@ -104,16 +104,18 @@ def moves(column: Array) -> bool:
 
 
 def unit_mistake(place: str, span: float, kind: str) -> Mistake | None:
-    """A range that no record in V or um can have, with the scale to try."""
+    """A range that no record in V or um can have, with the unit to try."""
     low, high = VOLTAGE_RANGE if kind == "input" else DISPLACEMENT_RANGE
     if low <= span <= high:
         return None
     unit = "V" if kind == "input" else "um"
-    small = {"kV": "1e3"} if kind == "input" else {"m": "1e6", "mm": "1e3"}
-    large = {"mV": "1e-3"} if kind == "input" else {"nm": "1e-3"}
-    typed = small if span < low else large
-    scales = " or ".join(f"--{kind}-scale {scale} if the file is in {name}" for name, scale in typed.items())
-    return Mistake(place, f"covers {span:.3g} {unit}, which cannot be; try {scales}")
+    if kind == "input":
+        remedy = (
+            "--input-scale 1e3 if the file is in kV" if span < low else "--input-scale 1e-3 if it is in mV"
+        )
+    else:
+        remedy = "--units m or --units mm" if span < low else "--units nm"
+    return Mistake(place, f"covers {span:.3g} {unit}, which cannot be; try {remedy}")
 
 
 def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Indices) -> Iterator[Mistake]:

@@ -22,7 +22,7 @@ from hammerstein.blocks.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.array_files import SUFFIXES, array_columns, refuse_large, whole_array
 from hammerstein.records.checks import gap_mistakes, where
-from hammerstein.records.text_files import find_layout, read_text
+from hammerstein.records.text_files import FORMATS, find_layout, read_text
 from hammerstein.signals.signal_files import OF_TIME
 from hammerstein.signals.units import Kind, Unit, unit_in, without_unit
 
@@ -30,6 +30,7 @@ TIME_NAMES = (*OF_TIME, "x-axis")
 """Names of a time column, without their unit and in any case."""
 ARRAY_TIME_NAMES = ("time", "t", "Time", "time_s", "t_s")
 
+NO_RECORDS = (".json", ".toml")
 PARQUET = (".parquet", ".pq")
 
 
@@ -182,7 +183,10 @@ def read_array(path: str | Path, variable: str | None = None) -> Array:
 
 
 def refuse_missing(path: Path) -> None:
-    """Refuse what is no file with something in it that may be read: a pipe would be waited for."""
+    """Refuse what is no file with something in it that may be read: a pipe would be waited for.
+
+    Models, reports and scenarios are refused, too.
+    """
     try:
         if not path.is_file():
             what = "does not exist; check its name and folder"
@@ -192,6 +196,9 @@ def refuse_missing(path: Path) -> None:
         if path.stat().st_size == 0:
             raise InputError(str(path), "is empty (0 bytes); record it again")
         path.open("rb").close()
+        if path.suffix.lower() in NO_RECORDS:
+            what = f"is a {path.suffix.lower()} file, such as a model or a scenario; give {FORMATS}"
+            raise InputError(str(path), what)
     except OSError as error:
         raise InputError(str(path), f"cannot be read ({(error.strerror or str(error)).lower()})") from None
 

@@ -22,6 +22,8 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.records.checks import SHOWN, not_listed, where
 from hammerstein.signals.units import is_unit
 
+FORMATS = "CSV or other text, .npy, .npz, .mat, .h5, .xlsx, .tdms or .parquet"
+"""Files that records are read from, for a message."""
 HEAD_BYTES = 1 << 18
 HEAD_LINES = 3000
 
@@ -89,7 +91,7 @@ def find_layout(path: Path) -> Layout:
         head = file.read(HEAD_BYTES)
     encoding = _encoding(head)
     if encoding != "utf-16" and b"\0" in head:
-        raise InputError(str(path), "is a binary file; give CSV or other text, .npy, .npz, .mat or .parquet")
+        raise InputError(str(path), f"is a binary file; give {FORMATS}")
     lines = re.split("\r\n|\r|\n", head.decode(encoding, errors="replace"))[
         : -1 if len(head) == HEAD_BYTES else None
     ]
@@ -98,11 +100,18 @@ def find_layout(path: Path) -> Layout:
     body = [line for line in lines if line.strip() and not _is_comment(line, COMMENTS)]
     dialect, width, grade = _dialect(body)
     if width == 0:
-        raise InputError(str(path), f"holds no line of numbers among its first {len(lines)} lines")
+        raise InputError(str(path), _without_numbers(body, lines))
     table = [[] if _is_comment(line, COMMENTS) else _fields(line, dialect.separator) for line in lines]
     first = _first_row(table, width, dialect, grade)
     names, units = _header(lines[:first], dialect, width)
     return Layout(dialect, encoding, comment, first, width, names, units)
+
+
+def _without_numbers(body: Sequence[str], lines: Sequence[str]) -> str:
+    """What to say of a text whose first lines hold no numbers: a lone header is the usual case."""
+    if len(body) == 1:
+        return f"holds one line and no numbers below it: {body[0].strip()[:80]}; export the samples, too"
+    return f"holds no line of numbers among its first {len(lines)} lines"
 
 
 def _encoding(head: bytes) -> str:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from hammerstein.commands.cli import main
+from hammerstein.model import HammersteinModel
 
 T = 50e-6
 RADIUS_UM = 0.05
@@ -73,3 +76,23 @@ def test_a_unit_that_the_columns_contradict_or_nobody_knows_is_refused(tmp_path,
     assert "name their units: x_um, y_um" in capsys.readouterr().err
     assert _drive(_write(path, 1.0), out, "--units", "inch") == 2
     assert "--units: 'inch' is not one of um, nm" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["record.csv", "record.npy"])
+def test_a_record_given_as_a_model_names_what_makes_one(tmp_path, capsys, name):
+    (tmp_path / name).write_bytes(b"\x93NUMPY" if name.endswith("npy") else b"time_s,x\n0,1\n")
+    path = _write(tmp_path / "path.csv", 1.0, ("x_um", "y_um"))
+    assert _call("compensate", tmp_path / name, path, "--out", tmp_path / "drive.csv") == 2
+    assert "hammerstein identify RECORD --out model.json" in capsys.readouterr().err
+
+
+def test_a_drive_names_the_model_and_the_records_it_came_from(tmp_path, capsys):
+    """So that a drive for another stage is seen before it is sent."""
+    model = HammersteinModel.load("duo_bimorph_static")
+    origin = {"records": ["left_stage_x.csv", "left_stage_y.csv"]}
+    replace(model, name="left stage", provenance=origin).save(tmp_path / "model.json")
+    path, out = _write(tmp_path / "path.csv", 1.0, ("x_um", "y_um"), 5.0), tmp_path / "drive.csv"
+    assert _call("compensate", tmp_path / "model.json", path, "--law", "exact_inverse", "--out", out) == 0
+    words = "left stage, from left_stage_x.csv, left_stage_y.csv"
+    assert words in capsys.readouterr().out
+    assert words in out.read_text()

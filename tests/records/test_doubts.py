@@ -81,7 +81,7 @@ compensators = [{{ label = "exact", law = "exact_inverse", model = {good!r} }}]
 def test_warnings_of_a_model_are_printed_even_where_little_is_wanted(tmp_path, capsys, command):
     bad = stage(tmp_path / "bad.json", 10.0, flagged=True, statements=["the record drifts"], held_out=False)
     path = tmp_path / "path.csv"
-    path.write_text("time_s,x,y\n" + "".join(f"{k * 50e-6},{0.01 * k},0\n" for k in range(100)))
+    path.write_text("time_s,x_um,y_um\n" + "".join(f"{k * 50e-6},{0.01 * k},0\n" for k in range(100)))
     given = [str(path)] if command == "compensate" else []
     out = ["--out", str(tmp_path / "out"), "--law", "exact_inverse", "--accept-flagged"]
     with pytest.raises(SystemExit) as ended:

@@ -564,3 +564,15 @@ def test_a_time_column_has_the_limits_of_a_rate(tmp_path):
     path.write_text("t [us],u [V],x [um]\n" + rows)
     with pytest.raises(InputError, match=r"a rate of 2e\+10 Hz; it must be 1e-4 to 1e9. Is its"):
         read_records([path], inputs=["u"], outputs=["x"], time="t")
+
+
+@pytest.mark.parametrize("name", ["model.json", "scenario.toml"])
+def test_a_model_given_as_a_record_is_told_by_its_name(tmp_path, name):
+    (tmp_path / name).write_text("[1.0, 2.0]\n[3.0, 4.0]\n" * 50)
+    assert "such as a model or a scenario; give CSV" in message(read, tmp_path / name)
+
+
+def test_a_lone_header_is_shown(tmp_path):
+    (tmp_path / "a.csv").write_text("time_s,u_x,x\n")
+    text = message(read, tmp_path / "a.csv")
+    assert "holds one line and no numbers below it: time_s,u_x,x; export the samples, too" in text
