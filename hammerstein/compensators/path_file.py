@@ -59,7 +59,7 @@ class PathWork:
     def refuse_too_large(self, path: Path) -> None:
         """Raise SimulationError where the memory that is free does not hold it."""
         free = free_bytes()
-        if free is not None and self.bytes > free:
+        if self.bytes > free:
             raise SimulationError(
                 f"{path}: {self.samples:,} samples of {self.sample_time_s:g} s need about "
                 f"{size(self.bytes)} of memory, and {size(free)} are free. Cut the path into parts. If its "

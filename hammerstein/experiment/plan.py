@@ -108,7 +108,7 @@ class Plan:
         Raises SimulationError, which names the largest part and what makes it smaller.
         """
         free = free_bytes()
-        if free is None or self.bytes <= free:
+        if self.bytes <= free:
             return
         largest = max(self.parts, key=lambda part: part.bytes)
         raise SimulationError(
@@ -133,7 +133,7 @@ def plans_of(scenarios: Mapping[str, Scenario]) -> dict[str, Plan]:
     for name, scenario in scenarios.items():
         with contextlib.suppress(InputError, SimulationError):
             plans[name] = plan_of(scenario)
-    return {name: plan for name, plan in plans.items() if free is None or plan.bytes <= free}
+    return {name: plan for name, plan in plans.items() if plan.bytes <= free}
 
 
 def longest_first(plans: Mapping[str, Plan]) -> list[str]:
@@ -168,8 +168,6 @@ def together(plans: Iterable[Plan]) -> Plan:
 def jobs_that_fit(plans: Iterable[Plan], jobs: int) -> int:
     """How many of the plans fit the memory side by side, up to so many jobs, and one at least."""
     free = free_bytes()
-    if free is None:
-        return jobs
     sizes = list(itertools.accumulate(sorted((plan.bytes for plan in plans), reverse=True)))
     return max(1, jobs - sum(size > free for size in sizes[:jobs]))
 

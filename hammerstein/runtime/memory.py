@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 
 from hammerstein.errors import SimulationError
 from hammerstein.runtime.control_groups import groups, numbers
@@ -26,7 +24,7 @@ def run_bytes(samples: float, inputs: int, outputs: int) -> float:
 
 
 def refuse_too_long(samples: int, inputs: int, outputs: int) -> None:
-    """Refuse a run whose wires do not fit the memory that is free, where the system tells how much that is.
+    """Refuse a run whose wires do not fit the memory that is free.
 
     Parameters
     ----------
@@ -41,7 +39,7 @@ def refuse_too_long(samples: int, inputs: int, outputs: int) -> None:
     if needed < SMALL_BYTES or needed < SMALL_SHARE * _free_at_first():
         return
     free = free_bytes()
-    if free is not None and needed > free:
+    if needed > free:
         raise SimulationError(
             f"a run of {samples:.3g} samples needs about {needed / 1e9:.3g} GB of memory, and "
             f"{free / 1e9:.3g} GB are free. Measure fewer cycles, settle for a shorter time, use a longer "
@@ -51,28 +49,15 @@ def refuse_too_long(samples: int, inputs: int, outputs: int) -> None:
 
 @cache
 def _free_at_first() -> float:
-    """Memory that was free when this process first asked; none where the system does not tell."""
-    return free_bytes() or 0.0
+    """Memory that was free when this process first asked."""
+    return free_bytes()
 
 
-def free_bytes() -> float | None:
-    """Memory that this process may still take; None where the system does not tell."""
-    known = [*_of_the_machine(), *_of_the_groups(), *_of_the_process()]
-    return min(known) if known else None
+def free_bytes() -> float:
+    """Memory that this process may still take."""
+    import psutil
 
-
-def _of_the_machine() -> Iterator[float]:
-    try:
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                yield 1024.0 * int(line.split()[1])
-                return
-    except (OSError, ValueError, IndexError):
-        pass
-    try:
-        yield float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, OSError, ValueError):
-        return
+    return min([float(psutil.virtual_memory().available), *_of_the_groups(), *_of_the_process()])
 
 
 def _of_the_groups() -> Iterator[float]:
@@ -88,12 +73,10 @@ def _of_the_groups() -> Iterator[float]:
 
 def _of_the_process() -> Iterator[float]:
     """What a limit on the addresses of the process leaves, as ``ulimit -v`` sets it."""
-    try:
-        import resource
+    import psutil
 
-        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-        if limit not in (resource.RLIM_INFINITY, -1):
-            pages = int(Path("/proc/self/statm").read_text().split()[0])
-            yield max(0.0, float(limit) - pages * os.sysconf("SC_PAGE_SIZE"))
-    except (ImportError, OSError, ValueError, IndexError):
-        return
+    process = psutil.Process()
+    if hasattr(process, "rlimit"):  # Linux; macOS holds nobody to it, and Windows has none
+        limit = process.rlimit(psutil.RLIMIT_AS)[0]
+        if limit != psutil.RLIM_INFINITY:
+            yield max(0.0, float(limit - process.memory_info().vms))
