@@ -12,6 +12,7 @@ import typer
 
 from hammerstein.commands import (
     comparing,
+    degaussing,
     export as export_command,
     records as record_commands,
     scenarios,
@@ -51,6 +52,7 @@ SHORT = {
     "compare": "Fit every kind of model to records; recommend one.",
     "compensate": "Turn a path into the voltages to send.",
     "play": "Play voltages on a model.",
+    "degauss": "Write a drive that erases the history of an actuator.",
     "export": "Write a law or a model as C, or as an FMU.",
     "run": "Run scenarios; write a report page for each.",
     "sweep": "Run a scenario with many values of its keys.",
@@ -105,6 +107,7 @@ def _register() -> None:
     app.command(epilog=_example("export stage.json --law exact_inverse --out c_code"))(export_command.export)
     app.command(epilog=_example("sweep circle.toml --out rows.csv"))(study_commands.sweep)
     app.command(epilog=_example("play stage.json drive.csv --out played.csv"))(start.play)
+    app.command(epilog=_example("degauss stage.json --out degauss.csv"))(degaussing.degauss)
     app.command(epilog=_example("init my_stage"))(start.init)
     app.command(epilog=_example("show stage.json"))(start.show)
     app.command(epilog=_example("guide start"))(start.guide)

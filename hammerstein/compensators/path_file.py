@@ -56,7 +56,7 @@ class PathWork:
             f"{duration(self.seconds)}"
         )
 
-    def refuse_too_large(self, path: Path) -> None:
+    def refuse_too_large(self, path: Path | str) -> None:
         """Raise SimulationError where the memory that is free does not hold it."""
         free = free_bytes()
         if self.bytes > free:

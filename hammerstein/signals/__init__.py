@@ -4,6 +4,7 @@ from hammerstein.signals.shapes import (
     MOST_LINES as MOST_LINES,
     SIGNALS as SIGNALS,
     Circle as Circle,
+    Degauss as Degauss,
     Excitation as Excitation,
     FromFile as FromFile,
     Lissajous as Lissajous,

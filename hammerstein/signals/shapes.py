@@ -20,7 +20,19 @@ from pydantic import ConfigDict, Field, model_validator
 from hammerstein.arrays import Array, Flags
 from hammerstein.errors import InputError
 from hammerstein.plugins import Family
-from hammerstein.quantities import Axes, FileName, Frequency, Length, Offset, Phase, Scale, Seed, Size, Wait
+from hammerstein.quantities import (
+    Axes,
+    Cycles,
+    FileName,
+    Frequency,
+    Length,
+    Offset,
+    Phase,
+    Scale,
+    Seed,
+    Size,
+    Wait,
+)
 from hammerstein.signals.signal_files import read_signal
 from hammerstein.validation import Strict
 
@@ -180,6 +192,33 @@ class Triangle(OnAxes):
 
     def _wave(self, cycles: Array) -> Array:
         return 1.0 - 4.0 * np.abs((cycles + 0.25) % 1.0 - 0.5)
+
+
+class Degauss(OnAxes):
+    """A sine for one period, then A (1 - (f t - 1) / cycles) sin(2 pi f t + phase) until nothing is left.
+
+    It erases what plays remember. From one peak to the next the amplitude falls by A / (2 cycles). A play
+    whose threshold is smaller than A ends within half of that of its middle, whatever came before.
+    """
+
+    kind: Literal["degauss"] = "degauss"
+    cycles: Cycles = Field(
+        default=20, description="periods in which the amplitude falls to zero, after a first one"
+    )
+
+    def _wave(self, cycles: Array) -> Array:
+        gone = np.clip((cycles - self.phase_deg / 360.0 - 1.0) / self.cycles, 0.0, 1.0)
+        return np.asarray((1.0 - gone) * np.sin(2.0 * np.pi * cycles))
+
+    @property
+    def period_s(self) -> float:
+        """Time until nothing is left."""
+        return (self.cycles + 1) / self.frequency_hz
+
+    @property
+    def periodic(self) -> bool:
+        """It is sent once."""
+        return False
 
 
 class Circle(OneFrequency):
@@ -377,7 +416,7 @@ def _require_two_axes(n_axes: int, kind: str) -> None:
 
 
 SIGNALS: Family[Shape] = Family(Shape, "kind")  # type: ignore[type-abstract]  # its kinds are concrete
-for _kind in (Sine, Triangle, Circle, Spiral, Lissajous, Multisine, FromFile):
+for _kind in (Sine, Triangle, Degauss, Circle, Spiral, Lissajous, Multisine, FromFile):
     SIGNALS.register(_kind)
 
 _SIZED = {"amplitude", "offset", "radius"}

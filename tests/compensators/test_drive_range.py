@@ -332,7 +332,9 @@ def test_scenario_about_a_working_point(tmp_path):
         np.testing.assert_allclose(middle, [2.0, 3.0], atol=0.05)
 
 
-@pytest.mark.parametrize("kind", ["sine", "triangle", "circle", "spiral", "lissajous", "multisine", "file"])
+@pytest.mark.parametrize(
+    "kind", ["sine", "triangle", "degauss", "circle", "spiral", "lissajous", "multisine", "file"]
+)
 def test_every_reference_takes_an_offset(tmp_path, kind):
     from pydantic import TypeAdapter
 
@@ -342,6 +344,7 @@ def test_every_reference_takes_an_offset(tmp_path, kind):
     own = {
         "sine": {"amplitude_um": 5.0, "frequency_hz": 2.0, "axis": 1},
         "triangle": {"amplitude_um": 5.0, "frequency_hz": 2.0, "axis": "all"},
+        "degauss": {"amplitude_um": 5.0, "frequency_hz": 2.0, "cycles": 2},
         "circle": {"radius_um": 5.0, "frequency_hz": 2.0},
         "spiral": {"radius_um": 5.0, "frequency_hz": 2.0, "trigger_s": 0.1, "decay_s": 0.2},
         "lissajous": {"amplitude_um": 5.0, "frequency_x_hz": 2.0, "frequency_y_hz": 3.0},
