@@ -13,6 +13,7 @@ from hammerstein.errors import InputError
 from hammerstein.escaping import cell
 from hammerstein.experiment.report import Report, Trace
 from hammerstein.reporting.figures.write import FIGURES
+from hammerstein.reporting.html.interactive import Interactive
 from hammerstein.reporting.kept_reports import found, keep, key_of_report
 from hammerstein.runtime.fanning import Jobs
 from hammerstein.runtime.storage.manifest import Owner
@@ -67,7 +68,6 @@ def write_report(
     ------
     InputError : the folder cannot be written, is a link, or holds other people's files under these names
     """
-    from hammerstein.reporting.html.interactive import interactive_of
     from hammerstein.reporting.run_page import run_page
 
     with staged(folder, REPORT, overwrite) as stage:
@@ -78,8 +78,15 @@ def write_report(
             drawn = files_drawn(report, store, png)
         if traces is not None:
             _write_traces(report, stage, traces)
-        run_page(report, drawn).write(stage, "report", drawn, interactive_of(report) if interactive else None)
+        run_page(report, drawn).write(stage, "report", drawn, _plots(report) if interactive else None)
     return WrittenReport(tuple(stage.written), stage.kept)
+
+
+def _plots(report: Report) -> Interactive | None:
+    from hammerstein.reporting.figures.choice import explored_figures
+    from hammerstein.reporting.html.interactive import interactive_of
+
+    return interactive_of(*explored_figures(report))
 
 
 @dataclass(frozen=True)

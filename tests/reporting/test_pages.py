@@ -383,9 +383,9 @@ def test_a_click_on_the_legend_hides_a_curve_in_every_panel(folder: Path, page: 
     total = page.value(f"{curves}.length")
     assert total > 8
     box = page.value(DEEP % '".bk-Legend"')
-    page.click(box["x"] + 30, box["y"] + 12)
+    page.click(box["x"] + 30, box["y"] + 34)  # below the title
     page.wait(f"{curves}.every(m => !m.visible)")
-    page.click(box["x"] + 30, box["y"] + 12)
+    page.click(box["x"] + 30, box["y"] + 34)  # below the title
     page.wait(f"{curves}.every(m => m.visible)")
     assert page.complaints == []
 

@@ -31,6 +31,7 @@ from hammerstein.reporting.figures.loops import errors_figure, loops_figure
 from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
 from hammerstein.reporting.figures.style import Role, plain, symbol
 from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
+from hammerstein.scenario.scenario import Sweep
 from hammerstein.signals import OnAxes
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 MOST_LOOPS = 4  # frequencies of a run that are drawn as loops; more make a curve over frequency
 DRIFT = "drift_true_um"
+MOST_STEPS = 12  # values of a sweep at which loops and paths can be looked at
 
 
 def figures_of(report: Report) -> dict[str, Figure]:
@@ -69,10 +71,29 @@ def _answers(report: Report) -> dict[str, Figure]:
         return _sweeps(report, over)
     if not report.traces:
         return {}
-    signal = report.scenario.signal
     if report.scenario.answered_by == DRIFT:
         return _drift(report)
-    return _loops(report) if isinstance(signal, OnAxes) and signal.axis != "all" else _paths(report)
+    return _traced(report) | _operators(report)
+
+
+def _traced(report: Report, whole: bool = False) -> dict[str, Figure]:
+    """Paths, or loops and errors; all compensators in one figure, or only as many as stay legible."""
+    signal = report.scenario.signal
+    return _loops(report, whole) if isinstance(signal, OnAxes) and signal.axis != "all" else _paths(report)
+
+
+def explored_figures(report: Report) -> tuple[dict[str, Figure], dict[str, dict[str, Figure]]]:
+    """Figures to zoom into: curves over what is swept, and loops or paths at each swept value, by name."""
+    over = swept_over(report, 2)
+    groups: dict[str, list[Trace]] = {}
+    for trace in report.traces:
+        groups.setdefault(swept_label(trace, report.scenario.sweep), []).append(trace)
+    names = list(groups)
+    if len(names) > MOST_STEPS:
+        names = [names[round(i * (len(names) - 1) / (MOST_STEPS - 1))] for i in range(MOST_STEPS)]
+    one = replace(report, scenario=report.scenario.model_copy(update={"sweep": Sweep()}))
+    steps = {name: _traced(replace(one, traces=tuple(groups[name])), whole=True) for name in names}
+    return {} if over is None else _sweeps(report, over), steps
 
 
 def _sensitivity(report: Report) -> dict[str, Figure]:
@@ -120,7 +141,7 @@ def _drift(report: Report) -> dict[str, Figure]:
     return {"drift": drift_figure(runs, [symbol(name, "reading") for name in report.axes])}
 
 
-def _loops(report: Report) -> dict[str, Figure]:
+def _loops(report: Report, whole: bool) -> dict[str, Figure]:
     volts = report.scenario.drive is not None
     role, unit = _driven_quantity(report)
     names = report.inputs if volts else report.axes
@@ -131,16 +152,17 @@ def _loops(report: Report) -> dict[str, Figure]:
     cycles = report.scenario.measure.measured_cycles
     mean = f", mean of {cycles} cycles" if cycles > 1 else ""
     figures = {}
-    for suffix, traces in legible_parts(report.traces).items():
+    parts = {"": report.traces} if whole else legible_parts(report.traces)
+    for suffix, traces in parts.items():
         whose = f"{plain(traces[0].label)}: sensor's" if suffix else "Sensor's"
         title = f"{whose} reading over the {role}{mean}"
         runs = loop_runs(report, traces)
         figures[f"loops{suffix}"] = loops_figure(runs, inputs, readings, title, ideal=not volts)
         errors = error_runs(report, traces)
-        if errors and len({run.label for run in errors}) <= MOST_CURVES:
+        if errors and (whole or len({run.label for run in errors}) <= MOST_CURVES):
             title = f"{whose} reading less the {'prediction' if volts else 'reference'}"
             figures[f"errors{suffix}"] = errors_figure(errors, driven, errors_of, title)
-    return figures | _operators(report)
+    return figures
 
 
 def _sweeps(report: Report, over: Over) -> dict[str, Figure]:

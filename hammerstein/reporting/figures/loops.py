@@ -137,7 +137,7 @@ def errors_figure(
             number = numbers[run.label]
             for o in range(len(output_labels)):
                 cycles, error = thin_trace(run.cycles, run.errors_um[o], most)
-                style = line_style(number) | {"linewidth": 1.1}
+                style = line_style(number) | {"linewidth": 1.1, "label": plain(run.label)}
                 markers = sparse_markers(len(error), number)
                 (entries[run.label],) = panels[o, run.driven].plot(cycles, error, markevery=markers, **style)
         for (o, _), axes in panels.items():
@@ -177,11 +177,13 @@ def _draw_loop(
 ) -> dict[str, Artist]:
     """One loop and the models' loops over it; gives the entries of the legend."""
     x, y = thin_path([run.input_, run.outputs_um[output]], most)
-    (line,) = axes.plot(x, y, markevery=sparse_markers(len(x), number), **line_style(number))
+    (line,) = axes.plot(
+        x, y, markevery=sparse_markers(len(x), number), label=plain(run.label), **line_style(number)
+    )
     entries: dict[str, Artist] = {run.label: line}
     for label, prediction_um in run.predictions_um:
         x, y = thin_path([run.input_, prediction_um[output]], most)
-        (entries[label],) = axes.plot(x, y, **overlay_style(models[label]))
+        (entries[label],) = axes.plot(x, y, label=plain(label), **overlay_style(models[label]))
     return entries
 
 
@@ -190,7 +192,9 @@ def _draw_ideal(panels: Panels, runs: Sequence[LoopRun]) -> Artist:
     for (o, k), axes in panels.items():
         reach = max(float(np.abs(run.input_).max()) for run in runs if run.driven == k)
         ends = np.array([-reach, reach])
-        (line,) = axes.plot(ends, ends if o == k else 0.0 * ends, color=PALE, linewidth=3.0, alpha=0.5)
+        (line,) = axes.plot(
+            ends, ends if o == k else 0.0 * ends, color=PALE, linewidth=3.0, alpha=0.5, label="ideal"
+        )
     return line
 
 

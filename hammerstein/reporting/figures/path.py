@@ -46,7 +46,7 @@ LINES: tuple[Any, ...] = (
     (0, (12, 2)),
     (0, (8, 1.5, 1.5, 1.5, 1.5, 1.5)),
 )
-TARGET: dict[str, Any] = {"color": DARK, "linestyle": (0, (3, 2.5)), "linewidth": 0.9}
+TARGET: dict[str, Any] = {"color": DARK, "linestyle": (0, (3, 2.5)), "linewidth": 0.9, "label": "target"}
 APART = 1.02  # sizes of paths that the eye tells apart
 LOGARITHMIC_FROM = 8.0  # ratio of the worst distances from which their axis is logarithmic
 DEEPEST = 1e-4  # part of the worst error below which nothing is told apart: rounding is no result
@@ -180,7 +180,12 @@ def _pens(runs: Sequence[PathRun]) -> dict[str, dict[str, Any]]:
     """Colour and line of each label."""
     labels = dict.fromkeys(run.label for run in runs)
     return {
-        label: {"color": COLOURS[i % len(COLOURS)], "linestyle": LINES[i % len(LINES)], "linewidth": 1.2}
+        label: {
+            "color": COLOURS[i % len(COLOURS)],
+            "linestyle": LINES[i % len(LINES)],
+            "linewidth": 1.2,
+            "label": plain(label),
+        }
         for i, label in enumerate(labels)
     }
 

@@ -103,12 +103,13 @@ def sweep_figure(
 
 def _draw(axes: Axes, curve: SweepCurve, output: int, input_: int, number: int) -> Artist:
     """One curve in one panel, with its band and its tick."""
-    style, values = line_style(number), curve.values[output, input_]
+    style, values = line_style(number) | {"label": plain(curve.label)}, curve.values[output, input_]
+    shared = {"color": style["color"], "label": style["label"]}
     if curve.band is not None:
         low, high = (edge[output, input_] for edge in curve.band)
-        axes.fill_between(curve.x, low, high, color=style["color"], alpha=BAND_ALPHA, linewidth=0.0)
+        axes.fill_between(curve.x, low, high, alpha=BAND_ALPHA, linewidth=0.0, **shared)
     if curve.nominal is not None:
-        axes.plot(curve.x, curve.nominal[output, input_], color=style["color"], linewidth=NOMINAL_WIDTH)
+        axes.plot(curve.x, curve.nominal[output, input_], linewidth=NOMINAL_WIDTH, **shared)
     markers = sparse_markers(len(values), number, markers=9)
     (line,) = axes.plot(curve.x, values, markevery=markers, **style)
     mark = _mark(curve)

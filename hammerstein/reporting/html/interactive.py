@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -11,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup
 
 from hammerstein.errors import InputError
-from hammerstein.experiment.report import Report
 
 if TYPE_CHECKING:
     from bokeh.models import UIElement
+    from matplotlib.figure import Figure
 
 PLACE = "plots"
 
@@ -39,15 +40,22 @@ def refuse_without_library() -> None:
         )
 
 
-def interactive_of(report: Report) -> Interactive | None:
-    """Plots of a report, with its traces; None where it has nothing to plot. Equal reports give equal bytes.
+def interactive_of(
+    figures: Mapping[str, Figure], steps: Mapping[str, Mapping[str, Figure]]
+) -> Interactive | None:
+    """Figures as plots to zoom into; None where there is none. Equal figures give equal bytes.
+
+    Parameters
+    ----------
+    figures : shown always
+    steps : of each value on a slider, by its name
 
     Raises InputError where bokeh is not installed.
     """
     refuse_without_library()
     from hammerstein.reporting.html.plots import plots_of
 
-    layout = plots_of(report)
+    layout = plots_of(figures, steps)
     return None if layout is None else _embedded(layout)
 
 
