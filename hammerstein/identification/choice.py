@@ -26,8 +26,9 @@ from hammerstein.records.record import Record
 
 PARTS = 16
 """Parts into which every fitted record falls; every fourth of them is left out in turn."""
-UNTOLD = 1e-9
-"""Power that a weight must show in some folds, in parts of its own, or it stays as in all of them."""
+UNTOLD = 1e-3
+"""Part of their power in all folds that combinations of weights must show in some, or they stay as in all. A
+fold that alone has the largest amplitude would be predicted from what the others hardly show."""
 FELT = 0.02
 """Part of the error that a gain must be to matter: less is not worth a parameter, however sure it is."""
 MOST_WORSE = 0.05
@@ -213,9 +214,10 @@ def fold_squares(candidate: Candidate, records: Sequence[Record], starts: Sequen
     for o, size in enumerate(span):
         parts = _moments_of_output(candidate, records, starts, o)
         weights = candidate.hysteresis.weights[o]
+        whole = pooled([part[f] for part in parts for f in part])
         for fold in range(FOLDS):
             others = [part[f] for part in parts for f in part if f != fold]
-            found = weights + _change(pooled(others), weights) if others else weights
+            found = weights + _change(pooled(others), whole, weights) if others else weights
             for i, part in enumerate(parts):
                 test = part.get(fold)
                 if test is not None:
@@ -228,9 +230,13 @@ def _left(test: Moments, weights: Array) -> float:
     return squares_left(test.gram, test.cross[:, 0], float(test.power[0]), weights)
 
 
-def _change(train: Moments, weights: Array) -> Array:
-    """Change of the weights to those that suit some folds; none of what these leave open."""
-    held = np.diag(UNTOLD * np.diag(train.gram) + np.finfo(float).tiny)
+def _change(train: Moments, whole: Moments, weights: Array) -> Array:
+    """Change of the weights to those that suit some folds; none of what these leave open.
+
+    The least of |X d - e|^2 + UNTOLD |X_all d|^2, with the columns X and the errors e of these folds: a
+    combination of which they hold the part p of its power changes by p / (p + UNTOLD) of what suits them.
+    """
+    held = UNTOLD * whole.gram + np.diag(np.full(len(weights), np.finfo(float).tiny))
     return coefficients(train.gram + held, train.cross[:, 0] - train.gram @ weights)
 
 

@@ -42,6 +42,7 @@ from hammerstein.records.record import Record
 Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
 
 
+WITHOUT_PLAYS = ("linear", "linear_dynamics")
 MOST_TURNS = 4
 """Most times that block and axes are fitted in turn; each must lower the error by half a percent."""
 DELAY_TURN = 1
@@ -86,7 +87,7 @@ def with_hysteresis(task: Task, built: Built) -> tuple[Task, Built]:
     task.progress(f"fitting the {kind.replace('_', ' ')} hysteresis")
     before = built.best
     task = task.delayed_as(before.candidate.dynamics)
-    thresholds_v = [[pair.thresholds_v for pair in row] for row in before.blocks.chosen.hysteresis.pairs]
+    thresholds_v = _thresholds_of_plays(built)
     tried = _late(task, thresholds_v, free=_free_delay(task))
     late = len(tried)
     asked = settings.dynamics != "auto" or settings.creep_modes not in (0, "auto")
@@ -105,6 +106,17 @@ def with_hysteresis(task: Task, built: Built) -> tuple[Task, Built]:
     models = {**plays, name: Found(found.candidate, before.blocks, axes)}
     notes, untold = (*built.notes, *found.block.notes), _untold(task, thresholds_v, found)
     return task, replace(built, found=models, kind=name, axes=axes, notes=notes, untold=untold)
+
+
+def _thresholds_of_plays(built: Built) -> Thresholds:
+    """Thresholds of the best model with plays, as another kind needs them.
+
+    Where linear dynamics alone were kept, plays can still be what that kind is made of.
+    """
+    kinds: tuple[Kind, ...] = (built.kind, "hammerstein", "static_hysteresis")
+    with_plays = (built.found[k] for k in kinds if k in built.found and k not in WITHOUT_PLAYS)
+    pairs = next(with_plays, built.best).blocks.chosen.hysteresis.pairs
+    return [[pair.thresholds_v for pair in row] for row in pairs]
 
 
 def _untold(task: Task, thresholds_v: Thresholds, found: Whole) -> str:

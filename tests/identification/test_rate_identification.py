@@ -1,5 +1,6 @@
 """Rate-dependent plays from records, and the compensator that is built of them, on the packaged stack."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,7 +11,7 @@ from likeness import assert_alike
 
 from hammerstein.comparison.compare import compare
 from hammerstein.compensators.exact.inverse import ExactInverse
-from hammerstein.dynamics import StaticDynamics
+from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, RateDependent, RatePlays
 from hammerstein.identification.identify import identify
@@ -152,3 +153,29 @@ def test_the_recipe_is_the_packaged_file():
 
     assert_alike(rate_dependent_stack(stack().instruments), stack())
     assert isinstance(stack().dynamics, StaticDynamics)
+
+
+@pytest.mark.parametrize("growth_s", [2.5e-4, 5e-4])
+def test_growth_is_found_behind_a_resonance_on_loops_of_falling_amplitude(growth_s):
+    """The fold with the largest loops was predicted from what the others hardly show, far off.
+
+    So no plays were kept in front of the resonance, and none were left whose thresholds could grow.
+    """
+    t, generator = np.arange(12_000) * 1e-4, np.random.default_rng(3)
+    slow = 10.0 * np.linspace(1.0, 0.3, t.size) * np.sin(2.0 * np.pi * 5.0 * t)
+    fast = 5.0 * np.sin(2.0 * np.pi * (20.0 * t + 0.5 * 400.0 / 1.2 * t**2))
+    u = np.concatenate([np.zeros(400), slow, fast])[None]
+    r, w = np.append(0.0, np.linspace(0.4, 6.8, 9)), np.append(4.0, np.linspace(0.6, 0.1, 9))
+    plays = RatePlays(r, np.where(r > 0.0, growth_s, 0.0), 300.0)
+    axis = Axis(resonance_hz=316.0, damping_ratio=0.076)
+    truth = HammersteinModel(
+        "truth", RateDependent((plays,), ((w,),)), AxesDynamics(axes=(axis,)), 10.0, ("u",), ("y",)
+    )
+    y = truth.simulate(u, 1e-4).position_um
+    record = Record(u, y + 0.03 * generator.standard_normal(y.shape), 1e-4)
+    asked = Settings(hysteresis="rate_dependent", dynamics="second_order", creep_modes=0, delay_samples=0)
+    model, _ = identify([record], replace(asked, error_curve=False))
+    assert isinstance(model.hysteresis, RateDependent)
+    assert model.hysteresis.inputs[0].growth_s[-1] == pytest.approx(growth_s, rel=0.1)
+    left = model.simulate(u, 1e-4).position_um - y
+    assert np.sqrt((left**2).mean()) < 1e-3 * np.ptp(y)
