@@ -99,7 +99,7 @@ def test_what_is_found_is_written_and_runs_again(bimorph_fit, tmp_path):
     assert again.hysteresis.pairs[0][0].weight_errors_um_per_v.min() > 0.0
     page = fit_page(model, fit, ["loops.svg"]).markdown()
     assert fit.verdict in page
-    assert "![Loops](loops.svg)" in page
+    assert "](loops.svg)" in page
     assert "| **Hammerstein** |" in page
     assert "| linear gain |" in page
     plain = json.loads(fit_json(model, fit))
