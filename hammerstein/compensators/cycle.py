@@ -179,7 +179,7 @@ class Design:
             refuse_beyond(model, sent)
         time_s = model.instruments.drive.sample_time_s
         play = player(model, limits, time_s)
-        position, closure = settled_position(play, sent)
+        position, closure = settled_position(play, sent, limits.start_v, time_s)
         converter = model.instruments.drive.model_copy(update={"range_v": ends})
         way, _ = converter.apply(run_up(sent, limits.start_v, time_s))
         first = play(np.concatenate([way, sent], axis=1))[:, way.shape[1] :]
@@ -269,10 +269,10 @@ def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Arra
     drive, share = settled(law, model, reference_um), 1.0
     turn = np.linalg.pinv(model.gain(half_stroke(drive)))
     play = player(model, limits, time_s)
-    off = _middle(settled_position(play, drive)[0] - reference_um)
+    off = _middle(settled_position(play, drive, limits.start_v, time_s)[0] - reference_um)
     for _ in range(CENTRING_ROUNDS):
         trial = np.clip(drive - share * (turn @ off), limits.low_v[:, None], limits.high_v[:, None])
-        left = _middle(settled_position(play, trial)[0] - reference_um)
+        left = _middle(settled_position(play, trial, limits.start_v, time_s)[0] - reference_um)
         if np.abs(left).max() < np.abs(off).max():
             drive, off = trial, left
         else:
@@ -294,15 +294,21 @@ def played(
 ) -> tuple[Array, float]:
     """Position (p, N) [um] in the last of ten periods, and by how much the one before differs [um].
 
-    Positions count from the start. The actuator stands at its start before the first.
+    Positions count from the start. The actuator stands at its start before the run-up.
     """
-    return settled_position(player(model, limits, sample_time_s), drive_v)
+    return settled_position(player(model, limits, sample_time_s), drive_v, limits.start_v, sample_time_s)
 
 
-def settled_position(play: Callable[[Array], Array], drive_v: Array) -> tuple[Array, float]:
-    """Position (p, N) in the last of ten periods (m, N), and by how much the one before differs [um]."""
+def settled_position(
+    play: Callable[[Array], Array], drive_v: Array, start_v: Array, sample_time_s: float
+) -> tuple[Array, float]:
+    """Position (p, N) in the last of ten periods (m, N), and by how much the one before differs [um].
+
+    The run-up comes before them: a jump from the start (m,) would still ring after ten short periods.
+    """
     samples = drive_v.shape[1]
-    position = play(np.tile(drive_v, (1, PLAYED_PERIODS)))
+    way = run_up(drive_v, start_v, sample_time_s)
+    position = play(np.concatenate([way, np.tile(drive_v, (1, PLAYED_PERIODS))], axis=1))
     last, one_before = position[:, -samples:], position[:, -2 * samples : -samples]
     return last.copy(), float(np.abs(last - one_before).max())
 

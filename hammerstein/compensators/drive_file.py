@@ -281,7 +281,8 @@ def compensation_of(
     held = not found.predicted.complete and bool((found.path_error_um <= own).all())
     reachable = reach(model, limits, run_anyway=True)
     if not (terms.clip or held or found.predicted.complete):
-        missed = Missed(model, limits, compensator, path, found, own, reachable)
+        moved_already = terms.offset_um is not None
+        missed = Missed(model, limits, compensator, path, found, own, reachable, moved_already)
         ends = f"With {limits.words(model.inputs)} (--range), counted from the start (--start):"
         raise SimulationError(
             f"out of reach: {missed.statement()}\n{ends} {reachable.statement(model.outputs)}"

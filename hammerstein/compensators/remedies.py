@@ -29,6 +29,7 @@ class Missed:
     """A path that is out of reach, and what tries to mend it start from.
 
     own_um : (p,) error of the model itself: what is missed by less is no miss
+    moved : whether an offset is in the path already
     """
 
     model: HammersteinModel
@@ -38,6 +39,7 @@ class Missed:
     found: Attempt
     own_um: Array
     reach: Reach
+    moved: bool = False
 
     def statement(self) -> str:
         """Say which limit is hit, by how much and where, and what helps: two lines."""
@@ -120,7 +122,7 @@ class Missed:
 
     def _moved(self) -> Iterator[tuple[float, str]]:
         """The path moved to the middle of what can be reached."""
-        if self.found.lead:
+        if self.moved:
             return
         middle = self.reach.alone_um.mean(axis=1) - 0.5 * (
             self.path_um.max(axis=1) + self.path_um.min(axis=1)

@@ -252,6 +252,9 @@ def test_the_remedy_that_is_named_first_is_the_one_that_helps(tmp_path, capsys, 
     named = said[1].removeprefix("Remedies, with the error of each: ")
     option, error_um = re.match(r"(--lead-in(?: --offset=\S+)?) \((\S+) um\)", named).groups()
     assert ("--offset" in option) == (kind == "below")
+    if kind == "below":  # named to those, too, who have led in already
+        assert _call("compensate", "stage.json", path, "--lead-in") == 3
+        assert f"error of each: {option} (" in capsys.readouterr().err
     assert _call("compensate", "stage.json", path, *option.split(), "--json") == 0
     expected = json.loads(capsys.readouterr().out)["axes"]["x"]["expected_error"]
     assert expected["path_um"] == pytest.approx(float(error_um), rel=0.06)

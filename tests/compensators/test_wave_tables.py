@@ -3,6 +3,7 @@
 import io
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -216,3 +217,22 @@ def test_the_command_refuses_half_a_request(tmp_path, capsys):
     assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", out) == 0
     assert re.search("One settled period of 0.04 s", capsys.readouterr().out)
     assert len(pd.read_csv(out, comment="#")) == 800
+
+
+def test_the_settled_error_of_a_short_period_does_not_ring(tmp_path):
+    """A resonance of 180 Hz with damping 0.02 rings for 0.3 s to 1 %: longer than ten periods of 25 ms."""
+    packaged = HammersteinModel.load("duo_bimorph")
+    axes = tuple(
+        axis.model_copy(update={"resonance_hz": 180.0, "damping_ratio": 0.02})
+        for axis in packaged.dynamics.axes
+    )
+    model = replace(packaged, dynamics=packaged.dynamics.model_copy(update={"axes": axes}))
+    model.save(tmp_path / "ringing.json")
+    turn = 2.0 * np.pi * np.arange(500) / 500
+    columns = {"time_s": np.arange(500) * T, "x": 20.0 + 15.0 * np.cos(turn), "y": 20.0 + 15.0 * np.sin(turn)}
+    pd.DataFrame(columns).to_csv(tmp_path / "path.csv", index=False)
+    found = cycle_of(str(tmp_path / "ringing.json"), tmp_path / "path.csv", "hammerstein_inverse", {})
+    sent = np.concatenate([found.run_up_v, np.tile(found.drive_v, (1, 80))], axis=1)
+    long = Plant(model, Instruments.ideal(T)).respond(sent, [0]).position_um[:, -500:]  # 2 s: all is settled
+    assert np.abs(found.played_um - long).max() < 2e-3
+    assert np.abs(found.error_um).max() < 5e-3
