@@ -20,7 +20,7 @@ class NumberFile(NamedTuple):
     media_type: str = "application/json"
 
 
-class Verdict(NamedTuple):
+class Judged(NamedTuple):
     """What was judged, in few words, and whether all of it is as it was wanted."""
 
     words: str
@@ -46,7 +46,7 @@ class Page:
     answer: Markdown
     body: Markdown
     facts: Sequence[str] = ()
-    verdict: Verdict | None = None
+    verdict: Judged | None = None
     numbers: Sequence[NumberFile] = ()
 
     def markdown(self) -> str:

@@ -16,7 +16,7 @@ from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
 from hammerstein.reporting.figures.smooth_path import is_sparse
-from hammerstein.reporting.page import NumberFile, Page, Shown, Verdict, figures_section, paragraphs, points
+from hammerstein.reporting.page import Judged, NumberFile, Page, Shown, figures_section, paragraphs, points
 from hammerstein.reporting.summary import sentences
 from hammerstein.reporting.tables import number_tables
 from hammerstein.scenario.source import ModelSource
@@ -109,7 +109,7 @@ def run_page(report: Report, figures: Iterable[str] = ()) -> Page:
         answer=_answer(report),
         body=_body(report, sorted((name for name in figures if name.endswith(".svg")), key=place_of)),
         facts=list(_facts(report)),
-        verdict=Verdict(f"{met} of {len(judged)} claims met", met == len(judged)) if judged else None,
+        verdict=Judged(f"{met} of {len(judged)} claims met", met == len(judged)) if judged else None,
         numbers=list(_number_files(report)),
     )
 

@@ -11,16 +11,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.plugins import Family
 from hammerstein.runtime.store import Store
 from hammerstein.validation import Strict
-
-if TYPE_CHECKING:
-    from hammerstein.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -90,13 +87,13 @@ class Assessment(Strict, ABC):
 
     @abstractmethod
     def judge(
-        self, scenario: Scenario, name: str, model: HammersteinModel, rows: Sequence[Row], store: Store | None
+        self, scenario: Any, name: str, model: HammersteinModel, rows: Sequence[Row], store: Store | None
     ) -> tuple[Judgement, ...]:
         """What a run says.
 
         Parameters
         ----------
-        scenario, name : what was run, and what its report is called
+        scenario, name : the ``Scenario`` that was run, and what its report is called
         model, rows : the actuator that was simulated, and what was measured
         store : where the results of further runs are kept and found
 

@@ -4,6 +4,7 @@ import ast
 import configparser
 import re
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import numpy as np
@@ -132,15 +133,35 @@ def test_the_command_identify_enters_few_modules(tmp_path, monkeypatch):
     assert 20 < len(entered(identify)) <= MODULES_OF_IDENTIFY
 
 
-def imported_rooms(file):
-    """Rooms of the package that a file imports from, wherever it does."""
+def imported(file):
+    """Names that a file imports, wherever it does: inside functions and for types alone, too."""
     names = set()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
             names.update({node.module, *(f"{node.module}.{alias.name}" for alias in node.names)})
-    return {name.split(".")[1] for name in names if name.startswith("hammerstein.")}
+    return names
+
+
+def imported_rooms(file):
+    """Rooms of the package that a file imports from."""
+    return {name.split(".")[1] for name in imported(file) if name.startswith("hammerstein.")}
+
+
+OF_THE_MODEL = {"hammerstein.compensators.drive_file", "hammerstein.model.simulation"}
+"""What a model does when a person asks it by a method: it stands on the model."""
+
+
+def test_no_module_imports_what_stands_on_it():
+    places = {}
+    for file in PACKAGE.rglob("*.py"):
+        parts = file.relative_to(PACKAGE.parent).with_suffix("").parts
+        places[".".join(parts[: -1 if parts[-1] == "__init__" else None])] = file
+    below = {name: imported(file) & places.keys() - {name} for name, file in places.items()}
+    assert below["hammerstein.model.model"] >= OF_THE_MODEL
+    below["hammerstein.model.model"] -= OF_THE_MODEL
+    assert len(list(TopologicalSorter(below).static_order())) > 200  # CycleError names the modules
 
 
 def test_a_run_to_its_report_never_climbs(calls):

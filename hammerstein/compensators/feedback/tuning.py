@@ -3,52 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from hammerstein.arrays import Array, Complex
-from hammerstein.compensators.feedback.loop import FeedbackLoop
+from hammerstein.arrays import Complex
+from hammerstein.compensators.feedback.loop import FeedbackLoop, Gains
 from hammerstein.errors import SimulationError
 
 LARGEST_SENSITIVITY = 1.6
 SHARES = (0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0)
 MOST_TRIES = 30
-
-
-@dataclass(frozen=True, eq=False)
-class Gains:
-    """Gains of one controller an output; errors and corrections in um.
-
-    correction = proportional e + integral_per_s (integral of e) + derivative_s (de/dt)
-
-    proportional, integral_per_s, derivative_s : (p,)
-    crossover_hz : (p,) frequency where the loop gain falls to 1, if it was computed
-    sensitivity : largest singular value of the sensitivity at any frequency, if it was computed
-    """
-
-    proportional: Array
-    integral_per_s: Array
-    derivative_s: Array
-    crossover_hz: Array | None = None
-    sensitivity: float | None = None
-
-    def scaled(self, factor: float) -> Gains:
-        """Give all gains times a factor; what was computed for the old ones is dropped."""
-        return Gains(factor * self.proportional, factor * self.integral_per_s, factor * self.derivative_s)
-
-    def statement(self) -> str:
-        """Say what the gains are."""
-        axes = []
-        for o, ki in enumerate(self.integral_per_s):
-            text = f"output {o + 1}: {ki:.4g} /s integral, {self.proportional[o]:.3g} proportional"
-            if self.derivative_s[o]:
-                text += f", {self.derivative_s[o]:.3g} s derivative"
-            if self.crossover_hz is not None:
-                text += f", loop gain 1 at {self.crossover_hz[o]:.3g} Hz"
-            axes.append(text)
-        peak = f"; sensitivity at most {self.sensitivity:.3g}" if self.sensitivity is not None else ""
-        return "Feedback gains: " + "; ".join(axes) + f"{peak}."
 
 
 def tuned(loop: FeedbackLoop, derivative: bool = False) -> Gains:
