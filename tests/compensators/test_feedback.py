@@ -8,8 +8,8 @@ import pytest
 
 from hammerstein.blocks.instruments import Drive, Instruments, Sensor
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
+from hammerstein.compensators.feedback.loop import Gains
 from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
-from hammerstein.compensators.feedback.tuning import Gains
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError

@@ -17,8 +17,8 @@ from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.instruments import standard_noise
 from hammerstein.blocks.sample_grid import require_grid
 from hammerstein.compensators.base import COMPENSATORS, Compensator
-from hammerstein.compensators.feedback.loop import FeedbackLoop
-from hammerstein.compensators.feedback.tuning import Gains, tuned
+from hammerstein.compensators.feedback.loop import FeedbackLoop, Gains
+from hammerstein.compensators.feedback.tuning import tuned
 from hammerstein.dynamics import LinearBlock, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PrandtlIshlinskii, slopes_of
