@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path, PurePath
@@ -150,7 +151,8 @@ def _next(model: HammersteinModel, fit: Fit) -> str:
         return "Next: identify again with a record that is not fitted: --validate RECORD."
     kept = isinstance(model.hysteresis, BoucWen)
     law = "inverse_multiplicative" if kept else "exact_inverse" if fit.is_static else "hammerstein_inverse"
-    return f"Next: hammerstein compensate MODEL.json PATH.csv --law {law} --out drive.csv"
+    file = shlex.quote(f"{model.name}.json")
+    return f"Next: hammerstein compensate {file} path.csv --law {law} --out drive.csv"
 
 
 def headline(model: HammersteinModel, fit: Fit) -> str:

@@ -88,7 +88,7 @@ def test_a_fit_report_begins_with_what_it_is_good_for_and_ends_with_thresholds()
     assert first[0].startswith("* Usable")
     assert first[1].startswith("* Error: ")
     assert "validation records" in first[1]
-    assert first[-1].startswith("* Next: hammerstein compensate")
+    assert first[-1].startswith(f"* Next: hammerstein compensate {model.name}.json path.csv --law ")
     assert 4 <= len(first) <= 5
     headings = [line for line in fit_page(model, fit).markdown().splitlines() if line.startswith("## ")]
     assert headings[-1] == "## Thresholds"
