@@ -294,7 +294,7 @@ def test_a_text_of_many_blocks_is_the_text_of_one(monkeypatch):
 
 
 class _SlowLaw(NoCompensation):
-    """Plays what it is told, and takes a millisecond a sample."""
+    """Plays what it is told, and takes 0.1 ms a sample."""
 
     law: Literal["slow"] = "slow"
 
@@ -303,7 +303,7 @@ class _SlowLaw(NoCompensation):
         quick = law.respond
 
         def respond(reference_um, start=None):
-            time.sleep(1e-3 * np.shape(reference_um)[1])
+            time.sleep(1e-4 * np.shape(reference_um)[1])
             return quick(reference_um, start)
 
         law.respond = respond
@@ -315,7 +315,7 @@ def test_a_law_that_plugs_in_counts_as_what_it_takes():
     try:
         scenario = _scenario("slow", measure={"measured_cycles": 500})
         plant, (signal,) = plant_of(scenario), scenario.signals()
-        seconds = 2 * 1e-3 * Window.of(scenario, signal, plant.sample_time_s).total  # two axes
+        seconds = 2 * 1e-4 * Window.of(scenario, signal, plant.sample_time_s).total  # two axes
         assert seconds < plan_of(scenario).seconds < 2.0 * seconds
     finally:
         COMPENSATORS.remove(_SlowLaw)
