@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import AxesDynamics
+from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.identification.choices import PLAYS
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.settings import Settings
@@ -80,9 +80,11 @@ def _is_left(fault: Fault, candidate: Candidate, records: Sequence[Record], star
     """Whether what was seen in a record is there still beside the model.
 
     Creep looks like drift to who knows plays alone, and so does the bend of dead-zones like saturation; a
-    model that has them leaves none.
+    model that has them leaves none. Plays alone leave the drift, even where their weights can mimic it: it
+    was seen beside plays.
     """
-    if not (fault.drift_um or fault.bent_um):
+    plain = candidate.hysteresis.kind == PLAYS and isinstance(candidate.dynamics, StaticDynamics)
+    if not (fault.drift_um or fault.bent_um) or (plain and fault.drift_um):
         return True
     for record, start in zip(records, starts, strict=True):
         if record.source == fault.source and fault.outputs[0] in record.outputs:
