@@ -172,11 +172,14 @@ def jobs_that_fit(plans: Iterable[Plan], jobs: int) -> int:
     return max(1, jobs - sum(size > free for size in sizes[:jobs]))
 
 
-def plan_of(scenario: Scenario, jobs: int = 1) -> Plan:
-    """What a run of a scenario needs; InputError where its files are wrong."""
+def plan_of(scenario: Scenario, jobs: int = 1, timed: bool = True) -> Plan:
+    """What a run of a scenario needs; InputError where its files are wrong.
+
+    timed : whether its time is wanted, too: a law that plugs in is tried for that
+    """
     plant, factor = plant_of(scenario), slowness()
     identified = list(identification_parts(scenario, plant))
-    parts = [*identified, *_runs(scenario, plant, jobs)]
+    parts = [*identified, *_runs(scenario, plant, jobs, timed)]
     if identified and scenario.assessment is not None and scenario.assessment.runs:
         seconds = scenario.assessment.runs * sum(part.seconds for part in identified)
         words = "the identifications on other actuators that its [assessment] asks for"
@@ -233,13 +236,13 @@ def _joint_fit(spec: JointFitSpec, label: str, m: int, p: int, step: float) -> P
     )
 
 
-def _runs(scenario: Scenario, plant: Plant, jobs: int) -> Iterator[Part]:
+def _runs(scenario: Scenario, plant: Plant, jobs: int, timed: bool) -> Iterator[Part]:
     """The cases, and their repetition on drawn actuators."""
     m, p = plant.model.hysteresis.n_inputs, plant.model.hysteresis.n_outputs
     axes = len(driven_axes(scenario, len(scenario_axes(scenario, plant.model))))
     others = scenario.sweep.others("frequency_hz")
     cases = samples = work = reading = longest = 0.0
-    a_sample = {c.label: _work(c, plant) for c in scenario.compensators}
+    a_sample = {c.label: _work(c, plant) if timed else 0.0 for c in scenario.compensators}
     for signal in scenario.signals(only="frequency_hz"):
         total = float(Window.of(scenario, signal, plant.sample_time_s).total)
         tested = [c for c in scenario.compensators if c.is_tested_at(signal.highest_frequency_hz)]
@@ -314,22 +317,29 @@ def _work(compensator: TestedCompensator, plant: Plant) -> float:
     if isinstance(compensator, Learned):
         return SECONDS_A_LEARNT_SAMPLE
     if type(compensator).__module__.partition(".")[0] != __name__.partition(".")[0]:
-        tried_s = [_tried_s(compensator, plant) for _ in range(2)]  # the first may have to be compiled
-        return min(tried_s) / TRIED_SAMPLES / slowness()
+        options = compensator.model_dump_json(exclude={"label"})
+        key = (type(compensator), options, plant.model.digest(), plant.sample_time_s)
+        if key not in _tried:  # twice, as it may have to be compiled
+            _tried[key] = min(_trial_of(compensator, plant) for _ in range(2))
+        return _tried[key] / TRIED_SAMPLES / slowness()
     return 0.0
 
 
-def _tried_s(compensator: TestedCompensator, plant: Plant) -> float:
-    """Time of some samples of a law of which nothing is known, designed for the actuator itself."""
-    law = law_of(compensator, plant.model, plant)
-    path_um = np.zeros((law.n_outputs, TRIED_SAMPLES))
+_tried: dict[Hashable, float] = {}
+
+
+def _trial_of(compensator: TestedCompensator, plant: Plant) -> float:
+    """Time [s] of some samples of a law of which nothing is known, designed for the actuator itself."""
     begun = time.perf_counter()
-    if isinstance(law, Controller):
-        closed_loop(law, plant, path_um, [0])
-    elif isinstance(law, Learner):
-        law.following(path_um, law.first(path_um), path_um)
-    else:
-        law.drive_for(path_um)
+    with contextlib.suppress(Exception):  # what is wrong with it is told when it runs
+        law = law_of(compensator, plant.model, plant)
+        path_um = np.zeros((law.n_outputs, TRIED_SAMPLES))
+        if isinstance(law, Controller):
+            closed_loop(law, plant, path_um, [0])
+        elif isinstance(law, Learner):
+            law.following(path_um, law.first(path_um), path_um)
+        else:
+            law.drive_for(path_um)
     return time.perf_counter() - begun
 
 

@@ -184,7 +184,7 @@ def _worked_out(
     store: Store | None = None,
 ) -> tuple[CaseCache, list[Case], list[Result]]:
     """Every case of a scenario and what came out."""
-    plan_of(scenario, jobs if isinstance(jobs, int) else 1).refuse_too_large()
+    plan_of(scenario, jobs if isinstance(jobs, int) else 1, timed=False).refuse_too_large()
     setup = set_up(scenario, name, progress, store=store, jobs=jobs)
     cases, kept = list(setup.cases()), CaseCache(setup, store)
     return kept, cases, kept.results(cases, jobs, progress)

@@ -297,6 +297,7 @@ class _SlowLaw(NoCompensation):
     """Plays what it is told, and takes 0.1 ms a sample."""
 
     law: Literal["slow"] = "slow"
+    factor: float = 1.0
 
     def design(self, model, range_v, sample_time_s):
         law = super().design(model, range_v, sample_time_s)
@@ -310,12 +311,16 @@ class _SlowLaw(NoCompensation):
         return law
 
 
-def test_a_law_that_plugs_in_counts_as_what_it_takes():
+def test_a_law_that_plugs_in_counts_as_what_it_takes(monkeypatch):
     register(_SlowLaw)
     try:
         scenario = _scenario("slow", measure={"measured_cycles": 500})
         plant, (signal,) = plant_of(scenario), scenario.signals()
         seconds = 2 * 1e-4 * Window.of(scenario, signal, plant.sample_time_s).total  # two axes
         assert seconds < plan_of(scenario).seconds < 2.0 * seconds
+        with monkeypatch.context() as counted:  # one trial for all runs of a study, and none to run
+            counted.setattr("hammerstein.experiment.plan._trial_of", None)
+            assert plan_of(scenario.model_copy(update={"seed": 5})).seconds < 2.0 * seconds
+            assert plan_of(_scenario("slow", {"factor": 2.0}), timed=False).bytes > 0.0
     finally:
         COMPENSATORS.remove(_SlowLaw)
