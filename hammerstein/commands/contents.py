@@ -211,7 +211,7 @@ def _comparison(found: _Comparison) -> Iterator[tuple[str, str]]:
 
 def _table(path: Path) -> Iterator[tuple[str, str]]:
     from hammerstein.records.readers import read_columns
-    from hammerstein.records.text_files import find_layout
+    from hammerstein.signals.text_tables import find_layout
 
     if path.suffix.lower() in PARQUET:
         raise InputError(str(path), "is a Parquet file; pandas.read_parquet shows its columns")

@@ -13,6 +13,7 @@ from hammerstein.arrays import Array, Flags, Indices
 from hammerstein.errors import Mistake
 from hammerstein.quantities import Range
 from hammerstein.records.noise import quantum
+from hammerstein.signals.text_tables import SHOWN, not_listed, where
 
 FEWEST_SAMPLES = 20
 CLIPPED_RUN = 4
@@ -21,31 +22,15 @@ FEW_GAPS = 0.01
 """Part of the steps that are gaps, beyond which it is the clock that jitters."""
 AROUND_GAP = 3
 """Samples on each side of a gap over which it must remain."""
-SHOWN = 5
-"""Places of one kind of mistake that are listed; the rest is counted."""
 VOLTAGE_RANGE = 1e-4, 1e4
 DISPLACEMENT_RANGE = 1e-3, 1e5
 """Ranges that a record in V and um can have; anything else is a matter of units."""
-
-
-def where(name: str, rows: Indices | None = None, start: int = 0, stop: int = 0) -> str:
-    """``column x, row 5`` or ``column x, rows 5 to 9`` for the samples start..stop (both included)."""
-    if rows is None:
-        return f"column {name}"
-    if start == stop:
-        return f"column {name}, row {rows[start]}"
-    return f"column {name}, rows {rows[start]} to {rows[stop]}"
 
 
 def runs(flags: Flags) -> Indices:
     """First and last index of every run of True: (run, 2)."""
     edges = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
     return np.column_stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1])
-
-
-def not_listed(place: str, count: int, what: str) -> list[Mistake]:
-    """How many mistakes of one kind there are behind those that are shown."""
-    return [Mistake(place, f"{count - SHOWN} more {what}")] if count > SHOWN else []
 
 
 def gap_mistakes(names: Sequence[str], values: Array, rows: Indices) -> Iterator[Mistake]:

@@ -16,8 +16,9 @@ import numpy as np
 
 from hammerstein.arrays import Array, Flags, Indices
 from hammerstein.errors import Mistake
-from hammerstein.records.checks import SHOWN, runs, where
+from hammerstein.records.checks import runs
 from hammerstein.records.robust_fit import FITTED, LAGS, Products, regressors
+from hammerstein.signals.text_tables import SHOWN, where
 
 MOST = 0.01
 """Part of the samples that may be left out."""

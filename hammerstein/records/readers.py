@@ -21,9 +21,9 @@ from hammerstein.arrays import Array, Indices
 from hammerstein.blocks.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.records.array_files import SUFFIXES, array_columns, refuse_large, whole_array
-from hammerstein.records.checks import gap_mistakes, where
-from hammerstein.records.text_files import FORMATS, find_layout, read_text
+from hammerstein.records.checks import gap_mistakes
 from hammerstein.signals.signal_files import OF_TIME
+from hammerstein.signals.text_tables import FORMATS, find_layout, read_text, where
 from hammerstein.signals.units import Kind, Unit, unit_in, without_unit
 
 TIME_NAMES = (*OF_TIME, "x-axis")

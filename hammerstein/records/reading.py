@@ -11,15 +11,11 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake, together
 from hammerstein.quantities import RATE_HZ, SCALE
-from hammerstein.records.checks import (
-    moves,
-    still_mistake,
-    unit_mistake,
-    where,
-)
+from hammerstein.records.checks import moves, still_mistake, unit_mistake
 from hammerstein.records.readers import Columns, Header, read_array, read_columns
 from hammerstein.records.record import Record
 from hammerstein.records.scales import factors_of, refuse_other_time, sample_time_of
+from hammerstein.signals.text_tables import where
 from hammerstein.signals.units import Kind, axis_name
 
 PathLike = str | Path

@@ -20,9 +20,9 @@ from hammerstein.records.checks import (
     length_mistakes,
     still_mistakes,
     unit_mistake,
-    where,
 )
 from hammerstein.records.outliers import Outliers, listed, outlier_mistakes, without_outliers
+from hammerstein.signals.text_tables import where
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,9 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake
 from hammerstein.quantities import RATE_HZ
-from hammerstein.records.checks import hidden_gaps, sample_time, time_mistakes, where
+from hammerstein.records.checks import hidden_gaps, sample_time, time_mistakes
 from hammerstein.records.readers import Columns, named_time
+from hammerstein.signals.text_tables import where
 from hammerstein.signals.units import BASE, Kind, unit_in
 
 OTHER_RATE = 0.01

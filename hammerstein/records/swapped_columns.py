@@ -8,9 +8,9 @@ import numpy as np
 
 from hammerstein.arrays import Array, Complex
 from hammerstein.errors import InputError, Mistake
-from hammerstein.records.checks import where
 from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.record import Record
+from hammerstein.signals.text_tables import where
 
 ALIKE = 0.5
 """Correlation of output and input from which a lead has a meaning."""

@@ -1,26 +1,20 @@
-"""CSV tables of times and one column an axis: voltages to play, paths to follow."""
+"""Text tables of times and one column an axis: voltages to play, paths to follow."""
 
 from __future__ import annotations
 
-import io
-import math
-import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import column
-from hammerstein.errors import InputError, Notice
+from hammerstein.errors import InputError, Mistake, Notice
 from hammerstein.files import read_limited
 from hammerstein.quantities import POSITION_UM
+from hammerstein.signals.text_tables import find_layout, read_text, where
 from hammerstein.signals.units import BASE, Kind, Unit, axis_name, unit_in
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 OF_TIME = ("time", "t", "zeit")
 """Names of a column of time, without its unit."""
@@ -29,36 +23,38 @@ SHOWN = 80
 
 
 def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
-    """Read a CSV file with a column of time, such as ``time_s`` or ``t [ms]``, and one column an axis.
+    """Read a text table with a column of time, such as ``time_s`` or ``t [ms]``, and one column an axis.
 
     Returns times (row,) [s], values (axis, row) in V and um by the units in the names of their columns, and
     these names. InputError names the row and column that are wrong.
     """
-    import pandas as pd
-
-    text = read_limited(path, what="CSV file")
-    frame = _table(text, path)
-    names = [str(name) for name in frame.columns]
+    read_limited(path, what="CSV file")
+    layout = find_layout(path)
+    units = layout.units or [""] * layout.width
+    names = [f"{name} [{unit}]" if unit else name for name, unit in zip(layout.names, units, strict=False)]
     time = _time_in(names)
     if time is None or len(names) < 2:
+        with path.open(encoding=layout.encoding) as file:
+            first = next((line.strip() for line in file if line.strip() and not line.startswith("#")), "")
         raise InputError(
             str(path),
-            "needs a header with a column time_s (or t [ms], say) and one column for each axis, separated "
-            f"by commas; its first line is {','.join(names)[:SHOWN]!r}",
+            "needs a header with a column time_s (or t [ms], say) and one column for each axis; its first "
+            f"line is {first[:SHOWN]!r}",
         )
-    lines = enumerate(text.splitlines(), start=1)
-    rows = [number for number, line in lines if line.strip() and not line.lstrip().startswith("#")][1:]
-    try:
-        numbers = frame.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
-    except OverflowError:  # a whole number of hundreds of digits
-        numbers = frame.map(_float).to_numpy(dtype=float)
-    bad = np.argwhere(~(np.abs(numbers) <= POSITION_UM.high))
+    values, rows, mistakes = read_text(path, layout, range(layout.width), names)
+    if mistakes:
+        raise InputError(str(path), mistakes)
+    if not names[-1] and np.isnan(values[-1]).all():  # a comma at the end of each row
+        names, values = names[:-1], values[:-1]
+    if not all(names):
+        raise InputError(str(path), "its rows have more cells than its header; give every column a name")
+    bad = np.argwhere(~(np.abs(values.T) <= POSITION_UM.high))
     if len(bad):
         row, column = (int(i) for i in bad[0])
-        value = frame.iloc[row, column]
-        what = "is no number" if str(value) == "nan" else f"{value!s} is not a finite number within 1e9"
-        raise InputError(str(path), f"row {rows[row]}, column {frame.columns[column]}: {what}")
-    times = _factor(time) * frame[time].to_numpy(dtype=float)
+        place = where(names[column], rows, row, row)
+        raise InputError(str(path), [Mistake(place, "holds no finite number within 1e9")])
+    at = names.index(time)
+    times, values = _factor(time) * values[at], np.delete(values, at, axis=0)
     if len(times) < 2:
         raise InputError(str(path), "has a single row; a signal needs at least two")
     late = np.nonzero(np.diff(times) <= 0)[0]
@@ -66,15 +62,7 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
         raise InputError(str(path), f"row {rows[int(late[0]) + 1]}: {time} does not increase")
     names.remove(time)
     factors = [unit.factor if (unit := _unit(name)) else 1.0 for name in names]
-    return times, np.array(factors)[:, None] * frame[names].to_numpy(dtype=float).T, names
-
-
-def _float(cell: object) -> float:
-    """Number of a cell; NaN where it holds none."""
-    try:
-        return float(str(cell))
-    except ValueError:
-        return math.nan
+    return times, np.array(factors)[:, None] * values, names
 
 
 def _time_in(names: Sequence[str]) -> str | None:
@@ -143,24 +131,3 @@ def _unit(name: str) -> Unit | None:
 def _plain(name: str) -> str:
     """Name of a column without its unit, in small letters."""
     return axis_name(name).casefold()
-
-
-def _table(text: str, path: Path) -> pd.DataFrame:
-    """Table of a CSV file; InputError where a row has more cells than the header."""
-    import pandas as pd
-
-    # Not as pandas would have it: a cell too many in every row makes the first column an index there.
-    form = {"skipinitialspace": True, "comment": "#", "index_col": False, "low_memory": False}
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            return pd.read_csv(io.StringIO(text), **form)  # type: ignore[call-overload,no-any-return]
-    except pd.errors.ParserWarning:
-        what = "its rows have more cells than its header; give every column a name"
-    except pd.errors.EmptyDataError:
-        what = "holds no table"
-    except pd.errors.ParserError as error:
-        cells = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
-        told = "row {1} has {2} cells, and the header {0}".format(*cells.groups()) if cells else str(error)
-        what = f"is not a CSV table: {told.strip()}"
-    raise InputError(str(path), what)

@@ -161,7 +161,7 @@ def test_play_reads_plain_columns_and_adds_the_sensor(folder: Path) -> None:
         ("time_s,a\n0,1\n1,2\n", "has the columns a; give one for each axis: u_x, u_y"),
         ("time_s,a,b\n0,1,1\n1,2,2\n5,0,0\n", "not evenly spaced: row 2"),
         ("a,b\n0,1\n", "needs a header with a column time_s"),
-        ("time_s;a\n0;1\n", "separated by commas; its first line is 'time_s;a'"),
+        ("time,a\n", "no numbers below it"),
     ],
 )
 def test_play_says_what_is_wrong(

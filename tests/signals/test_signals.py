@@ -82,12 +82,15 @@ def test_file_is_interpolated_and_held(tmp_path):
         ("", "is empty"),
         ("x,y\n1,2\n3,4\n", "time_s"),
         ("time_s\n1\n2\n", "one column for each axis"),
-        ("time_s,x\n0,1\n1,two\n2,3\n", "row 3, column x: two"),
-        ("time_s,x\n0,1\n1,nan\n2,3\n", "row 3, column x"),
-        ("# note\ntime_s,x\n0,1\n1,\n2,3\n", "row 4, column x"),
+        ("time_s,x\n0,1\n1,two\n2,3\n", "column x, row 3 +'two' is text"),
+        ("time_s,x\n0,1\n1,nan\n2,3\n", "column x, row 3 +holds no finite"),
+        ("# note\ntime_s,x\n0,1\n1,\n2,3\n", "column x, row 4"),
         ("time_s,x\n0,1\n2,1\n1,3\n", "row 4: time_s does not increase"),
         ("time_s,x\n0,1\n", "single row"),
-        ("# note\n\ntime_s,x\n0,1\n1,2,3,4\n", "row 5 has 4 cells, and the header 2"),
+        (
+            "# note\n\ntime_s,x\n0,1\n1,2,3,4\n2,1\n3,0\n",
+            "row 5 +has more columns than the others, which have 2",
+        ),
         ("time_s,x,y\n0,0,1,1\n1,1,2,1\n2,2,3,1\n", "rows have more cells than its header"),
     ],
 )
@@ -96,6 +99,15 @@ def test_file_mistakes_name_the_row(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(InputError, match=message):
         read_signal(path)
+
+
+@pytest.mark.parametrize("text", ["t [ms];x\n0;0,5\n10;-1,25\n", "t\tx\nms\tum\n0\t0.5\n10\t-1.25\n"])
+def test_a_path_is_read_as_a_record_is(tmp_path, text):
+    """Separators, decimal commas and a row of units."""
+    path = tmp_path / "path.csv"
+    path.write_text(text)
+    times, values, _ = read_signal(path)
+    assert (times.tolist(), values.tolist()) == ([0.0, 0.01], [[0.5, -1.25]])
 
 
 def test_a_comma_at_the_end_of_each_row_is_no_column(tmp_path):

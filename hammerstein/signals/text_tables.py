@@ -19,11 +19,12 @@ import numpy as np
 
 from hammerstein.arrays import Array, Flags, Indices
 from hammerstein.errors import InputError, Mistake
-from hammerstein.records.checks import SHOWN, not_listed, where
 from hammerstein.signals.units import is_unit
 
 FORMATS = "CSV or other text, .npy, .npz, .mat, .h5, .xlsx, .tdms or .parquet"
 """Files that records are read from, for a message."""
+SHOWN = 5
+"""Places of one kind of mistake that are listed; the rest is counted."""
 HEAD_BYTES = 1 << 18
 HEAD_LINES = 3000
 
@@ -248,6 +249,20 @@ def _words(line: str, separator: str, width: int) -> list[str]:
     names = [word.strip("\"' ") for word in words]
     names = names[:-1] if len(names) > width and names[-1] == "" else names
     return names + [""] * (width - len(names) if len(names) == width - 1 and separator != " " else 0)
+
+
+def where(name: str, rows: Indices | None = None, start: int = 0, stop: int = 0) -> str:
+    """``column x, row 5`` or ``column x, rows 5 to 9`` for the samples start..stop (both included)."""
+    if rows is None:
+        return f"column {name}"
+    if start == stop:
+        return f"column {name}, row {rows[start]}"
+    return f"column {name}, rows {rows[start]} to {rows[stop]}"
+
+
+def not_listed(place: str, count: int, what: str) -> list[Mistake]:
+    """How many mistakes of one kind there are behind those that are shown."""
+    return [Mistake(place, f"{count - SHOWN} more {what}")] if count > SHOWN else []
 
 
 def read_text(
