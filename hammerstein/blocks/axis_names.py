@@ -2,30 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from hammerstein.escaping import clean
 
 
-def unique(names: Sequence[str]) -> tuple[str, ...]:
+def unique(names: Sequence[str], written: Callable[[str], str] = str) -> tuple[str, ...]:
     """Names of which none stands twice: the second ``Volt`` becomes ``Volt_2``.
 
+    Parameters
+    ----------
+    names : as they come
+    written : what a file of ours makes of a name; no two of them may be the same either
+
+    Examples
+    --------
     >>> unique(["Volt", "Volt", "Volt_2"])
     ('Volt', 'Volt_3', 'Volt_2')
+    >>> unique(["stage x", "stage_x"], word)
+    ('stage x', 'stage_x_2')
     """
     found: list[str] = []
     for i, name in enumerate(names):
         number, chosen = 2, name
-        while chosen in found or (chosen != name and chosen in names[i:]):
+        before, behind = set(map(written, found)), set(map(written, names[i + 1 :]))
+        while written(chosen) in before or (chosen != name and written(chosen) in behind):
             chosen, number = f"{name}_{number}", number + 1
         found.append(chosen)
     return tuple(found)
 
 
-def column(word: str, axis: str, unit: str) -> str:
-    """Name of the column of an axis in a file of ours: nothing in it ends a cell or opens a comment.
+def word(axis: str) -> str:
+    """Name of an axis within that of a column: nothing in it ends a cell or opens a comment.
+
+    >>> word("stage X, #2")
+    'stage_X_2'
+    """
+    return "_".join(clean(axis).replace("#", " ").replace(",", " ").split())
+
+
+def column(quantity: str, axis: str, unit: str) -> str:
+    """Name of the column of an axis in a file of ours.
 
     >>> column("drive", "x", "v"), column("position", "stage X, #2", "um")
     ('drive_x_v', 'position_stage_X_2_um')
     """
-    return f"{word}_{'_'.join(clean(axis).replace('#', ' ').replace(',', ' ').split())}_{unit}"
+    return f"{quantity}_{word(axis)}_{unit}"

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from hammerstein.arrays import Array, ByValue
-from hammerstein.blocks.axis_names import unique
+from hammerstein.blocks.axis_names import unique, word
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.sample_grid import require_grid
 from hammerstein.blocks.voltages import Verdict, Voltages
@@ -90,7 +90,7 @@ class HammersteinModel(ByValue, NotebookRepr):
     def __post_init__(self) -> None:
         m, p = self.hysteresis.n_inputs, self.hysteresis.n_outputs
         for name in ("inputs", "outputs"):
-            object.__setattr__(self, name, unique(getattr(self, name)))
+            object.__setattr__(self, name, unique(getattr(self, name), word))
         mistakes = []
         rest = self.recorded.working_point_v
         if len(rest) != m:

@@ -4,9 +4,11 @@ import json
 import re
 import shutil
 import subprocess
+import tempfile
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -17,12 +19,13 @@ from hammerstein.commands.cli import main
 from hammerstein.dynamics.linear_block import LinearBlock
 from hammerstein.errors import InputError, InternalError, SimulationError, ToleranceError
 from hammerstein.export.code import CCode
-from hammerstein.export.compiling import FLAGS, compiler
+from hammerstein.export.compiling import FLAGS, build, compiler
 from hammerstein.export.folder import REQUEST_FILE, check_export, files_of, write_export
 from hammerstein.export.operations import Code
 from hammerstein.export.request import request_of
 from hammerstein.export.worst_case_step import worst_case_step
 from hammerstein.hysteresis.busy_kernels import WINDOW
+from hammerstein.model import HammersteinModel
 
 MILLION = 1_000_000
 
@@ -412,6 +415,38 @@ def test_a_full_temporary_folder_is_no_fault_of_the_code(tmp_path, monkeypatch, 
     assert ended.value.code == 2
     assert "is full" in capsys.readouterr().err
     assert not (tmp_path / "code").exists()
+
+
+def test_the_compiler_works_in_the_temporary_folder_that_is_there(tmp_path, monkeypatch):
+    """A folder that cannot be used is passed by, and the one that is told as full is the one that was."""
+    seen = tmp_path / "seen"
+    cc = tmp_path / "cc"
+    cc.write_text(f'#!/bin/sh\necho "$TMPDIR" > {seen}\n')
+    cc.chmod(0o755)
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "nowhere"))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    build([], command=str(cc))
+    assert seen.read_text().strip() == tempfile.gettempdir() != str(tmp_path / "nowhere")
+
+
+def test_axes_whose_names_are_one_word_have_columns_of_their_own(tmp_path):
+    """Blanks become underscores in a file: two variables of an FMU would have one name."""
+    content = json.loads(HammersteinModel.load("duo_bimorph_static").to_json())
+    content |= {"inputs": ["a b", "a_b"], "outputs": ["c,", "c"]}
+    (tmp_path / "m.json").write_text(json.dumps(content))
+    model = HammersteinModel.load(tmp_path / "m.json")
+    assert (model.inputs, model.outputs) == (("a b", "a_b_2"), ("c,", "c_2"))
+    assert HammersteinModel.from_json(model.to_json()).inputs == model.inputs
+    line = ["export", str(tmp_path / "m.json"), "--law", "exact_inverse", "--sample-time", "1e-4"]
+    with pytest.raises(SystemExit) as ended:
+        main([*line, "--format", "fmu", "--out", str(tmp_path / "unit")])
+    assert not ended.value.code
+    text = (tmp_path / "unit" / "modelDescription.xml").read_text()
+    variables = ElementTree.fromstring(text).iterfind("ModelVariables/*")
+    names = [variable.get("name") for variable in variables]
+    assert len(set(names)) == len(names) >= 4
+    head = (tmp_path / "unit" / "golden.csv").read_text().partition("\n")[0].split(",")
+    assert len(set(head)) == 4
 
 
 def test_an_export_that_says_nothing_of_what_single_precision_loses_is_refused(tmp_path, capsys):
