@@ -88,6 +88,8 @@ DELAY_SAMPLES = Range(0, 10**6)
 DELAY_S = Range(0.0, 1e4)
 RATE_HZ = Range(1e-4, 1e9)
 RIDGE = Range(0.0, 1e12)
+TIME_CONSTANT_S = Range(1e-9, 1e10)
+RESONANCE_HZ = Range(1e-6, 1e9)
 SEED = Range(0, 2**53)  # as large as JSON keeps whole numbers
 WEIGHT_UM_PER_V = Range(-1e9, 1e9)
 
@@ -108,14 +110,14 @@ Scale = Annotated[float, SCALE]
 Wait = Annotated[float, Range(1e-9, 1e8, or_zero=True)]
 Length = Annotated[float, Range(1e-6, 1e8)]
 Delay = Annotated[float, DELAY_S]
-TimeConstant = Annotated[float, Range(1e-9, 1e10)]
+TimeConstant = Annotated[float, TIME_CONSTANT_S]
 
 # Of models
 Volts = Annotated[float, Range(0.0, 1e6)]
 Threshold = Annotated[float, THRESHOLD_V]
 Weight = Annotated[float, WEIGHT_UM_PER_V]
 WeightError = Annotated[float, Range(0.0, 1e9)]
-Resonance = Annotated[float, Range(1e-6, 1e9)]
+Resonance = Annotated[float, RESONANCE_HZ]
 Damping = Annotated[float, Range(1e-6, 1e4)]
 PerVolt = Annotated[float, Range(-1e6, 1e6)]
 CreepGain = Annotated[float, Range(-1e3, 1e3)]

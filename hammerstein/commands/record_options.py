@@ -140,6 +140,7 @@ class RecordFiles:
         from hammerstein.records.gains import (
             doubtful_clocks,
             doubtful_gains,
+            doubtful_jumps,
             doubtful_responses,
             doubtful_units,
             pair_gains,
@@ -155,7 +156,7 @@ class RecordFiles:
         unsure = [] if doubts or self._named_unit() else doubtful_units(gains)
         if unsure:
             raise InputError(records[0].source, f"{unsure[0]}; name the unit once: --units nm, um or mm")
-        doubts += doubtful_gains(gains)
+        doubts += doubtful_gains(gains) + doubtful_jumps(records)
         if doubts:
             doubt = "; ".join(doubts)
             asked = sys.stdin.isatty() and sys.stderr.isatty()

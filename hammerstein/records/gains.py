@@ -21,6 +21,15 @@ ANSWERED = 0.02
 SLOW_HZ, FINE = 100.0, 100
 """Converters run at 10 to 50 kHz; with times of 1000 times the size that is 10 to 50 Hz. A cycle of so many
 samples asks for no rate as slow as that."""
+FAST_HZ = 1e5
+"""Faster than this no voltage that drives an actuator goes to and fro."""
+JUMP = 0.25
+"""Step of an output from one sample to the next, in parts of the largest range that is left without it, from
+which it is a jump: of the stage in its mount, of a sensor, or where records were put together."""
+SUDDEN = 4.0
+"""How many times the usual large step of that output, and the largest of any voltage, it then is."""
+USUAL = 0.98
+"""Part of the steps that are no larger than the usual large one."""
 SWING = 0.05
 """Part of the range that a voltage goes back where it turns."""
 
@@ -106,8 +115,37 @@ def doubtful_responses(records: Sequence[Record]) -> list[str]:
     return found
 
 
+def doubtful_jumps(records: Sequence[Record]) -> list[str]:
+    """Sentences about outputs that jump where no voltage does.
+
+    Examples
+    --------
+    >>> u = np.sin(np.arange(400.0) / 20.0)
+    >>> moved = 5.0 * u + 500.0 * (np.arange(400) >= 250)
+    >>> doubtful_jumps([Record([u], [5.0 * u], 1e-3)]), doubtful_jumps([Record([u], [moved], 1e-3)])
+    ([], ['y1 of record jumps by 500.2 um at row 251, and no voltage does: cut the record there'])
+    """
+    found = []
+    for record in records:
+        steps = np.diff(record.y_um, axis=1)
+        size = np.abs(steps)
+        places = size.argmax(axis=1)
+        jumps = size.max(axis=1)
+        behind = np.arange(record.samples) > places[:, None]
+        left = np.ptp(record.y_um - np.where(behind, steps[range(len(steps)), places, None], 0.0), axis=1)
+        u = record.u_v[list(driven_inputs(record))]
+        fastest = float(np.max(np.abs(np.diff(u, axis=1)).max(axis=1) / np.ptp(u, axis=1)))
+        largest = max(JUMP, SUDDEN * fastest) * float(left.max())
+        for o in np.flatnonzero((jumps > largest) & (jumps > SUDDEN * np.quantile(size, USUAL, axis=1))):
+            found.append(
+                f"{record.outputs[o]} of {record.source} jumps by {jumps[o]:.4g} um at row "
+                f"{record.rows[places[o] + 1]}, and no voltage does: cut the record there"
+            )
+    return found
+
+
 def doubtful_clocks(records: Sequence[Record]) -> list[str]:
-    """Sentences about records whose times may be milliseconds: sampled slowly, and yet finely.
+    """Sentences about records whose times may be in another unit: sampled slowly and yet finely, or fast.
 
     Examples
     --------
@@ -125,6 +163,11 @@ def doubtful_clocks(records: Sequence[Record]) -> list[str]:
             found.append(
                 f"{record.source}: {rate_hz:.4g} Hz for {record.samples / rate_hz:.4g} s, and the voltage "
                 f"turns {most} times. If its times are milliseconds, name their column t_ms"
+            )
+        if 0.5 * most * rate_hz / record.samples > FAST_HZ:
+            found.append(
+                f"{record.source}: the voltage turns {most} times within {record.samples / rate_hz:.4g} s, "
+                "faster than any that drives an actuator. If its times are seconds, name their column t_s"
             )
     return found
 

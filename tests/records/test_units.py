@@ -8,7 +8,8 @@ from record_cases import TIME, N, U, X, message, read, table_text
 
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
-from hammerstein.records.gains import Gain, doubtful_clocks, doubtful_gains, pair_gains
+from hammerstein.hysteresis import play
+from hammerstein.records.gains import Gain, doubtful_clocks, doubtful_gains, doubtful_jumps, pair_gains
 from hammerstein.records.readers import read_columns
 from hammerstein.records.reading import read_records
 from hammerstein.records.record import Record
@@ -150,10 +151,14 @@ def test_a_column_is_found_without_its_unit(tmp_path):
         read_columns(path, ["Vy"])
 
 
-def _run(words):
+def _ended(words):
     with pytest.raises(SystemExit) as ended:
         main(words)
-    assert not ended.value.code
+    return ended.value.code or 0
+
+
+def _run(words):
+    assert _ended(words) == 0
 
 
 @pytest.mark.parametrize(("factor", "told"), [(1.0, 0), (1e3, 1)])
@@ -176,3 +181,52 @@ def test_milliseconds_taken_for_seconds_are_told_by_loops(tmp_path, capsys, fact
 def test_a_slow_record_of_few_samples_a_cycle_is_not_doubted():
     u = np.sin(2.0 * np.pi * 0.1 * np.arange(600) / 5.0)
     assert doubtful_clocks([Record([u], [u], 0.2)]) == []
+
+
+def _written(path, names, *columns):
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=names, comments="", fmt="%.9g")
+
+
+STEADY = np.arange(4000) * 1e-3
+DRIVEN = np.where(STEADY < 2.0, 10.0, 7.0) * np.sin(2.0 * np.pi * 5.0 * STEADY)
+MOVED = 3.0 * DRIVEN + play(DRIVEN, [1.0])[0] + np.random.default_rng(0).normal(0.0, 0.01, 4000)
+
+
+@pytest.mark.parametrize("command", ["loops", "identify"])
+@pytest.mark.parametrize("jump_um", [500.0, -30.0])
+def test_an_output_that_jumps_alone_is_doubted(tmp_path, capsys, command, jump_um):
+    _written(tmp_path / "r.csv", "t_s,u_v,y_um", STEADY, DRIVEN, MOVED + jump_um * (STEADY >= 2.5))
+    line = [command, str(tmp_path / "r.csv"), "--no-figures"]
+    line += ["--out", str(tmp_path / "m.json")] if command == "identify" else []
+    assert _ended(line) == 2
+    assert "um at row 2502, and no voltage does: cut the record there" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("u", "y"),
+    [
+        (DRIVEN, MOVED),
+        (np.sign(DRIVEN), np.sign(DRIVEN)),
+        (DRIVEN[::17], MOVED[::17]),
+        (DRIVEN, np.random.default_rng(1).normal(size=4000)),
+        (DRIVEN, np.round(MOVED / 10.0) * 10.0),
+    ],
+    ids=["smooth", "stepped", "coarse", "noise", "eight levels"],
+)
+def test_what_follows_a_voltage_or_is_noise_does_not_jump(u, y):
+    assert doubtful_jumps([Record([u], [y], 1e-3)]) == []
+
+
+def test_a_jump_that_is_accepted_is_fitted(tmp_path):
+    """No fitted threshold has a slope that was measured, as those of the jump are far steeper."""
+    _written(tmp_path / "r.csv", "t_s,u_v,y_um", STEADY, DRIVEN, MOVED + 500.0 * (STEADY >= 2.5))
+    line = ["identify", str(tmp_path / "r.csv"), "--no-figures", "--accept-gain", "--operators", "4"]
+    assert _ended([*line, "--dynamics", "none", "--out", str(tmp_path / "m.json")]) == 0
+
+
+def test_seconds_taken_for_microseconds_are_told_and_fitted(tmp_path, capsys):
+    """4 s under ``t [us]``: a rate of 1 GHz, at which a lag of a part of a sample is none of an axis."""
+    _written(tmp_path / "r.csv", "t [us],u [V],y [um]", STEADY, DRIVEN, MOVED)
+    line = ["identify", str(tmp_path / "r.csv"), "--no-figures", "--operators", "4"]
+    assert _ended([*line, "--out", str(tmp_path / "m.json")]) == 0
+    assert capsys.readouterr().err.count("If its times are seconds, name their column t_s") == 1

@@ -25,6 +25,7 @@ from hammerstein.identification.static.regressors import (
     delayed,
     regressor_blocks,
 )
+from hammerstein.quantities import RESONANCE_HZ, TIME_CONSTANT_S
 from hammerstein.records.record import Record
 
 SERIES = 16
@@ -228,9 +229,11 @@ class AxisTask:
         span = duration_s(self.records)
         shape, lower, upper = self.shape, [], []
         if shape.resonance:
-            lower, upper = [math.log(0.2 / span), math.log(1e-4)], [math.log(0.45 / step), math.log(10.0)]
+            slowest = math.log(max(0.2 / span, RESONANCE_HZ.low))
+            lower, upper = [slowest, math.log(1e-4)], [math.log(0.45 / step), math.log(10.0)]
         if shape.lag:
-            lower, upper = [*lower, math.log(0.05 * step)], [*upper, math.log(0.1 * span)]
+            shortest = math.log(max(0.05 * step, TIME_CONSTANT_S.low))
+            lower, upper = [*lower, shortest], [*upper, math.log(0.1 * span)]
         lower += shape.creep_modes * [0.0, math.log(10.0 * step)]
         upper += shape.creep_modes * [LARGEST_CREEP, math.log(10.0 * span)]
         return np.array(lower), np.array(upper)

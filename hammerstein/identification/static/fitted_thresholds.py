@@ -42,7 +42,8 @@ def fit_thresholds(task: ThresholdTask, grids: Sequence[Array], rounds: int = MO
 
     Returns
     -------
-    Grids : thresholds of each input [V], sorted, from 0 to below the largest half swing
+    Grids : thresholds of each input [V], sorted, from 0 to below the largest half swing; those begun with
+        where the outputs follow no voltage, so that none of the fitted ones has a slope that was measured
 
     Examples
     --------
@@ -65,9 +66,10 @@ def fit_thresholds(task: ThresholdTask, grids: Sequence[Array], rounds: int = MO
         here = there if gain > 0.0 else here
         if gain < WORTHWHILE:
             break
-    return _of_measured_slopes(
+    left = _of_measured_slopes(
         task, tuple(merged(grid, LEAST_GAP * top) for grid, top in zip(here.grids, reach, strict=True))
     )
+    return left if any(grid.size for grid in left) else tuple(grids)
 
 
 def _of_measured_slopes(task: ThresholdTask, grids: Grids) -> Grids:

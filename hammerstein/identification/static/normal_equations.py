@@ -184,7 +184,7 @@ class _Scaled(NamedTuple):
 def coefficients(gram: Array, cross: Array) -> Array:
     """Free least-squares coefficients (column,) or (column, problem) for right-hand sides of that shape."""
     norm = _sizes(gram)
-    if norm.all():
+    if norm.size and norm.all():
         try:
             factor = cholesky(gram / np.outer(norm, norm), lower=True)
         except LinAlgError:
