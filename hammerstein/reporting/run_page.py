@@ -124,8 +124,24 @@ def _answer(report: Report) -> Markdown:
     def told(text: str) -> Markdown:
         return Markdown(re.sub(f"[{opening}{closing}]", "*", markdown(text)))
 
-    said = [sentence.map(told) for sentence in sentences(report, quoted)]
-    return paragraphs(part for words, listed in said for part in (words, points(listed)))
+    return paragraphs(
+        part
+        for sentence in sentences(report, quoted)
+        for part in (
+            told(sentence.words),
+            _small_table([list(map(told, row)) for row in sentence.table]),
+            "" if sentence.table else points(map(told, sentence.points)),
+        )
+    )
+
+
+def _small_table(rows: Sequence[Sequence[Markdown]]) -> Markdown:
+    """Table of a head and rows of numbers; empty without them."""
+    if not rows:
+        return Markdown("")
+    lines = [Markdown(" | ").join(row) for row in rows]
+    rule = Markdown(" | ").join([Markdown("---"), *[Markdown("---:")] * (len(rows[0]) - 1)])
+    return Markdown("\n").join(Markdown("| {} |").format(line) for line in (lines[0], rule, *lines[1:]))
 
 
 def _body(report: Report, figures: Sequence[str]) -> Markdown:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 from hammerstein.experiment.report import Band, Report
 from hammerstein.experiment.selection import (
@@ -23,7 +23,6 @@ from hammerstein.metrics import METRICS, Row
 from hammerstein.signals import OneFrequency
 
 MOST_CLAUSES = 4  # conditions that are told one by one; more are told as ranges of frequency
-MOST_NAMED = 3  # runs that had not settled; of more their number is told
 MOST_LABELS = 4  # compensators or models that are told in one clause
 NOT_SETTLED = "has not settled"  # the words of a statement of the report
 SENSOR_CUT = "the sensor's range cut"  # those of another
@@ -33,22 +32,21 @@ ITSELF = ": designed from the simulated actuator itself"  # the same
 GUESSED = "Nobody knows how it moves beyond"  # the same
 
 Quote = Callable[[str], str]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Sentence:
-    """A sentence of an answer; what differs from condition to condition are its points."""
+    """A sentence of an answer; what differs from condition to condition are its points.
+
+    table : the points as a table: a head, then one row for each compensator or model
+    """
 
     words: str
     points: tuple[str, ...] = ()
+    table: tuple[tuple[str, ...], ...] = ()
 
     def __str__(self) -> str:
         return f"{self.words} {'; '.join(self.points)}." if self.points else self.words
-
-    def map(self, change: Callable[[str], T]) -> tuple[T, list[T]]:
-        """Words and points, each changed."""
-        return change(self.words), [change(point) for point in self.points]
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,7 @@ def sentences(report: Report, quote: Quote = str) -> list[Sentence]:
     compared = any(row.rms_um is not None for row in report.rows)
     found = _compared(report, quote) if compared else map(Sentence, _loops(report))
     before = [*_answered(report, quote), *_uncertain(report, quote)]
-    return [*map(Sentence, before), *found, *map(Sentence, _conduct(report))]
+    return [*map(Sentence, before), *found, Sentence(" ".join(_conduct(report)))]
 
 
 @dataclass(frozen=True)
@@ -174,17 +172,14 @@ def _compared(report: Report, quote: Quote) -> Iterator[Sentence]:
         reading = Merit(f"{prefix}max_um", f"worst {words} of the reading from the {target}")
         true = Merit(f"{prefix}max_true_um", f"worst {words} of the true position from the {target}")
         merits = (reading, true) if reading_first else (true, reading)
-        for merit in merits[: 1 if report.reads_truth else None]:
-            yield from _sentences(report.rows, merit, contest)
+        yield from _sentences(report.rows, merits[0], contest)
         return
     direct = [row for row in report.rows if is_direct(report, row)]
     crossed = [row for row in report.rows if not is_direct(report, row)]
-    if not reading_first and not report.reads_truth:
-        yield from _sentences(
-            direct, Merit("rms_true_um", "rms error of the true position (direct transfers)"), contest
-        )
-    yield from _sentences(direct, Merit("rms_um", "rms error of the direct transfers"), contest)
-    yield from _sentences(crossed, Merit("rms_um", "rms error of the cross-couplings"), contest)
+    reads = reading_first or report.reads_truth
+    name, of = ("rms_um", "") if reads else ("rms_true_um", " of the true position")
+    yield from _sentences(direct, Merit(name, f"rms error{of} (direct transfers)"), contest)
+    yield from _sentences(crossed, Merit(name, f"rms error{of} (cross-couplings)"), contest)
 
 
 def _sentences(rows: Sequence[Row], merit: Merit, contest: Contest) -> Iterator[Sentence]:
@@ -212,15 +207,27 @@ def _one_by_one(values: dict[Condition, dict[str, float]], merit: Merit, contest
     names = told_apart(list(values))
     points = []
     for condition, found in values.items():
-        texts = [
-            f"{number(v)} um{_share(condition, v, merit)} with {contest.named(n)}" for n, v in found.items()
-        ]
+        texts = [f"{contest.named(n)} {number(v)} um{_share(condition, v, merit)}" for n, v in found.items()]
         if len(texts) > MOST_LABELS:
-            texts = [*texts[: MOST_LABELS - 1], f"at most {texts[-1]}"]
-        points.append((f"at {names[condition]}, " if len(values) > 1 else "") + listed(texts))
+            texts = [*texts[: MOST_LABELS - 1], f"and at most {texts[-1]}"]
+        points.append((f"at {names[condition]}: " if len(values) > 1 else "") + ", ".join(texts))
     if len(points) == 1:
-        return Sentence(f"The {merit.words} is {points[0]}.")
-    return Sentence(f"The {merit.words}:", tuple(points))
+        return Sentence(f"The {merit.words}: {points[0]}.")
+    return Sentence(f"The {merit.words}:", tuple(points), _table(values, names, contest))
+
+
+def _table(
+    values: dict[Condition, dict[str, float]], names: dict[Condition, str], contest: Contest
+) -> tuple[tuple[str, ...], ...]:
+    """One row for each label, the best worst value first; one column for each condition."""
+    labels = {label for found in values.values() for label in found}
+    worst = {n: max(found[n] for found in values.values() if n in found) for n in labels}
+    head = ("[um]", *(names[condition] for condition in values))
+    rows = (
+        (contest.named(n), *(number(found.get(n)) for found in values.values()))
+        for n in sorted(labels, key=lambda n: (worst[n], n))
+    )
+    return (head, *rows)
 
 
 def listed(texts: Sequence[str]) -> str:
@@ -246,8 +253,6 @@ def _over_frequency(
     names = told_apart(list(values))
     winners = [next(iter(found)) for found in values.values()]
     compared = len({label for found in values.values() for label in found}) > 1
-    if compared:
-        yield f"The {merit.words} is smallest with {_ranges(list(names.values()), winners, contest.winner)}."
     best = min(
         [n for n in dict.fromkeys(winners) if n not in contest.idle] or winners,
         key=lambda label: _typical(values, label),
@@ -259,7 +264,12 @@ def _over_frequency(
         max(course, key=course.__getitem__): " (largest)",
     }
     told = listed([f"{number(course[at])} um at {at}{tag}" for at, tag in tags.items()])
-    yield f"With {contest.quote(best)} it is {told}." if compared else f"The {merit.words} is {told}."
+    if not compared:
+        yield f"The {merit.words} is {told}."
+        return
+    first = _ranges(list(names.values()), winners, contest.winner)
+    course_of = "" if len(set(winners)) == 1 and best == winners[0] else f"{contest.quote(best)} "
+    yield f"Smallest {merit.words}: {first}; {course_of}{told}."
 
 
 def _typical(values: dict[Condition, dict[str, float]], label: str) -> float:
@@ -309,9 +319,22 @@ def _loops(report: Report) -> Iterator[str]:
         yield f"At {condition.words()} {'; '.join(texts)}."
 
 
-def _more(left: Sequence[str]) -> list[str]:
-    """How many are not named."""
-    return [f"{len(left)} more"] if left else []
+def _grouped(runs: Sequence[str]) -> str:
+    """Runs by their compensator or model, such as ``paper (3 runs, 15 to 40 Hz)``."""
+    found: dict[str, list[float]] = {}
+    for run in runs:
+        label, _, place = run.rpartition(" at ")
+        hertz = re.match(r"([\d.e+-]+) Hz", place)
+        found.setdefault(label or run, []).extend([float(hertz[1])] if hertz else [])
+    return "; ".join(f"{label}{_spread(hertz)}" for label, hertz in found.items())
+
+
+def _spread(hertz: Sequence[float]) -> str:
+    """Number of runs and their frequencies, in brackets."""
+    if not hertz:
+        return ""
+    ends = " to ".join(f"{f:g}" for f in dict.fromkeys([min(hertz), max(hertz)]))
+    return f" ({len(hertz)} run{'s' * (len(hertz) > 1)}, {ends} Hz)"
 
 
 def doubts(report: Report) -> list[str]:
@@ -341,10 +364,9 @@ def _conduct(report: Report) -> Iterator[str]:
         yield f"The sensor's range cut the reading in {clipped} of {len(runs)} runs."
     signal = report.scenario.signal
     if unsettled:
-        named = listed([*unsettled[:MOST_NAMED], *_more(unsettled[MOST_NAMED:])])
         yield (
-            f"In {len(unsettled)} of {len(runs)} runs the loop had not settled ({named}): their figures "
-            "still change from cycle to cycle; give them more settling."
+            f"In {len(unsettled)} of {len(runs)} runs the loop had not settled: {_grouped(unsettled)}. Their "
+            "figures still change from cycle to cycle: raise settle_cycles or settle_s in [measure]."
         )
     elif isinstance(signal, OneFrequency) and signal.repeats and report.scenario.measure.measured_cycles > 1:
         yield "Every run had settled."
