@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 
@@ -71,13 +71,7 @@ def _made(target: Path) -> Iterator[Path]:
     Where they do not come to be all there, no folder is left that was not there before.
     """
     made = [place for place in (target, *target.parents) if not place.exists()]
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-        room = Path(tempfile.mkdtemp(prefix=".hammerstein-init-", dir=target))
-    except OSError as error:
-        raise InputError(
-            str(target), f"cannot be written ({reason_of(error)}); choose another folder"
-        ) from None
+    room = target / f".hammerstein-init-{uuid4().hex}"
 
     def undone() -> None:
         shutil.rmtree(room, ignore_errors=True)
@@ -85,8 +79,12 @@ def _made(target: Path) -> Iterator[Path]:
 
     register_cleanup(room, undone)
     try:
+        room.mkdir(parents=True)
         yield room
         _move(room, target)
+    except OSError as error:
+        what = f"cannot be written ({reason_of(error)}); choose another folder"
+        raise InputError(str(target), what) from None
     finally:
         undone()
         drop_cleanup(room)
@@ -107,14 +105,11 @@ def _move(room: Path, target: Path) -> None:
             os.rename(room / file, place)
             moved.append(place)
         Manifest.read(target).joined(Manifest.read(room)).save()
-    except (OSError, InputError) as error:
+    except BaseException:
         for place in moved:
             place.unlink()
         remove_empty(made)
-        if isinstance(error, InputError):
-            raise
-        what = f"cannot be written ({reason_of(error)}); choose another folder"
-        raise InputError(str(target), what) from None
+        raise
 
 
 def refuse_existing(target: Path, files: list[Path]) -> None:
