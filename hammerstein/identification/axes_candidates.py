@@ -15,11 +15,10 @@ from hammerstein.dynamics import (
 )
 from hammerstein.identification.choice import FELT
 from hammerstein.identification.fit import Kind
-from hammerstein.identification.linear.axis_delay import checked_delay
 from hammerstein.identification.linear.axis_fit import AxesFit, AxisFit, fit_axes, fit_axis
 from hammerstein.identification.linear.axis_search import (
-    TINY,
     FirstGuess,
+    checked_delay,
     search_axes,
     search_creep,
     search_lag,
@@ -27,6 +26,7 @@ from hammerstein.identification.linear.axis_search import (
 )
 from hammerstein.identification.linear.axis_steps import rms_behind
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, parameters_of as axis_parameters
+from hammerstein.identification.linear.delay import TINY
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.fitted_thresholds import criterion, gained
 from hammerstein.identification.static.history import shortened
@@ -76,8 +76,7 @@ def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> Built:
         return built
     task.progress("trying the model without delay")
     settings = replace(task.settings, delay_samples=0)
-    none = np.empty((0, task.outputs))
-    prompt = [replace(guess, delay_samples=0, delay_rms_um=none) for guess in guesses]
+    prompt = [replace(guess, delay_samples=0, free_delay=False) for guess in guesses]
     other = _built_with(replace(task, settings=settings, delay_samples=0), prompt)
     left, without = (_log_rms_left(one) for one in (built, other))
     return built if left < without + task.outputs * math.log(1.0 - FELT) else other
@@ -233,7 +232,7 @@ def _best_shapes(guesses: Sequence[FirstGuess], fits: Sequence[AxesFit]) -> Firs
         parameters.append(axis_parameters(fits[i].axes[o].axis)[1][: shapes[-1].slow])
     totals = [sum(math.log(max(axis.rms_um, TINY)) for axis in fit.axes) for fit in fits]
     delay = guesses[int(np.argmin(totals))].delay_samples
-    return FirstGuess(tuple(shapes), tuple(parameters), delay, guesses[0].delay_rms_um)
+    return FirstGuess(tuple(shapes), tuple(parameters), delay, guesses[0].free_delay)
 
 
 def _others(

@@ -18,13 +18,12 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.choice import FELT
-from hammerstein.identification.linear.axis_delay import best_delay
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
 from hammerstein.identification.linear.axis_search import (
     CREEP_SPANS,
     LAG_SAMPLES,
     SEARCH_GRID,
-    TINY,
+    refined_late,
     thinning,
 )
 from hammerstein.identification.linear.axis_steps import Point, refine, rms_behind
@@ -36,6 +35,7 @@ from hammerstein.identification.linear.axis_task import (
     duration_s,
     parameters_of,
 )
+from hammerstein.identification.linear.delay import TINY, best_delay
 from hammerstein.identification.score import columns_of
 from hammerstein.identification.static.regressors import Regressors
 from hammerstein.identification.task import Task
@@ -117,16 +117,13 @@ def _delay(
 
     Where few columns ask for another delay than the first one, many decide which.
     """
-
-    def points(tasks: Sequence[AxisTask], delay: float, begins: Sequence[Array]) -> list[Point]:
-        late = [replace(one, delay_samples=delay) for one in tasks]
-        return [refine(one, x, SEARCHED) for one, x in zip(late, begins, strict=True)]
-
-    near, found = best_delay(partial(points, few), first, begins)
+    near, found = best_delay(
+        partial(refined_late, few, enough=SEARCHED), list(begins), first=first, parts=True
+    )
     if near == first:
         return first, list(begins)
-    best, found = best_delay(partial(points, many), round(near), [point.x for point in found])
-    return best, [point.x for point in found]
+    attempt = partial(refined_late, many, enough=SEARCHED)
+    return best_delay(attempt, found, first=float(round(near)), parts=True)
 
 
 def sure_behind(task: Task, hysteresis: Hysteresis[Any], found: Behind) -> Behind:

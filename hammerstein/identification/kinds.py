@@ -18,9 +18,8 @@ from hammerstein.identification.behind import Behind, search_behind, sure_behind
 from hammerstein.identification.choice import Trial, chosen, trial_of
 from hammerstein.identification.choices import identifiable_kinds
 from hammerstein.identification.fit import Kind
-from hammerstein.identification.linear.axis_search import WORSE_DELAYS
 from hammerstein.identification.linear.axis_task import duration_s, parameters_of as axis_parameters
-from hammerstein.identification.linear.delay import MOST_DELAY
+from hammerstein.identification.linear.delay import MOST_DELAY, WORSE_DELAYS
 from hammerstein.identification.projection import fit_block
 from hammerstein.identification.rates import fastest_rad_per_s, rates_of_input, several_rates
 from hammerstein.identification.score import Candidate, score

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Dynamics, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_search import thinning
-from hammerstein.identification.linear.delay import static_delay
+from hammerstein.identification.linear.delay import best_delay
 from hammerstein.identification.operators import CURVE_SAMPLES
 from hammerstein.identification.static.fitted_thresholds import fit_thresholds, gained
 from hammerstein.identification.static.history import closed, shortened
@@ -20,6 +21,7 @@ from hammerstein.identification.static.static_block import (
     SquaresSolver,
     StaticFit,
     Thresholds,
+    fit_static,
     half_swing,
     refuse_unreached,
     solve_static,
@@ -81,7 +83,12 @@ def late_static(task: Task) -> Task:
         return task
     few, begun = shortened(task.records, task.starts, CURVE_SAMPLES)
     sensor = replace(task, records=few).paths(StaticDynamics(n_outputs=task.outputs))
-    return replace(task, delay_samples=static_delay(few, task.thresholds_v, begun, through=sensor or None)[0])
+
+    def attempt(delay: float, _: None) -> tuple[list[float], None]:
+        known: dict[str, Any] = {"starts": begun, "delay_samples": round(delay), "through": sensor or None}
+        return fit_static(few, task.thresholds_v, solver="least_squares", **known).rms_um.tolist(), None
+
+    return replace(task, delay_samples=best_delay(attempt, None)[0])
 
 
 def static_blocks(task: Task, thresholds_v: Thresholds, dynamics: Dynamics, solver: str) -> Blocks:

@@ -14,11 +14,11 @@ from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, 
 from hammerstein.identification.axes_candidates import dynamics_of
 from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear import axis_search
-from hammerstein.identification.linear.axis_delay import _part_of_a_sample, checked_delay
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axes, fit_axis
-from hammerstein.identification.linear.axis_search import search_axes
+from hammerstein.identification.linear.axis_search import checked_delay, search_axes
 from hammerstein.identification.linear.axis_steps import refine
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
+from hammerstein.identification.linear.delay import _part_of_a_sample
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.verdict import axis_identified, axis_statements
@@ -284,7 +284,7 @@ def test_a_delay_at_which_nothing_is_left_is_kept():
     """Beside it the squares are beyond any number of their own ratio."""
 
     def left(delay, _):
-        return [SimpleNamespace(rms=0.0 if delay == 3.0 else 1e160, x=np.zeros(1))]
+        return [0.0 if delay == 3.0 else 1e160], np.zeros(1)
 
     tried = {delay: left(delay, ()) for delay in (2.0, 3.0, 4.0)}
     assert _part_of_a_sample(left, tried, 3.0) == 3.0

@@ -10,8 +10,9 @@ from scipy.signal import lfilter
 
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
-from hammerstein.identification.linear.delay import shortest_delay, static_delay
+from hammerstein.identification.identify import identify
 from hammerstein.identification.operators import CurvePoint, enough_operators, error_curve, input_grids
+from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.normal_equations import Bounds, coefficients, moments_of, pooled, solve
 from hammerstein.identification.static.regressors import (
     PlayColumns,
@@ -255,10 +256,8 @@ def test_delay_is_found_with_hysteresis_in_the_way():
     u = random_walk(np.random.default_rng(11), 1)
     record = record_of(u, [[theory.R_V[:8]]], [[theory.W_XX[:8]]])
     late = Record(u[:, 3:], record.y_um[:, :-3], 1e-3)
-    delay, rms = static_delay([late], [[theory.R_V[:8]]], [Start("rest")])
-    assert delay == 3
-    assert rms.shape == (6, 1)
-    assert shortest_delay(np.array([[1.0], [0.995]])) == 0
+    known = {"dynamics": "none", "thresholds_v": theory.R_V[:8], "start": "rest", "error_curve": False}
+    assert identify([late], Settings(**known))[1].delay_samples == 3
 
 
 def test_a_repeated_start_takes_the_record_for_its_own_past():

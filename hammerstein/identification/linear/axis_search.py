@@ -22,7 +22,7 @@ from hammerstein.identification.linear.axis_steps import (
     rms_behind,
 )
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, duration_s
-from hammerstein.identification.linear.delay import MOST_DELAY, shortest_delay
+from hammerstein.identification.linear.delay import best_delay
 from hammerstein.identification.static.history import liveliest
 from hammerstein.identification.static.partition import thresholds_uniform_in_voltage
 from hammerstein.identification.static.regressors import Start
@@ -31,8 +31,6 @@ from hammerstein.records.record import Record
 
 Progress = Callable[[str], None]
 
-TINY = 1e-300
-WORSE_DELAYS = 2
 GUESS_SAMPLES = 60_000
 GUESS_OPERATORS = 20
 SEARCH_TURNS = 2
@@ -65,13 +63,13 @@ class FirstGuess:
     shapes : what each axis consists of
     parameters : of each axis, see ``AxisShape``
     delay_samples : samples by which the outputs come late
-    delay_rms_um : (delay, output) rms of what is left for every delay tried; empty if it was given
+    free_delay : whether that was found, not given
     """
 
     shapes: tuple[AxisShape, ...]
     parameters: tuple[Array, ...]
     delay_samples: float
-    delay_rms_um: Array
+    free_delay: bool = False
 
     def dynamics(self) -> AxesDynamics:
         """Give the axes, without delay."""
@@ -127,12 +125,51 @@ def search_axes(
         begins.append(x)
     shapes = tuple(one.shape for one in tasks)
     if delay_samples is not None or len({record.sample_time_s for record in records}) > 1:
-        return FirstGuess(shapes, tuple(begins), delay_samples or 0, np.empty((0, len(tasks))))
+        return FirstGuess(shapes, tuple(begins), delay_samples or 0)
     tell("searching the delay")
-    points = _delay_search(tasks, begins)
-    rms = np.array([[point.rms for point in row] for row in points])
-    found = shortest_delay(rms)
-    return FirstGuess(shapes, tuple(point.x for point in points[found]), found, rms)
+    delay, found = best_delay(partial(refined_late, tasks), begins)
+    return FirstGuess(shapes, tuple(found), delay, free_delay=True)
+
+
+def refined_late(
+    tasks: Sequence[AxisTask], delay: float, begins: Sequence[Array], enough: float = ROUGHLY
+) -> tuple[list[float], list[Array]]:
+    """What is left of each output with a delay, and the parameters of its axis near given ones."""
+    late = [replace(task, delay_samples=delay) for task in tasks]
+    points = [refine(task, x, enough) for task, x in zip(late, begins, strict=True)]
+    return [point.rms for point in points], [point.x for point in points]
+
+
+def checked_delay(
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    grids: Sequence[Array],
+    guess: FirstGuess,
+    *,
+    sensor: KnownSensor | None = None,
+) -> FirstGuess:
+    """Guess with the delay that is best with all thresholds, to a part of a sample; unless it was given.
+
+    The few thresholds of the search smooth the hysteresis, which looks like a delay of a sample or so.
+
+    Parameters
+    ----------
+    records, starts : as for the search
+    grids : thresholds of each input [V]
+    guess : what the search has found
+    sensor : what is known of it; nothing if not given
+    """
+    if not guess.free_delay:
+        return guess
+    quick, begun = liveliest(records, starts, GUESS_SAMPLES)
+    every, delay = thinning(quick), guess.delay_samples
+    tasks = [
+        AxisTask(quick, begun, tuple(grids), o, shape, delay, sensor or KnownSensor(), every)
+        for o, shape in enumerate(guess.shapes)
+    ]
+    attempt = partial(refined_late, tasks)
+    best, found = best_delay(attempt, list(guess.parameters), first=delay, parts=True)
+    return guess if best == delay else replace(guess, parameters=tuple(found), delay_samples=best)
 
 
 def _searched(full: AxisTask, closely: bool) -> tuple[AxisTask, Array]:
@@ -157,22 +194,6 @@ def _searched(full: AxisTask, closely: bool) -> tuple[AxisTask, Array]:
 def thinning(records: Sequence[Record]) -> int:
     """Every how many samples are counted in the sums of a search."""
     return max(sum(record.samples for record in records) // COUNTED_SAMPLES, 1)
-
-
-def _delay_search(tasks: Sequence[AxisTask], begins: Sequence[Array]) -> list[list[Point]]:
-    """Axes fitted anew for each delay, until two longer ones in a row are worse than the best."""
-    points: list[list[Point]] = []
-    errors: list[float] = []
-    near = begins
-    for d in range(MOST_DELAY + 1):
-        late = [replace(task, delay_samples=d) for task in tasks]
-        points.append([refine(task, x, ROUGHLY) for task, x in zip(late, near, strict=True)])
-        near = [point.x for point in points[-1]]
-        first = [point.rms for point in points[0]]
-        errors.append(sum(point.rms / max(rms, TINY) for point, rms in zip(points[-1], first, strict=True)))
-        if d - int(np.argmin(errors)) >= WORSE_DELAYS:
-            break
-    return points
 
 
 def search(task: AxisTask, judged: AxisTask, closely: bool = False) -> Array:

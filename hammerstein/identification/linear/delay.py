@@ -1,20 +1,33 @@
-"""Samples by which the outputs come late."""
+"""Samples by which the outputs come late: one search, whatever is fitted with each delay."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
-from hammerstein.arrays import Array
-from hammerstein.dynamics import LinearBlock, split_delay
-from hammerstein.identification.static.regressors import Start
-from hammerstein.identification.static.static_block import Thresholds, fit_static
-from hammerstein.records.record import Record
+from hammerstein.dynamics import split_delay
 
 MOST_DELAY = 5
-DELAY_GAIN = 0.01
-"""Part by which a longer delay must lower the error, or the shorter one is kept."""
+"""Samples: later still, and the records were not started together."""
+LONGER, CLEARLY = 0.01, 0.02
+"""Part of the error that a longer delay must take away, and that a part of a sample must: hysteresis that is
+followed with a few thresholds looks late, too."""
+WORSE_DELAYS = 2
+"""Delays in a row that leave more, after which no other one is tried."""
+PART = 1.0 / 64.0
+"""Parts of a sample to which a delay is told."""
+MOST_PARTS = 4
+"""Most parts of a sample that are tried."""
+MOST_MORE = 60.0
+"""Logarithm of the ratio of squares from which one delay is as bad as any other."""
+TINY = 1e-300
+
+S = TypeVar("S")
+Attempt = Callable[[float, S], tuple[Sequence[float], S]]
+"""Rms of what is left of each output with a delay, and what was found, from what one near by has found."""
 
 
 def delay_in_samples(delay_s: float, sample_time_s: float) -> float:
@@ -29,39 +42,77 @@ def delay_in_samples(delay_s: float, sample_time_s: float) -> float:
     return whole + part_s / sample_time_s
 
 
-def shortest_delay(rms_um: Array) -> int:
-    """Shortest delay whose error is within one percent of the least.
+def best_delay(attempt: Attempt[S], begin: S, *, first: float = 0.0, parts: bool = False) -> tuple[float, S]:
+    """Shortest delay [samples] that leaves hardly more than the best one, and what was found with it.
+
+    Everything is fitted anew with each delay: dynamics and hysteresis look late themselves.
 
     Parameters
     ----------
-    rms_um : (delay, output) rms errors [um]
+    attempt : see ``Attempt``; begin : with what the first one begins
+    first : delay that is tried first
+    parts : whether a part of a sample is tried, too
 
     Examples
     --------
-    >>> shortest_delay(np.array([[2.0, 1.0], [1.0, 0.5], [0.999, 0.5]]))
-    1
+    >>> best_delay(lambda delay, _: ([1.0 + abs(delay - 2.0)], None), None)
+    (2.0, None)
+    >>> best_delay(lambda delay, _: ([1.0 - 0.001 * delay], None), None)
+    (0.0, None)
     """
-    size = np.maximum(rms_um.max(axis=0), np.finfo(float).tiny)
-    relative = np.sqrt(np.mean((rms_um / size) ** 2, axis=1))
-    return int(np.flatnonzero(relative <= (1.0 + DELAY_GAIN) * relative.min())[0])
+    tried = {first: attempt(first, begin)}
+    for step in (-1.0, 1.0):
+        at, worse = first, 0
+        while 0.0 <= at + step <= MOST_DELAY and worse < WORSE_DELAYS:
+            tried[at + step], at = attempt(at + step, tried[at][1]), at + step
+            worse = 0 if _least(tried) == at else worse + 1
+    least = tried[_least(tried)][0]
+    best = min(delay for delay, (rms, _) in tried.items() if not _better(least, rms, LONGER))
+    if parts:
+        part = _part_of_a_sample(attempt, tried, best)
+        best = part if _better(tried[part][0], tried[best][0], CLEARLY) else best
+    return best, tried[best][1]
 
 
-def static_delay(
-    records: Sequence[Record],
-    thresholds_v: Thresholds,
-    starts: Sequence[Start],
-    through: Sequence[LinearBlock] | None = None,
-) -> tuple[int, Array]:
-    """Delay under which a static block explains the records best, and the errors (delay, output) [um].
+def _better(new: Sequence[float], old: Sequence[float], part: float) -> bool:
+    """Whether some errors are better than others by a part of them."""
+    return _log_rms(new) - _log_rms(old) < len(new) * math.log(1.0 - part)
 
-    Hysteresis looks like lag, so that a correlation would always find a delay; here every candidate is
-    judged with its own static block. Dynamics that are left out are counted as delay; ``through``, the
-    sensor of each record, is not.
+
+def _least(tried: Mapping[float, tuple[Sequence[float], Any]]) -> float:
+    """Delay that leaves the least."""
+    return min(tried, key=lambda delay: _log_rms(tried[delay][0]))
+
+
+def _log_rms(rms: Sequence[float]) -> float:
+    """Logarithm of the product of what is left of all outputs."""
+    return sum(math.log(max(one, TINY)) for one in rms)
+
+
+def _part_of_a_sample(
+    attempt: Attempt[S], tried: dict[float, tuple[Sequence[float], S]], whole: float
+) -> float:
+    """Delay within a sample of the best whole one that leaves the least, by parabolas through the squares.
+
+    Every delay that is tried is added to ``tried``.
     """
-    rms = [
-        fit_static(
-            records, thresholds_v, solver="least_squares", starts=starts, delay_samples=d, through=through
-        ).rms_um
-        for d in range(MOST_DELAY + 1)
-    ]
-    return shortest_delay(np.array(rms)), np.array(rms)
+
+    def squares(delay: float) -> float:
+        more = 2.0 * (_log_rms(tried[delay][0]) - _log_rms(tried[whole][0])) / len(tried[whole][0])
+        return math.exp(min(more, MOST_MORE))  # nothing at all may be left at the best one
+
+    if whole == 0.0:
+        tried[0.5] = attempt(0.5, tried[whole][1])
+    near = [delay for delay in tried if abs(delay - whole) <= 1.0]
+    for _ in range(MOST_PARTS):
+        near = sorted(sorted(near, key=squares)[:3])
+        if len(near) < 3:
+            break
+        bend, slope, _ = np.polyfit(np.array(near) - whole, [squares(delay) for delay in near], 2)
+        lowest = whole - 0.5 * float(slope / bend) if bend > 0.0 else whole
+        lowest = round(min(max(lowest, whole - 1.0, 0.0), whole + 1.0) / PART) * PART
+        if lowest in tried:
+            break
+        tried[lowest] = attempt(lowest, tried[min(near, key=squares)][1])
+        near.append(lowest)
+    return min(tried, key=lambda delay: _log_rms(tried[delay][0]))
