@@ -2,13 +2,26 @@
 
 import numpy as np
 
+from hammerstein.dynamics import StaticDynamics
 from hammerstein.identification.behind import Behind
 from hammerstein.identification.choices import identifiable_kinds
+from hammerstein.identification.columns import chosen_columns
 from hammerstein.identification.kinds import driven_of
 from hammerstein.identification.projection import fit_block
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.task import Task
+
+
+def task_of(kind, records, *, grids=None, starts=(), delay_samples=0, **options):
+    """Task with thresholds (input,), and how its records drive the inputs."""
+    given = {} if grids is None else {"thresholds_v": [list(grids) for _ in records[0].y_um]}
+    settings = Settings(hysteresis=kind, delay_samples=delay_samples, error_curve=False, **given, **options)
+    begun = tuple(starts) or (Start("rest"),) * len(records)
+    row = [np.zeros(1) for _ in records[0].u_v] if grids is None else grids
+    thresholds_v = [list(row) for _ in records[0].y_um]
+    task = Task(tuple(records), begun, thresholds_v, delay_samples, settings, lambda _: None)
+    return task, driven_of(task, thresholds_v)
 
 
 def fit_kind(
@@ -22,14 +35,19 @@ def fit_kind(
     axes=(),
     like=None,
     refined=True,
+    ridge=0.0,
 ):
     """Block of a kind with thresholds (input,), behind known axes if there are any."""
     solver = "invertible" if invertible else "least_squares"
-    settings = Settings(hysteresis=kind, solver=solver, delay_samples=delay_samples, error_curve=False)
-    begun = tuple(starts) or (Start("rest"),) * len(records)
-    row = grids or [np.zeros(1) for _ in records[0].u_v]
-    thresholds_v = [list(row) for _ in records[0].y_um]
-    task = Task(tuple(records), begun, thresholds_v, delay_samples, settings, lambda _: None)
-    driven = driven_of(task, thresholds_v)
+    known = {"grids": grids, "starts": starts, "delay_samples": delay_samples, "solver": solver}
+    task, driven = task_of(kind, records, **known)
     begins = [like] if like is not None else identifiable_kinds()[kind].first_guesses(driven)
-    return fit_block(task, begins, driven, Behind(tuple(axes), delay_samples), refined=refined)
+    found = Behind(tuple(axes), delay_samples)
+    return fit_block(task, begins, driven, found, refined=refined, ridge=ridge)
+
+
+def columns_for(kind, records, **known):
+    """Block with the columns that the records call for, and the ridge."""
+    task, driven = task_of(kind, records, **known)
+    [first] = identifiable_kinds()[kind].first_guesses(driven)
+    return chosen_columns(task, first, driven, StaticDynamics(n_outputs=task.outputs))

@@ -11,19 +11,30 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields, frozen
+from hammerstein.arrays import Array, ByValue, Flags, Indices, freeze, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError
 from hammerstein.hysteresis.bank import PlayState
-from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable
+from hammerstein.hysteresis.identifiable import Bounds, ColumnChoice, Driven, Identifiable
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
-from hammerstein.hysteresis.pair import Pair, WeightCovariance, played, refuse_other_sizes, weighted_mistakes
+from hammerstein.hysteresis.pair import (
+    Pair,
+    WeightCovariance,
+    play,
+    played,
+    refuse_other_sizes,
+    weighted_mistakes,
+)
 from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, PartFile, covariances
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hammerstein.quantities import Offset, Weight, WeightError
 
-FIRST_ZONES = 3
-"""Dead-zones of an input that a fit begins with."""
+PLAYS = (10, 15, 20, 30, 60)
+"""Numbers of plays of an input that are tried: each grid holds some of the thresholds of the last one."""
+DEAD_ZONES = (0, 1, 2, 3, 5, 7, 11, 23)
+"""Numbers of dead-zones of an input that are tried, in the same way."""
+BESIDE = 7
+"""Dead-zones beside which the number of plays is found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +186,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
 
     kind: ClassVar[str] = "asymmetric"
     wipes_out: ClassVar[bool] = True
+    finest: ClassVar[int] = PLAYS[-1]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "zones", tuple(tuple(row) for row in self.zones))
@@ -312,14 +324,77 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
 
     @classmethod
     def first_guesses(cls, driven: Driven) -> list[Asymmetric]:
-        """Plays with a smallest threshold of 0, and few dead-zones in the range; see ``Identifiable``."""
-        shares = np.arange(1, FIRST_ZONES + 1) / (FIRST_ZONES + 1)
+        """Plays with a smallest threshold of 0, and dead-zones at equal distances; see ``Identifiable``."""
+        count = DEAD_ZONES[-1] if driven.dead_zones is None else driven.dead_zones
+        shares = np.arange(1, count + 1) / (count + 1)
         ends = zip(driven.low_v, driven.high_v, strict=True)
         points = [low + (high - low) * shares if high > low else np.empty(0) for low, high in ends]
-        grids = [np.append(0.0, r[r > 0.0]) for r in driven.thresholds_v]
+        grids = [np.append(0.0, r[1:]) if r.size else r for r in driven.thresholds_v]
         plays = PrandtlIshlinskii(((*(Pair(r, np.ones(len(r))) for r in grids),),) * driven.outputs)
         zones = ((*(DeadZones(q, np.zeros(len(q))) for q in points),),) * driven.outputs
         return [cls(plays, zones, driven.working_point_v)]
+
+    def column_choices(self, driven: Driven) -> list[ColumnChoice]:
+        """Numbers of plays, then of dead-zones: coarser grids of the same columns; see ``Identifiable``."""
+        counts = DEAD_ZONES if driven.dead_zones is None else (driven.dead_zones,)
+        plays = [self._some(n, None) for n in (PLAYS if not driven.given else (None,))]
+        zones = [self._some(None, n) for n in counts]
+        return [
+            ColumnChoice(plays, plays[-1]),
+            ColumnChoice(zones, self._some(None, BESIDE if driven.dead_zones is None else None)),
+        ]
+
+    def _some(self, plays: int | None, zones: int | None) -> Flags:
+        """Flags of so many plays and dead-zones of every input, at equal distances; None: all."""
+        kept = []
+        for pair, bends in zip(self.plays.pairs[0], self.zones[0], strict=True):
+            n, q = len(pair.thresholds_v), len(bends.breakpoints_v)
+            own, points = np.zeros(n, dtype=np.bool_), np.zeros(q, dtype=np.bool_)
+            own[:: 1 if plays is None else max(n // plays, 1)] = True
+            step = 1 if zones is None else (q + 1) // (zones + 1)
+            points[step - 1 :: step] = True
+            kept += [own, points]
+        return np.concatenate(kept)
+
+    def with_columns(self, kept: Flags) -> Asymmetric:
+        """Give the block with some of its plays and dead-zones, the same of every output."""
+        pairs, zones = [], []
+        for row, bends in zip(self.plays.pairs, self.zones, strict=True):
+            sizes = [n for p, z in zip(row, bends, strict=True) for n in (len(p.thresholds_v), len(z.slopes))]
+            masks = np.split(kept, np.cumsum(sizes)[:-1])
+            own = zip(row, masks[::2], strict=True)
+            pairs.append(tuple(Pair(p.thresholds_v[m], p.weights_um_per_v[m]) for p, m in own))
+            behind = zip(bends, masks[1::2], strict=True)
+            zones.append(tuple(DeadZones(z.breakpoints_v[m], z.weights_um_per_v[m]) for z, m in behind))
+        return Asymmetric(PrandtlIshlinskii(tuple(pairs)), tuple(zones), self.working_point_v)
+
+    @property
+    def smoothed(self) -> Flags:
+        """All weights but the first play of each pair."""
+        mask = np.ones(sum(self.operators[0]), dtype=np.bool_)
+        ends = np.cumsum([0, *self.operators[0]])
+        sizes = [len(pair.thresholds_v) for pair in self.plays.pairs[0]]
+        mask[[first for first, n in zip(ends[:-1], sizes, strict=True) if n]] = False
+        return mask
+
+    def columns(self, u_v: Array, before_v: Array, output: int, passes: int = 1) -> tuple[Array, Array]:
+        """Outputs of the plays and of the dead-zones behind the smallest one; see ``Identifiable``."""
+        values, held = [], []
+        rest = np.asarray(self.working_point_v)
+        for k, (pair, bends) in enumerate(zip(self.plays.pairs[output], self.zones[output], strict=True)):
+            r = np.append(self.smallest_v[k], pair.thresholds_v)
+            stood = last = played(before_v[k], r)
+            for _ in range(passes):
+                outputs = play(u_v[k], r, last)
+                last = outputs[:, -1]
+            zero = np.maximum(rest[k] - bends.breakpoints_v, 0.0)
+            beyond = [
+                np.maximum(rest[k] + x[None] - bends.breakpoints_v[:, None], 0.0)
+                for x in (outputs[0], stood[:1])
+            ]
+            values += [outputs[1:], beyond[0] - zero[:, None]]
+            held += [stood[1:], beyond[1][:, 0] - zero]
+        return np.vstack(values), np.concatenate(held)
 
     def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds:
         """S_j >= t and D_m >= c - t for some t >= c: then every slope S_j + D_m is c or more."""
@@ -336,6 +411,10 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
             bound[part] = 0.0 if way > 0.0 else least
         side[size], bound[size] = np.sign(least), least
         return Bounds(basis, side, bound)
+
+    def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
+        """Give the number of dead-zones."""
+        return [f"{self.lines.n.max(initial=0)} dead-zones an input stand beside the plays"]
 
     def file(self) -> AsymmetricFile:
         """Give its form in a model file; the working point stands there once, with the voltages."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Flags
 
 if TYPE_CHECKING:
     from hammerstein.hysteresis.kind import Hysteresis
@@ -36,6 +36,8 @@ class Driven:
     fastest_rad_per_s : (m,) largest rms rate of a part of a record over the half swing of the input [rad/s]
     several_rates : (m,) whether an input is driven so fast and so slowly that a rate can be told from a loop
     invertible : whether the model shall have an inverse
+    given : whether the thresholds were asked for, so that all of them stay
+    dead_zones : number of dead-zones of an input that was asked for; None: as many as the records call for
     """
 
     low_v: Array
@@ -49,6 +51,8 @@ class Driven:
     fastest_rad_per_s: Array
     several_rates: tuple[bool, ...]
     invertible: bool = True
+    given: bool = False
+    dead_zones: int | None = None
 
     @property
     def half_swing_v(self) -> Array:
@@ -61,6 +65,16 @@ class Limits(NamedTuple):
 
     lower: Array
     upper: Array
+
+
+class ColumnChoice(NamedTuple):
+    """Sets of columns of which one is taken: masks (weight,) of what stays, the smallest set first.
+
+    ``beside`` is what stays of it while the choices before it are made.
+    """
+
+    masks: Sequence[Flags]
+    beside: Flags
 
 
 class Bounds(NamedTuple):
@@ -84,6 +98,8 @@ class Identifiable(ABC):
 
     passes_for_delay: ClassVar[bool] = False
     """Whether what the kind does looks like a delay, so that none is searched for it."""
+    finest: ClassVar[int] = 0
+    """Thresholds of an input among which ``column_choices`` chooses; 0: those that suit plays are taken."""
 
     @classmethod
     @abstractmethod
@@ -141,6 +157,22 @@ class Identifiable(ABC):
             values.append(v[output])
             held.append(stood[output, 0])
         return np.array(values), np.array(held)
+
+    def column_choices(self, driven: Driven) -> Sequence[ColumnChoice]:
+        """Sets of columns, the same of every output, that folds of the records choose from; none by default.
+
+        Where there are any, a ridge is chosen as well, see ``smoothed``.
+        """
+        return ()
+
+    def with_columns(self, kept: Flags) -> Self:
+        """Give the block with some of its columns, the same of every output: a mask (weight,)."""
+        raise NotImplementedError
+
+    @property
+    def smoothed(self) -> Flags:
+        """Weights (weight,) of an output that a ridge makes small."""
+        return np.zeros(0, dtype=np.bool_)
 
     def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds | None:
         """Bounds of the weights of one output so that it follows one input with an inverse.

@@ -212,7 +212,7 @@ def fold_squares(candidate: Candidate, records: Sequence[Record], starts: Sequen
     span = ranges(records, starts)
     total = np.zeros((len(records), FOLDS))
     for o, size in enumerate(span):
-        parts = _moments_of_output(candidate, records, starts, o)
+        parts = moments_of_output(candidate, records, starts, o)
         weights = candidate.hysteresis.weights[o]
         whole = pooled([part[f] for part in parts for f in part])
         for fold in range(FOLDS):
@@ -240,8 +240,8 @@ def _change(train: Moments, whole: Moments, weights: Array) -> Array:
     return coefficients(train.gram + held, train.cross[:, 0] - train.gram @ weights)
 
 
-def _moments_of_output(
-    candidate: Candidate, records: Sequence[Record], starts: Sequence[Start], o: int
+def moments_of_output(
+    candidate: Candidate, records: Sequence[Record], starts: Sequence[Start], o: int, parts: int = PARTS
 ) -> list[Mapping[int, Moments]]:
     """Moments of each fold of each record with the columns of one output behind its path."""
     p, n = len(records[0].y_um), len(candidate.hysteresis.weights[o])
@@ -252,7 +252,7 @@ def _moments_of_output(
         paths = candidate.sensor.paths(prompt, [record])
         columns = columns_of(candidate.hysteresis, record, start, o)
         blocks = columns.blocks(start, whole, path_filters(paths, 0, o, n, p))
-        found.append(moments_of_folds(blocks, record.y_um[[o]], start.first, n, PARTS))
+        found.append(moments_of_folds(blocks, record.y_um[[o]], start.first, n, parts))
     return found
 
 

@@ -10,26 +10,25 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics, StaticDynamics
+from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.identifiable import Driven, Identifiable
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.behind import Behind, search_behind, sure_behind
 from hammerstein.identification.choice import Trial, chosen, trial_of
 from hammerstein.identification.choices import identifiable_kinds
+from hammerstein.identification.columns import chosen_columns
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_task import duration_s, parameters_of as axis_parameters
 from hammerstein.identification.linear.delay import MOST_DELAY, WORSE_DELAYS
+from hammerstein.identification.operators import input_grids
 from hammerstein.identification.projection import fit_block
 from hammerstein.identification.rates import fastest_rad_per_s, rates_of_input, several_rates
 from hammerstein.identification.score import Candidate, score
-from hammerstein.identification.static.asymmetric import fit_asymmetric
-from hammerstein.identification.static.asymmetric_choice import AsymmetricChoice, chosen_asymmetric
 from hammerstein.identification.static.history import FEWEST, closed, each_alone, judged_starts, unexplained
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
-    SquaresSolver,
     Thresholds,
     half_swing,
 )
@@ -37,9 +36,6 @@ from hammerstein.identification.static_candidates import begun_static
 from hammerstein.identification.task import Built, Found, Task
 from hammerstein.identification.verdict import invertibility_of
 from hammerstein.records.record import Record
-
-Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
-
 
 WITHOUT_PLAYS = ("linear", "linear_dynamics")
 MOST_TURNS = 4
@@ -52,15 +48,16 @@ BEGINNING = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Replacement:
-    """A block of another kind, what is to be said of it, and the columns that were chosen if any were.
+    """A block of another kind, what is to be said of it, and the ridge of its weights.
 
-    ``rough`` asks of those that are to be like it no more than to be told apart; ``at_limit`` says that a
-    number ended where the records do not determine it.
+    ``picked`` says that its columns were chosen of many; ``rough`` asks of those that are to be like it no
+    more than to be told apart; ``at_limit`` says that a number ended where the records do not determine it.
     """
 
     hysteresis: Hysteresis[Any]
     notes: tuple[str, ...] = ()
-    choice: AsymmetricChoice | None = None
+    ridge: float = 0.0
+    picked: bool = False
     rough: bool = False
     at_limit: bool = False
 
@@ -257,7 +254,7 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whol
 
 def _again(block: Replacement) -> Replacement | None:
     """Where the search for the block goes on; nowhere for one whose columns are chosen anew."""
-    return None if block.choice is not None else block
+    return None if block.picked else block
 
 
 def _starts_behind(task: Task, thresholds_v: Thresholds, whole: Whole) -> tuple[Start, ...]:
@@ -284,40 +281,13 @@ def _starts_behind(task: Task, thresholds_v: Thresholds, whole: Whole) -> tuple[
 def _before(task: Task, thresholds_v: Thresholds, found: Behind, like: Replacement | None = None) -> Whole:
     """Block before the axes found, with the columns of another one if it is given."""
     late = replace(task, delay_samples=found.delay_samples)
-    static = StaticDynamics(n_outputs=task.outputs)
-    if task.settings.hysteresis == "asymmetric":
-        block = _asymmetric(late, thresholds_v, static if found.is_static else found.dynamics, like)
-    else:
-        block, found = _of_kind(late, thresholds_v, found, like)
-    dynamics = static if found.is_static else found.dynamics
-    candidate = replace(late.candidate(block.hysteresis, dynamics), at_limit=block.at_limit)
+    block, found = _of_kind(late, thresholds_v, found, like)
+    candidate = replace(late.candidate(block.hysteresis, _dynamics(late, found)), at_limit=block.at_limit)
     return Whole(candidate, found, block, task.starts)
 
 
-def _asymmetric(
-    task: Task, thresholds_v: Thresholds, dynamics: Linear, like: Replacement | None
-) -> Replacement:
-    """Dead-zones beside the plays, as many as the records call for unless their number is given."""
-    settings, paths = task.settings, task.paths(dynamics)
-    free = settings.operators == "auto" and settings.thresholds_v is None and settings.partition == "auto"
-    begun = [[np.concatenate([[0.0], r[1:]]) if r.size else r for r in row] for row in thresholds_v]
-    behind: dict[str, Any] = {"starts": task.starts, "delay_samples": task.whole_delay, "through": paths}
-    choice = like.choice if like else None
-    if choice is None:
-        task.progress("trying numbers of plays and dead-zones")
-        choice = chosen_asymmetric(task.records, None if free else begun, settings.dead_zones, **behind)
-    solver: SquaresSolver = "invertible" if settings.solver == "closed_form" else settings.solver
-    fit = fit_asymmetric(
-        task.records,
-        choice.thresholds_v,
-        choice.breakpoints_v,
-        solver=solver,
-        ridge=settings.ridge or choice.ridge,
-        **behind,
-    )
-    count = len(choice.breakpoints_v[0])
-    told = f"{count} dead-zones an input stand beside the plays"
-    return Replacement(fit.hysteresis, (told, *_bounded(task, fit.held)), choice)
+def _dynamics(task: Task, found: Behind) -> AxesDynamics | StaticDynamics:
+    return StaticDynamics(n_outputs=task.outputs) if found.is_static else found.dynamics
 
 
 def _of_kind(
@@ -325,13 +295,21 @@ def _of_kind(
 ) -> tuple[Replacement, Behind]:
     """A block of any kind by the one fit: behind it the axes are fitted along with its free numbers.
 
+    Where the kind has columns to choose from, folds of the records do, and then only the weights are found.
     ``like`` is where the search begins; where that is rough, only the weights are found again.
     """
     driven = driven_of(task, thresholds_v)
     kind = identifiable_kinds()[task.settings.hysteresis]
-    known = like.hysteresis if like is not None and isinstance(like.hysteresis, kind) else None
-    begins = kind.first_guesses(driven) if known is None else [known]
-    fit = fit_block(task, begins, driven, found, refined=like is None or not like.rough)
+    known = like if like is not None and isinstance(like.hysteresis, kind) else None
+    begins = kind.first_guesses(driven) if known is None else [cast(Identifiable, known.hysteresis)]
+    picked = known.picked if known else bool(begins[0].column_choices(driven))
+    ridge = known.ridge if known else task.settings.ridge
+    if picked and known is None:
+        task.progress("trying numbers of operators")
+        block, ridge = chosen_columns(task, begins[0], driven, _dynamics(task, found), ridge)
+        begins = [block]
+    refined = not picked and (like is None or not like.rough)
+    fit = fit_block(task, begins, driven, found, refined=refined, ridge=ridge)
     record = task.records[0]
     notes = [*fit.block.statements(record.inputs, record.outputs), *_bounded(task, fit.held)]
     if kind.passes_for_delay:
@@ -341,12 +319,17 @@ def _of_kind(
         notes.append(
             f"{len(fit.at_limit)} numbers of the block end at a limit: the records do not determine them"
         )
-    return Replacement(fit.hysteresis, tuple(notes), at_limit=bool(fit.at_limit)), fit.behind
+    at_limit = bool(fit.at_limit)
+    return Replacement(fit.hysteresis, tuple(notes), ridge, picked, at_limit=at_limit), fit.behind
 
 
 def driven_of(task: Task, thresholds_v: Thresholds) -> Driven:
-    """How the records drive the inputs, and thresholds for each of them."""
-    records = task.records
+    """How the records drive the inputs, and thresholds: the finest of the kind where none are asked for."""
+    records, settings = task.records, task.settings
+    finest = identifiable_kinds()[settings.hysteresis].finest
+    auto = settings.operators == "auto" and settings.thresholds_v is None and settings.partition == "auto"
+    if auto and finest:
+        thresholds_v = [input_grids(records, finest, "voltage")]
     low: Array = np.array([r.u_v.min(axis=1) + r.rest_v for r in records]).min(axis=0)
     high: Array = np.array([r.u_v.max(axis=1) + r.rest_v for r in records]).max(axis=0)
     return Driven(
@@ -360,7 +343,9 @@ def driven_of(task: Task, thresholds_v: Thresholds) -> Driven:
         duration_s=duration_s(records),
         fastest_rad_per_s=fastest_rad_per_s(records),
         several_rates=rates_of_input(records),
-        invertible=task.settings.solver == "invertible",
+        invertible=settings.solver != "least_squares",
+        given=not auto,
+        dead_zones=settings.dead_zones,
     )
 
 

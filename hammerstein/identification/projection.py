@@ -33,7 +33,15 @@ from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axi
 from hammerstein.identification.score import columns_of
 from hammerstein.identification.static.damped_search import Damping, damped_change, steps
 from hammerstein.identification.static.history import shortened
-from hammerstein.identification.static.normal_equations import Moments, Solution, coefficients, solve
+from hammerstein.identification.static.normal_equations import (
+    Bounds,
+    Moments,
+    Solution,
+    are_within,
+    coefficients,
+    ridge_penalty,
+    solve,
+)
 from hammerstein.identification.static.regressors import Filter, Regressors, SideBySide
 from hammerstein.identification.static.static_block import LEAST_SLOPE, direct_pairs
 from hammerstein.identification.task import Task
@@ -75,7 +83,13 @@ class BlockFit(NamedTuple):
 
 
 def fit_block(
-    task: Task, begins: Sequence[Identifiable], driven: Driven, found: Behind, *, refined: bool = True
+    task: Task,
+    begins: Sequence[Identifiable],
+    driven: Driven,
+    found: Behind,
+    *,
+    refined: bool = True,
+    ridge: float = 0.0,
 ) -> BlockFit:
     """Free numbers of a block, its axes and its weights at the least that they leave together.
 
@@ -86,6 +100,7 @@ def fit_block(
     driven : how the records drive the inputs
     found : the axes to begin with, and the delay
     refined : whether the numbers are searched; otherwise only the weights are found
+    ridge : penalty of the weights that the kind has smoothed, relative to the power of its columns
     """
     late = replace(task, delay_samples=found.delay_samples)
     if len(begins) > 1:
@@ -103,7 +118,7 @@ def fit_block(
         thinned = _Search(late, begins[0], driven, found, thinning(task.records) if found.axes else 1)
         here = thinned.arrived(thinned.begun(), ENOUGH)
         begins, found = [here.block], Behind(_axes_of(here, found), found.delay_samples)
-    search = _Search(late, begins[0], driven, found)
+    search = _Search(late, begins[0], driven, found, ridge=ridge)
     return search.result(search.begun())
 
 
@@ -139,6 +154,7 @@ class _Search:
     driven: Driven
     found: Behind
     every: int = 1
+    ridge: float = 0.0
 
     @cached_property
     def shapes(self) -> tuple[AxisShape, ...]:
@@ -217,17 +233,26 @@ class _Search:
 
     def solved(self, block: Identifiable, moments: Sequence[Moments]) -> list[Solution]:
         """Weights of each output, those of direct pairs within the bounds that an inverse needs."""
-        found = [solve(m.gram, m.cross[:, 0], float(m.power[0]), m.freedom) for m in moments]
+        penalties = [self._penalty(block, m.gram) for m in moments]
+
+        def of_output(o: int, bounds: Bounds | None = None) -> Solution:
+            m = moments[o]
+            whole = (m.gram, m.cross[:, 0], float(m.power[0]), m.freedom)
+            return solve(*whole, bounds=bounds, penalty=penalties[o])
+
+        found = [of_output(o) for o in range(len(moments))]
         if not self.driven.invertible:
             return found
         hysteresis = cast("Hysteresis[Any]", block)
         gains = mean_slopes(hysteresis.with_weights([s.coefficients for s in found]), self.driven)
         for o, k in direct_pairs(gains):
             bounds = block.weight_bounds(o, k, LEAST_SLOPE * float(gains[o, k]), self.driven)
-            if bounds is not None:
-                m = moments[o]
-                found[o] = solve(m.gram, m.cross[:, 0], float(m.power[0]), m.freedom, bounds=bounds)
+            if bounds is not None and not are_within(bounds, found[o].coefficients):
+                found[o] = of_output(o, bounds)
         return found
+
+    def _penalty(self, block: Identifiable, gram: Array) -> Array | None:
+        return ridge_penalty(gram, self.ridge, block.smoothed) if self.ridge and len(block.smoothed) else None
 
     def result(self, here: _Place) -> BlockFit:
         """The block with its weights and their covariance, and the axes."""

@@ -5,14 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import theory
+from block_fits import columns_for, fit_kind, task_of
 
-from hammerstein.dynamics import AxesDynamics, Axis, discretise
-from hammerstein.errors import IdentificationError
+from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.recorded import counted
-from hammerstein.identification.static.asymmetric import breakpoints_in, fit_asymmetric
-from hammerstein.identification.static.asymmetric_choice import chosen_asymmetric
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.records.record import Record
@@ -20,6 +18,21 @@ from hammerstein.records.record import Record
 SEED = 16
 R = np.array([0.0, 0.6, 1.4, 2.5])
 Q = np.array([-2.0, 0.5, 2.0])
+
+
+def fit_asymmetric(records, rows, points, solver="invertible", ridge=0.0, **known):
+    """Weights of plays with thresholds (output, input) and dead-zones with breakpoints (input,)."""
+    plays = PrandtlIshlinskii([[Pair(r, np.ones(len(r))) for r in row] for row in rows])
+    zones = [[DeadZones(q, np.zeros(len(q))) for q in points] for _ in rows]
+    like = Asymmetric(plays, zones, records[0].rest_v)
+    known = {"invertible": solver == "invertible", "ridge": ridge, "refined": False} | known
+    return fit_kind("asymmetric", records, grids=rows[-1], like=like, **known)
+
+
+def places_of(block):
+    """Thresholds (output, input) and breakpoints (input,)."""
+    rows = [[pair.thresholds_v for pair in row] for row in block.plays.pairs]
+    return rows, [zone.breakpoints_v for zone in block.zones[0]]
 
 
 def wave(samples=4000, turns=9.0, decay=0.7, phase=0.0):
@@ -52,7 +65,6 @@ def test_weights_of_both_are_found_again_from_records_with_working_points_of_the
     fit = fit_asymmetric(records_of(block), [[R, R]] * 2, [Q, Q], solver=solver)
     for ours, theirs in zip(fit.hysteresis.weights, block.weights, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-8)
-    np.testing.assert_allclose(fit.offsets_um, [[11.0, -7.0]] * 2, atol=1e-8)
     assert fit.held == ()
 
 
@@ -83,8 +95,6 @@ def test_standard_errors_are_those_of_repeated_records():
         found.append(fit.hysteresis.weights[0])
         told = fit.hysteresis.weight_covariance[0].covariance
     np.testing.assert_allclose(np.std(found, axis=0), np.sqrt(np.diag(told)), rtol=0.35)
-    zones = fit.hysteresis.zones[0][0]
-    np.testing.assert_allclose(zones.weight_errors_um_per_v, np.sqrt(np.diag(told))[4:], rtol=1e-9)
 
 
 def test_the_invertible_fit_is_the_best_of_all_that_are_within_the_inequalities():
@@ -123,7 +133,7 @@ def test_without_dead_zones_bounds_of_ragged_pairs_are_those_of_plays_alone():
     rows = [[np.array([0.0, 0.6]), R], [R, R]]
     plays = [[Pair(rows[0][0], [3.0, -3.4]), Pair(R, [0.2, -0.1, 0.05, 0.02])],
              [Pair(R, [0.1, 0.1, -0.2, 0.1]), Pair(R, [2.5, 0.3, 0.8, 0.2])]]  # fmt: skip
-    records = records_of(PrandtlIshlinskii(plays))
+    records = records_of(PrandtlIshlinskii(plays))[:1]  # mean slopes are those over the range of all records
     fit = fit_asymmetric(records, rows, [np.empty(0)] * 2)
     alone = fit_static(records, rows)
     assert fit.held == ((0, 0),)
@@ -139,7 +149,7 @@ def test_through_a_linear_block_the_weights_are_found_all_the_same():
     u = np.stack([wave(), wave(turns=7.3, decay=0.5)])
     path = discretise(dynamics, 1e-3)
     y = path.respond(block.respond(u)[0])[0][:2]
-    fit = fit_asymmetric([Record(u, y, 1e-3)], [[R, R]] * 2, [Q, Q], solver="least_squares", through=[path])
+    fit = fit_asymmetric([Record(u, y, 1e-3)], [[R, R]] * 2, [Q, Q], solver="least_squares", axes=axes)
     for ours, theirs in zip(fit.hysteresis.weights, block.weights, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-7)
 
@@ -148,18 +158,22 @@ def test_the_number_of_dead_zones_is_what_the_records_call_for():
     u = wave(samples=8000, turns=23.0)
     made = {0: [0.0] * 3, 3: [0.6, -0.9, 0.5]}
     for count, bends in made.items():
-        q = breakpoints_in([Record([u], [u], 1e-3)], 3)[0]
+        q = u.min() + np.ptp(u) * np.arange(1, 4) / 4.0
         v = theory.asymmetric([u], [[R]], [[[3.0, 0.5, 0.6, 0.7]]], [[q]], [[bends]], [0.0])
         y = v + 0.02 * np.random.default_rng(SEED).standard_normal(v.shape)
-        choice = chosen_asymmetric([Record([u], y, 1e-3)], [[R]])
-        assert len(choice.breakpoints_v[0]) == count
+        block, _ = columns_for("asymmetric", [Record([u], y, 1e-3)], grids=[R])
+        assert len(block.zones[0][0].breakpoints_v) == count
 
 
-def test_a_smallest_threshold_above_zero_and_breakpoints_never_passed_are_refused():
-    with pytest.raises(IdentificationError, match="smallest threshold of 0"):
-        fit_asymmetric(records_of(truth()), [[R[1:], R]] * 2, [Q, Q])
-    with pytest.raises(IdentificationError, match=r"7 V of input u2 is never passed"):
-        fit_asymmetric(records_of(truth()), [[R, R]] * 2, [Q, np.array([1.0, 7.0])])
+def test_the_smallest_threshold_is_zero_and_every_breakpoint_is_passed():
+    """After a reversal a model without play(0) would stand still, and its dead-zones with it."""
+    record = records_of(truth())[0]
+    block, _ = columns_for("asymmetric", [record], grids=[R + 0.1, R + 0.1], dead_zones=3)
+    for row, bends in zip(block.plays.pairs, block.zones, strict=True):
+        for k, (pair, zones) in enumerate(zip(row, bends, strict=True)):
+            sent = record.u_v[k] + record.rest_v[k]
+            assert pair.thresholds_v[0] == 0.0
+            assert sent.min() < zones.breakpoints_v[0] < zones.breakpoints_v[-1] < sent.max()
 
 
 def single_amplitude(samples, amplitude_v, seed):
@@ -178,33 +192,36 @@ def test_loops_of_one_amplitude_leave_weights_that_hold_for_others(dead_zones):
     would go wrong by that.
     """
     record, other = single_amplitude(4000, 5.0, 1), single_amplitude(4000, 3.0, 2)
-    choice = chosen_asymmetric([record], [[5.0 * np.arange(24) / 24]], dead_zones)
-    assert choice.ridge >= 1e-6
+    block, chosen = columns_for(
+        "asymmetric", [record], grids=[5.0 * np.arange(24) / 24], dead_zones=dead_zones
+    )
+    assert chosen >= 1e-6
     error = {}
-    for ridge in (1e-9, choice.ridge):
-        zones = choice.breakpoints_v
+    for ridge in (1e-9, chosen):
         fit = fit_asymmetric(
             [record],
-            choice.thresholds_v,
-            zones,
+            *places_of(block),
             ridge=ridge,
             starts=[Start("repeated")],
             solver="least_squares",
         )
         left = other.y_um - fit.hysteresis.respond(other.u_v)[0]
         error[ridge] = 100.0 * float(np.std(left[0, 1000:])) / np.ptp(other.y_um[0, 1000:])
-    assert error[choice.ridge] < 2.0 < 0.2 * error[1e-9]
+    assert error[chosen] < 2.0 < 0.2 * error[1e-9]
 
 
 def test_the_error_left_out_is_that_of_plain_least_squares_on_coarser_grids():
     """Part by part with plain columns, while the choice sums those of its finest grid."""
-    from hammerstein.identification.static.asymmetric_choice import DEAD_ZONES, PARTS, PLAYS, Folds
+    from hammerstein.hysteresis.asymmetric import DEAD_ZONES, PLAYS
+    from hammerstein.identification.columns import PARTS, _errors_left_out
     from hammerstein.identification.static.folds import FOLDS
 
     u = wave(samples=3000, turns=23.0)
     y = theory.asymmetric([u], [[R]], [[[3.0, 0.5, 0.6, 0.7]]], [[Q]], [[[0.6, -0.9, 0.5]]], [0.0])[0]
     y = y + 0.05 * np.random.default_rng(3).standard_normal(len(y))
-    found = Folds.of([Record([u], [y], 1e-3)], [Start("rest")], None, None, 0, ())
+    task, driven = task_of("asymmetric", [Record([u], [y], 1e-3)])
+    [finest] = Asymmetric.first_guesses(driven)
+    error = _errors_left_out(task, finest, StaticDynamics(n_outputs=1))
     n, zones = PLAYS[1], DEAD_ZONES[2]
     low, high = u.min(), u.max()
     columns = [theory.play(u, 0.5 * (high - low) * i / n) for i in range(n)]
@@ -218,12 +235,13 @@ def test_the_error_left_out_is_that_of_plain_least_squares_on_coarser_grids():
         w = np.linalg.lstsq(rest[:, :-1], rest[:, -1], rcond=1e-12)[0]
         squares += np.sum((part[:, -1] - part[:, :-1] @ w) ** 2)
     expected = np.sqrt(squares / len(u)) / np.ptp(y)
-    assert found.error(found.plays(n), zones, 0.0) == pytest.approx(expected, rel=1e-6)
+    plays, bends = finest.column_choices(driven)
+    assert error(plays.masks[1] & bends.masks[2], 0.0) == pytest.approx(expected, rel=1e-6)
 
 
 def test_records_without_noise_bear_hardly_any_penalty():
-    choice = chosen_asymmetric(records_of(truth()), [[R, R]] * 2)
-    fit = fit_asymmetric(records_of(truth()), choice.thresholds_v, choice.breakpoints_v, ridge=choice.ridge)
+    block, ridge = columns_for("asymmetric", records_of(truth()), grids=[R, R])
+    fit = fit_asymmetric(records_of(truth()), *places_of(block), ridge=ridge)
     assert fit.rms_um.max() < 2e-3 * 20.0
 
 
@@ -247,16 +265,10 @@ def test_micromanipulator(delay, fitted, held_back, plays):
 
     record, held = read("Model_Vi_Do.dat"), read("Test_Vi_Do_Di.dat")
     start = Start("rest", 400)
-    grids = None if plays is None else [input_grids([record], plays, "voltage")]
-    choice = chosen_asymmetric([record], grids, starts=[start], delay_samples=delay)
-    fit = fit_asymmetric(
-        [record],
-        choice.thresholds_v,
-        choice.breakpoints_v,
-        starts=[start],
-        delay_samples=delay,
-        ridge=choice.ridge,
-    )
+    grids = None if plays is None else input_grids([record], plays, "voltage")
+    known = {"starts": [start], "delay_samples": delay}
+    block, ridge = columns_for("asymmetric", [record], grids=grids, **known)
+    fit = fit_asymmetric([record], *places_of(block), ridge=ridge, **known)
     slack = 0.03 if plays in (12, 15) else 0.0
     assert 100.0 * fit.rms_um[0] / np.ptp(record.y_um[0, 400:]) <= fitted + slack
     block = fit.hysteresis.counted_from(held.rest_v)

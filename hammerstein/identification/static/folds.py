@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
-from hammerstein.identification.static.normal_equations import Moments, moments_of
+from hammerstein.identification.static.normal_equations import Moments, moments_of, pooled, squares_left
 
 FOLDS = 4
 """Parts of which one is left out at a time."""
@@ -41,3 +41,22 @@ def moments_of_folds(
     if sum(map(bool, folds.values())) < 2:
         raise IdentificationError("the records are too short to choose anything by what is left out of them")
     return {fold: moments_of(part, columns, len(y)) for fold, part in folds.items() if part}
+
+
+def left_out(
+    records: Sequence[Mapping[int, Moments]], found: Callable[[Moments], Array]
+) -> tuple[float, int]:
+    """Squares that are left of the folds of one output, each with coefficients of the others, and samples.
+
+    records : moments of each fold of each record
+    found : coefficients (column,) that suit some moments
+    """
+    total, samples = 0.0, 0
+    for fold in range(FOLDS):
+        test = [parts[fold] for parts in records if fold in parts]
+        rest = [moments for parts in records for f, moments in parts.items() if f != fold]
+        if test and rest:
+            held = pooled(test)
+            total += squares_left(held.gram, held.cross[:, 0], float(held.power[0]), found(pooled(rest)))
+            samples += held.samples
+    return total, samples

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_solve, cholesky, orth
 from scipy.optimize import nnls
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Flags
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis.identifiable import Bounds as Bounds
 
@@ -240,6 +240,29 @@ def solve(
         dependent=np.any(np.abs(scaled.lost) > OPEN, axis=1),
         ways=np.eye(len(gram)) if bounds is None else bounds.basis[:, free],
     )
+
+
+def ridge_penalty(gram: Array, ridge: float, smoothed: Flags) -> Array:
+    """Penalty (column, column) of some of the coefficients, relative to the power of the columns.
+
+    smoothed : (column,) those that it makes small
+    """
+    strength = ridge * float(np.diag(gram).max(initial=0.0))
+    return np.asarray(np.diag(np.where(smoothed, strength, 0.0)))
+
+
+def are_within(bounds: Bounds, coefficients: Array) -> bool:
+    """Whether unknowns within their bounds make up given coefficients; at most one is to spare."""
+    x = np.linalg.lstsq(bounds.basis, coefficients, rcond=None)[0]
+    room = bounds.side * (x - bounds.bound)
+    _, size, ways = np.linalg.svd(bounds.basis)
+    spare = ways[len(size) :]
+    if not len(spare):
+        return bool((room >= 0.0).all())
+    moved = np.where(np.abs(spare[0]) > NO_DIRECTION, bounds.side * spare[0], 0.0)
+    up, down = moved > 0.0, moved < 0.0
+    low, high = (-room[up] / moved[up]).max(initial=-np.inf), (-room[down] / moved[down]).min(initial=np.inf)
+    return bool(low <= high and (room[moved == 0.0] >= 0.0).all())
 
 
 def squares_left(gram: Array, cross: Array, power: float, found: Array) -> float:

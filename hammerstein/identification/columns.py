@@ -1,0 +1,101 @@
+"""Which columns of a kind the records call for, and how smooth their weights are: judged on folds.
+
+The moments of all columns are gathered once; every set of them is a part of those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar, cast
+
+import numpy as np
+
+from hammerstein.arrays import Array, Flags
+from hammerstein.dynamics import Dynamics
+from hammerstein.hysteresis import Hysteresis
+from hammerstein.hysteresis.identifiable import Driven, Identifiable
+from hammerstein.identification.choice import moments_of_output
+from hammerstein.identification.operators import CURVE_SAMPLES
+from hammerstein.identification.score import ranges
+from hammerstein.identification.static.folds import left_out
+from hammerstein.identification.static.history import shortened
+from hammerstein.identification.static.normal_equations import Moments, coefficients, ridge_penalty
+from hammerstein.identification.task import Task
+
+T = TypeVar("T")
+
+RIDGES = tuple(10.0**-i for i in range(2, 9))
+"""Penalties of the weights that are tried, the smoothest slopes first; below, rounding errors decide."""
+BEGUN = RIDGES[-3]
+"""Penalty with which the columns are chosen: it decides nothing but what the records leave open."""
+PARTS = 64
+"""Parts of a record that are left out in turn: short against the way from one breakpoint to the next
+where the record is a single loop, or what only they tell of it would be missing."""
+NEAR = 5e-3
+"""Part by which fewer columns or smoother slopes may leave more on what is left out."""
+
+
+def chosen_columns(
+    task: Task, block: Identifiable, driven: Driven, dynamics: Dynamics, ridge: float = 0.0
+) -> tuple[Identifiable, float]:
+    """The block with the fewest columns, and the largest penalty, within half a percent of the least error.
+
+    Every record falls into 64 parts; every fourth of them is left out in turn. Loops of one amplitude do
+    not tell plays from dead-zones whose slopes are alike on both sides of the middle: what raises the one and
+    lowers the other by the same amount changes nothing. Of all weights that leave as little, the least are
+    taken: a penalty that is as large as half a percent of the error allows.
+
+    Parameters
+    ----------
+    task : records, starts, delay
+    block : with all its columns
+    driven : how the records drive the inputs
+    dynamics : what stands behind the block
+    ridge : penalty that was asked for; 0: one is found
+    """
+    choices = block.column_choices(driven)
+    error = _errors_left_out(task, block, dynamics)
+    taken = [choice.beside for choice in choices]
+    for i, choice in enumerate(choices):
+
+        def with_set(mask: Flags, i: int = i) -> float:
+            others = [*taken[:i], *taken[i + 1 :]]
+            return error(np.logical_and.reduce([mask, *others]), BEGUN)
+
+        taken[i] = _first_near(choice.masks, with_set)
+    kept = np.logical_and.reduce(taken)
+    smooth = ridge or _first_near(RIDGES, lambda ridge: error(kept, ridge))
+    return block.with_columns(kept), smooth
+
+
+def _first_near(trials: Sequence[T], error: Callable[[T], float]) -> T:
+    """First trial whose error is near the least; the only one without asking."""
+    if len(trials) == 1:
+        return trials[0]
+    errors = [error(trial) for trial in trials]
+    return next(t for t, e in zip(trials, errors, strict=True) if e <= (1.0 + NEAR) * min(errors))
+
+
+def _errors_left_out(task: Task, block: Identifiable, dynamics: Dynamics) -> Callable[[Flags, float], float]:
+    """Rms error on the folds left out in turn, in parts of the ranges, of some columns with a penalty."""
+    few, starts = shortened(task.records, task.starts, CURVE_SAMPLES)
+    candidate = task.candidate(cast("Hysteresis[Any]", block), dynamics)
+    span = ranges(few, starts)
+    folds = [moments_of_output(candidate, few, starts, o, PARTS) for o in range(len(span))]
+
+    def error(kept: Flags, ridge: float) -> float:
+        smoothed, squares = block.smoothed[kept], []
+
+        def weights(train: Moments) -> Array:
+            gram = train.gram[np.ix_(kept, kept)]
+            found = np.zeros(len(kept))
+            penalised = gram + ridge_penalty(gram, ridge, smoothed)
+            found[kept] = coefficients(penalised, train.cross[kept, 0])
+            return found
+
+        for parts, size in zip(folds, span, strict=True):
+            total, samples = left_out(parts, weights)
+            squares.append(total / samples / size**2)
+        return float(np.sqrt(np.mean(squares)))
+
+    return error
