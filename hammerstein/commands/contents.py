@@ -224,15 +224,16 @@ def _table(path: Path) -> Iterator[tuple[str, str]]:
         span = f"{known.min():.6g} to {known.max():.6g}" if known.size else "no number"
         missing = f", {values.size - known.size} missing" if known.size < values.size else ""
         yield (name if name != str(number) else f"column {number}"), span + missing
-    for number, line in enumerate(_notes(path), start=1):
+    for number, line in enumerate(_notes(path, layout.encoding), start=1):
         yield f"note {number}", line
 
 
-def _notes(path: Path) -> Iterator[str]:
+def _notes(path: Path, encoding: str) -> Iterator[str]:
     """Comment lines of a table, such as those below the columns of a drive file."""
-    for line in read_limited(path, what="table").splitlines():
-        if line.startswith("#"):
-            yield line.removeprefix("#").strip()
+    with path.open(encoding=encoding, errors="replace") as file:
+        for line in file:
+            if line.startswith("#"):
+                yield line.removeprefix("#").strip()
 
 
 def _listed(values: dict[str, Any]) -> str:

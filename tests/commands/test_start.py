@@ -342,3 +342,13 @@ def test_a_run_writes_where_init_pointed(tmp_path, monkeypatch):
             main(["run", folder, "--no-figures"])
         assert not caught.value.code
         assert (tmp_path / place / f"{folder}_sine" / "report.json").is_file()
+
+
+def test_show_reads_a_table_as_records_are_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Line by line, in the encoding that is found: no text that a record may hold is refused here."""
+    rows = "".join(f"{k * 1e-3:.3f},{k % 7},{k % 5}\n" for k in range(40))
+    (tmp_path / "r.csv").write_bytes(f"t_s,u_v,y_um\n{rows}# in µm\n".encode("latin-1"))
+    with pytest.raises(SystemExit) as ended:
+        main(["show", str(tmp_path / "r.csv")])
+    assert not ended.value.code
+    assert "in µm" in capsys.readouterr().out
