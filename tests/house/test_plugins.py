@@ -17,6 +17,7 @@ from hammerstein.commands.cli import app
 from hammerstein.comparison.compare import compare
 from hammerstein.compensators import COMPENSATORS
 from hammerstein.compensators.drive_file import Terms, compensate
+from hammerstein.dynamics import discretise
 from hammerstein.hysteresis import HYSTERESIS, slopes_of
 from hammerstein.hysteresis.identifiable import Identifiable, Limits
 from hammerstein.hysteresis.kind import SWEEP_SAMPLES
@@ -412,6 +413,26 @@ def test_a_kind_of_another_package_is_identified_by_its_name(follower, tmp_path,
     assert hammerstein.HammersteinModel.load("m.json").hysteresis.lag == pytest.approx(0.25, abs=0.005)
     found = compare(records, Settings(**kept))
     assert found["follower"].judged.mean_percent < 0.2
+
+
+@pytest.mark.full
+def test_a_kind_of_another_package_is_identified_with_the_dynamics_behind_it(follower):
+    """Its own free number and the resonance are found together, by name, alone and in a comparison."""
+    time = np.arange(2000) * 1e-3
+    u = 5.0 * np.sin(2.0 * np.pi * (2.0 * time + 20.0 * time**2)) * np.minimum(1.0, 20.0 * time)
+    axes = hammerstein.AxesDynamics(axes=(hammerstein.Axis(resonance_hz=60.0, damping_ratio=0.1),))
+    v = Follower((5.0,), 0.25)._respond(u[None], Lag(np.zeros(1)))[0]
+    y = discretise(axes, 1e-3).respond(v)[0][-1:]
+    y += 0.01 * np.random.default_rng(0).standard_normal(y.shape)
+    records = [Record([u], y, 1e-3, ("u",), ("x",), "sweep.csv")]
+    kept = {"dynamics": "second_order", "creep_modes": 0, "delay_samples": 0, "error_curve": False}
+    model, fit = identify(records, Settings(hysteresis="follower", **kept))
+    assert model.dynamics.axes[0].resonance_hz == pytest.approx(60.0, rel=1e-3)
+    assert model.dynamics.axes[0].damping_ratio == pytest.approx(0.1, rel=0.01)
+    assert model.hysteresis.lag == pytest.approx(0.25, abs=0.01)
+    assert fit.fit["hammerstein"].rms_um[0] == pytest.approx(0.01, rel=0.1)
+    entry = compare(records, Settings(**kept, operators=4))["follower with dynamics"]
+    assert entry.judged.mean_percent == pytest.approx(fit.fit["hammerstein"].mean_percent, rel=0.05)
 
 
 def test_what_any_hysteresis_has_is_worked_out_where_a_kind_does_not_say(follower):
