@@ -47,7 +47,7 @@ CAPTIONS = {
     "operators": "The rms error of models that differ by their number of play operators alone.",
     "loops": "One row of panels for each measured axis, one column for each driven one. Each curve is the "
     "mean of the measured cycles.",
-    "errors": "The sensor's reading less what it is compared with; of a path also the distance of the true "
+    "errors": "The sensor's reading less what it is compared with; of a path first the distance of the true "
     "position. Where one curve would hide others the scale is logarithmic, of errors with a sign beyond the "
     "first tick on each side of zero. The worst error in the legend is that of the whole run, also where a "
     "part of it is drawn.",

@@ -33,6 +33,6 @@ const filters = (items, place, words) => {
   });
 };
 for (const table of document.querySelectorAll("table.sortable"))
-  if (table.tBodies[0].rows.length > 7) filters(() => table.tBodies[0].rows, table.parentElement, "Only rows with");
+  if (table.tBodies[0].rows.length > 12) filters(() => table.tBodies[0].rows, table.parentElement, "Only rows with");
 const cards = document.querySelectorAll(".card");
 if (cards.length) filters(() => cards, cards[0].closest("section"), "Search");

@@ -46,11 +46,11 @@ the table says otherwise. This page and the fit reports are written by
   github.com/romanszewczyk/JAmodel (MIT).
 
 Errors are rms values in percent of the range of the output; for the mirror also in percent of the rms of the
-output (mean of the three outputs). Held back: records that the fit has not seen. Wanted: what this project
+output (mean of the three outputs). Validation: records that the fit has not seen. Wanted: what this project
 asks of itself; the tests check it where the records are at hand. What every kind of hysteresis and the linear
 models make of the same records stands on [a page of its own](compared/README.md).
 
-| record | model | fitted [%] | held back [%] | wanted [%] | what is said |
+| record | model | fitted [%] | validation [%] | wanted [%] | what is said |
 | --- | --- | ---: | ---: | --- | --- |
 """
 COMPARED = """# Every kind on measured records
@@ -175,7 +175,7 @@ def comparisons(folder: Path) -> Iterator[str]:
     stage = folder / "dbo_piezo_micromanipulator"
     records, held = (stage_records(stage / name) for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat"))
     found = compare(records, Settings(), validation=held)
-    write_comparison(found, HERE / "compared" / "micromanipulator")
+    write_comparison(found, HERE / "compared" / "micromanipulator", overwrite=True)
     yield compared("[micromanipulator](micromanipulator/compare.md)", found)
     for level in MIRROR_MV:
         mirror = folder / "cubespec_fsm"
@@ -209,7 +209,7 @@ def link(model: HammersteinModel, fit: Fit, name: str) -> str:
     if not name:
         return ""
     with tempfile.TemporaryDirectory() as scratch:
-        write_fit(model, fit, Path(scratch) / "model.json", HERE / name)
+        write_fit(model, fit, Path(scratch) / "model.json", HERE / name, overwrite=True)
     return f"[{name.replace('_', ', ')}]({name}/report.md)"
 
 

@@ -103,10 +103,11 @@ class PathRun:
         return rows
 
     def drawn_errors(self) -> list[tuple[str, Array]]:
-        """Errors that tell something new: beside the true distance, that of the reading repeats its axes."""
+        """The true error first; the distance of the reading, which repeats its axes, is left out then."""
         rows = self.errors()
-        truly = rows[-1][0] == TRULY
-        return [(name, error) for name, error in rows if not (truly and name == DISTANCE)]
+        if rows[-1][0] != TRULY:
+            return rows
+        return [rows[-1], *((name, error) for name, error in rows[:-1] if name != DISTANCE)]
 
 
 DISTANCE = "distance"
@@ -305,11 +306,12 @@ def _draw_errors(
             time, values = thin_trace(run.time_s[run.shown] * factor, error[run.shown], most)
             (line,) = axes.plot(time, values, **pens[run.label])
             entries[run.label] = line
+    own = iter(names)
     for i, (name, _) in enumerate(runs[0].drawn_errors()):
         panels[i].margins(x=0.0)
         few_ticks(panels[i])
         panels[i].set_ylabel(
-            LABELS.get(name) or in_lines(f"{symbol(names[i], 'error')} [µm]", UPRIGHT_LETTERS)
+            LABELS.get(name) or in_lines(f"{symbol(next(own), 'error')} [µm]", UPRIGHT_LETTERS)
         )
         panels[i].set_xlabel(time_label)
         _scale_distance(panels[i], name, runs)
