@@ -86,9 +86,9 @@ def micromanipulator(folder: Path) -> Iterator[str]:
     """One axis, with and without its delay, and by the closed form."""
     records, held = (stage_records(folder / name) for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat"))
     cases = (
-        ("micromanipulator", "`invertible`, delay found", "0.85, held back 1.2", {}),
-        ("", "`invertible`, no delay", "0.85, held back 1.4", {"delay_samples": 0}),
-        ("", "`closed_form` (paper), delay found", "held back 1.4", {"solver": "closed_form"}),
+        ("micromanipulator", "`invertible`, delay found", "0.85, validation 1.2", {}),
+        ("", "`invertible`, no delay", "0.85, validation 1.4", {"delay_samples": 0}),
+        ("", "`closed_form` (paper), delay found", "validation 1.4", {"solver": "closed_form"}),
     )
     for name, what, wanted, options in cases:
         model, fit = identify(
@@ -98,7 +98,7 @@ def micromanipulator(folder: Path) -> Iterator[str]:
         errors = (fit.fit, fit.validation)
         cells = [f"{scores[fit.kind].nrmse_percent[0]:.3f}" for scores in errors]
         linear = f"linear gain {fit.validation['linear'].nrmse_percent[0]:.2f}"
-        yield row(link(model, fit, name), what, *cells, wanted, f"{delay}{linear} held back")
+        yield row(link(model, fit, name), what, *cells, wanted, f"{delay}{linear}, validation")
 
 
 MIRROR: dict[str, Any] = {
