@@ -285,12 +285,9 @@ def _differences(parts: Sequence[slice]) -> Array:
     return matrix
 
 
-def ridge_of(parts: Sequence[slice], gram: Array, ridge: float, bends: Sequence[slice] = ()) -> Array:
-    """Penalty of all weights but the first of each of ``parts``, in terms of the slopes.
-
-    Of ``bends``, slopes that follow them, the first weight counts as well.
-    """
-    differences = _differences([*parts, *bends])
+def ridge_of(parts: Sequence[slice], gram: Array, ridge: float) -> Array:
+    """Penalty of all weights but the first of each of ``parts``, in terms of the slopes."""
+    differences = _differences(parts)
     sums = np.linalg.inv(differences)
     strength = np.full(len(gram), ridge * float(np.diag(sums.T @ gram @ sums).max()))
     strength[[part.start for part in parts if part.stop > part.start]] = 0.0
