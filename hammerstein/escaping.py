@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 _UNUSUAL = re.compile(r"[^\n\t -~]")
 _UNSHOWN = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 """Categories of Unicode: control and format characters (direction, no width), surrogates, ends of lines."""
-_SPECIAL = re.compile(r"[\\`*<>|&~]|^#|(?<![a-zA-Z0-9])_|_(?![a-zA-Z0-9])|(?<=\])[(:\[]")
+_SPECIAL = re.compile(
+    r"[\\`*<>|&~]|^#|^(?:[-+]|\d+[.)])(?=\s)|(?<![a-zA-Z0-9])_|_(?![a-zA-Z0-9])|(?<=\])[(:\[]"
+)
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _WORD_OF_C = re.compile(r"[\w.+-]*", re.ASCII)
 _LEAVES_COMMENT = re.compile(r"\*(?=/)|/(?=\*)|\?(?=\?)|\\")
@@ -55,6 +57,8 @@ class Markdown(Markup):
 
     >>> print(Markdown("*{}*").format("a|b *c* d_e [um] <script>"))
     *a\|b \*c\* d_e [um] \<script\>*
+    >>> print(Markdown("* {}").format("1. no list"))
+    * 1\. no list
     """
 
     @classmethod
@@ -62,7 +66,8 @@ class Markdown(Markup):
         """Markdown that reads as a text, in one line; Markdown as it is."""
         if isinstance(s, cls):
             return s
-        return cls(_SPECIAL.sub(lambda found: f"\\{found[0]}", clean(str(s).replace("\n", " "))))
+        shown = clean(str(s).replace("\n", " "))
+        return cls(_SPECIAL.sub(lambda found: f"{found[0][:-1]}\\{found[0][-1]}", shown))
 
 
 class C(Markup):

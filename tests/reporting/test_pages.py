@@ -199,6 +199,12 @@ def test_markdown_of_ours_is_read_and_html_is_not() -> None:
     assert html_of(Markdown("{}").format("*a* <b>"))[0] == "<p>*a* &lt;b&gt;</p>\n"
 
 
+@pytest.mark.parametrize("label", ["1. try", "2) try", "- none", "+ 5 %", "# 1", "-3 um", "1.5 V", "> 3"])
+def test_a_label_opens_no_list_in_a_list(label: str) -> None:
+    shown, _ = html_of(Markdown("* {}").format(label))
+    assert shown == f"<ul>\n<li>{label.replace('>', '&gt;')}</li>\n</ul>\n"
+
+
 def test_drawings_of_one_page_share_no_id_and_keep_their_references() -> None:
     svg = (
         b'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
