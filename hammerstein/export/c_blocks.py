@@ -257,7 +257,7 @@ def _(hysteresis: BoucWen, state: BoucWenState) -> CPart:
     return CPart(
         sizes=(
             Size("ROWS", hysteresis.n_outputs, "outputs of the hysteresis"),
-            Size("STEPS", bouc_wen_kernels.MOST_STEPS, "of one movement at most"),
+            Size("STEPS", bouc_wen_kernels.MOST_SUBSTEPS, "of one movement at most"),
         ),
         tables=(
             Table("LONGEST", bouc_wen_kernels.LONGEST, "Largest step, in parts of the relaxation."),

@@ -10,7 +10,7 @@ LONGEST = 0.015625
 """Largest step in parts of the voltage in which z relaxes; a longer movement is made of several."""
 FORGOTTEN = 64.0
 """Movement in these parts after which z stands at its limit to the last bit."""
-MOST_STEPS = 8192
+MOST_SUBSTEPS = 8192
 """Steps of one movement at most: FORGOTTEN / LONGEST while z grows; while it falls fewer, unless it stands
 still at a limit, where more of them change nothing."""
 FEW = 4
@@ -26,7 +26,7 @@ def moved(z, du, load, unload):  # type: ignore[no-untyped-def]
     """
     sign = 1.0 if du > 0.0 else -1.0
     left = abs(du)
-    for _ in range(MOST_STEPS):
+    for _ in range(MOST_SUBSTEPS):
         if left <= 0.0:
             break
         falls = sign * z < 0.0

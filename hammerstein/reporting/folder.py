@@ -73,7 +73,7 @@ def write_report(
     with staged(folder, REPORT, overwrite) as stage:
         drawn: dict[str, bytes] = {}
         if figures:
-            from hammerstein.reporting.figures.kept import drawn as files_drawn
+            from hammerstein.reporting.figures.figure_cache import drawn as files_drawn
 
             drawn = files_drawn(report, store, png)
         if traces is not None:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CYCLE = 400  # samples of a settled loop
-PARTS = (1.0, 0.5, 0.25)  # of the model's amplitude
+SHOWN_AMPLITUDES = (1.0, 0.5, 0.25)  # of the model's amplitude
 
 
 def html_of(value: Any) -> str:
@@ -52,7 +52,7 @@ def _(model: HammersteinModel) -> Figure | None:
     runs, known = [], model.recorded
     sine = np.sin(2.0 * np.pi * np.arange(2 * CYCLE + 1) / CYCLE)
     for k in range(len(model.inputs)):
-        for part in PARTS:
+        for part in SHOWN_AMPLITUDES:
             u = np.repeat(np.array(known.working_point_v)[:, None], len(sine), axis=1)
             half = 0.5 * part * (known.highest_v[k] - known.lowest_v[k])
             u[k] = 0.5 * (known.highest_v[k] + known.lowest_v[k]) + half * sine

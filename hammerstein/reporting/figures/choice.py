@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 MOST_LOOPS = 4  # frequencies of a run that are drawn as loops; more make a curve over frequency
 DRIFT = "drift_true_um"
-MOST_STEPS = 12  # values of a sweep at which loops and paths can be looked at
+MOST_SHOWN_VALUES = 12  # values of a sweep at which loops and paths can be looked at
 
 
 def figures_of(report: Report) -> dict[str, Figure]:
@@ -89,8 +89,10 @@ def explored_figures(report: Report) -> tuple[dict[str, Figure], dict[str, dict[
     for trace in report.traces:
         groups.setdefault(swept_label(trace, report.scenario.sweep), []).append(trace)
     names = list(groups)
-    if len(names) > MOST_STEPS:
-        names = [names[round(i * (len(names) - 1) / (MOST_STEPS - 1))] for i in range(MOST_STEPS)]
+    if len(names) > MOST_SHOWN_VALUES:
+        names = [
+            names[round(i * (len(names) - 1) / (MOST_SHOWN_VALUES - 1))] for i in range(MOST_SHOWN_VALUES)
+        ]
     one = replace(report, scenario=report.scenario.model_copy(update={"sweep": Sweep()}))
     steps = {name: _traced(replace(one, traces=tuple(groups[name])), whole=True) for name in names}
     return {} if over is None else _sweeps(report, over), steps

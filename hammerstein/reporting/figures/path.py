@@ -12,7 +12,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.experiment.selection import significant
-from hammerstein.reporting.figures.smooth_path import ENOUGH, is_sparse, smooth_path
+from hammerstein.reporting.figures.smooth_path import POINTS_OF_A_LAP, is_sparse, smooth_path
 from hammerstein.reporting.figures.style import (
     COLOURS,
     DARK,
@@ -246,7 +246,7 @@ def _draw_plane(
 
 def _points(run: PathRun, most: int) -> int:
     """Most points of a path in the plane: enough for every turn of a smooth one."""
-    return max(most, math.ceil(ENOUGH * run.period_s / run.lap_s)) if run.lap_s else most
+    return max(most, math.ceil(POINTS_OF_A_LAP * run.period_s / run.lap_s)) if run.lap_s else most
 
 
 def _draw_traces(

@@ -6,7 +6,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 
-ENOUGH = 60
+POINTS_OF_A_LAP = 60
 """Samples of a turn between which straight lines show no corner: they miss 0.14 % of its radius."""
 MOST_HARMONICS = 30
 FEWEST_OF_A_SPLINE = 4
@@ -39,7 +39,7 @@ def smooth_path(time_s: Array, path: Array, period_s: float, lap_s: float, close
     >>> bool(np.allclose(radius, 1.0))
     True
     """
-    fine_s = np.linspace(0.0, period_s, round(2 * ENOUGH * max(1.0, period_s / lap_s)) + 1)
+    fine_s = np.linspace(0.0, period_s, round(2 * POINTS_OF_A_LAP * max(1.0, period_s / lap_s)) + 1)
     passed_s = time_s - time_s[0]
     if not closed:
         from scipy.interpolate import CubicSpline
@@ -59,4 +59,7 @@ def _waves(turns: Array, harmonics: int) -> Array:
 
 def is_sparse(time_s: Array, lap_s: float) -> bool:
     """Whether straight lines between samples of a path that turns once in ``lap_s`` [s] show corners."""
-    return len(time_s) >= FEWEST_OF_A_SPLINE and lap_s / ENOUGH < float(time_s[1] - time_s[0]) < lap_s / 2
+    return (
+        len(time_s) >= FEWEST_OF_A_SPLINE
+        and lap_s / POINTS_OF_A_LAP < float(time_s[1] - time_s[0]) < lap_s / 2
+    )
