@@ -13,8 +13,9 @@ from hammerstein.records.turning_points import turning_points
 
 TWO_RATES = 1.5
 """Ratio of the fastest to the slowest from which rates are two."""
-SWING, SWINGS = 0.05, 2
-"""Smallest swing that counts, in parts of the whole, and how many short and long ones are looked at."""
+SWING, SWINGS, MOST_SWINGS = 0.05, 2, 500
+"""Smallest swing that counts, in parts of the whole; how many must be shorter and faster than as many others;
+how many are compared, spread over the record."""
 PARTS = 8
 """Parts of a record of which the fastest rate is taken."""
 
@@ -53,17 +54,15 @@ def drive_hz(record: Record, input_: int | None = None) -> float:
 def _fast_and_slow(u: Array) -> bool:
     """Whether one voltage has swings that are both shorter and faster than others of it.
 
-    At one speed a lag looks like a play, at one frequency like hysteresis.
+    At one speed a lag looks like a play, at one frequency like hysteresis. Any of the swings count: the
+    shortest of a multisine are seldom its fastest.
     """
     points = turning_points(u, SWING * float(np.ptp(u)))
     samples, volts = np.diff(points)[1:-1], np.abs(np.diff(u[points]))[1:-1]  # the ends are parts of swings
-    if len(samples) < 2 * SWINGS:
-        return False
-    order = np.argsort(samples, kind="stable")
-    short, long = order[:SWINGS], order[-SWINGS:]
-    times = samples[long].mean() / samples[short].mean()
-    speeds = (volts / samples)[short].mean() / (volts / samples)[long].mean()
-    return bool(min(times, speeds) > TWO_RATES)
+    some = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), MOST_SWINGS)).astype(np.intp))
+    samples, speeds = samples[some], (volts / samples)[some]
+    above = (TWO_RATES * samples < samples[:, None]) & (speeds > TWO_RATES * speeds[:, None])
+    return bool(min(above.any(axis=0).sum(), above.any(axis=1).sum()) >= SWINGS)
 
 
 def fastest_rad_per_s(records: Sequence[Record]) -> Array:

@@ -15,6 +15,7 @@ from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, RateDependent, RatePlays
 from hammerstein.identification.identify import identify
+from hammerstein.identification.rates import several_rates
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
 from hammerstein.model import HammersteinModel
@@ -179,3 +180,22 @@ def test_growth_is_found_behind_a_resonance_on_loops_of_falling_amplitude(growth
     assert model.hysteresis.inputs[0].growth_s[-1] == pytest.approx(growth_s, rel=0.1)
     left = model.simulate(u, 1e-4).position_um - y
     assert np.sqrt((left**2).mean()) < 1e-3 * np.ptp(y)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_multisine_has_several_rates_whatever_its_phases(seed):
+    """Its shortest swings are seldom its fastest: three of four multisines counted as one rate."""
+    t, phases = np.arange(6_000) * 1e-4, np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 11)
+    u = np.sum(
+        [np.sin(2.0 * np.pi * hz * t + p) for hz, p in zip(range(40, 251, 21), phases, strict=True)], 0
+    )
+    assert several_rates([Record([u], [u], 1e-4)])
+
+
+def test_loops_of_one_frequency_or_of_one_speed_have_one_rate():
+    t = np.arange(20_000) * 1e-4
+    legs = zip((0, 9, -18, 15, -12, 10, -8), (9, -18, 15, -12, 10, -8, 0), strict=True)
+    at_one_speed = np.concatenate([np.linspace(a, b, 40 * abs(b - a), endpoint=False) for a, b in legs])
+    at_one_frequency = np.sin(2.0 * np.pi * 5.0 * t) * np.linspace(1.0, 0.1, t.size)
+    for u in (at_one_speed, at_one_frequency):
+        assert not several_rates([Record([u], [u], 1e-4)])
