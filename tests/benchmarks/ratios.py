@@ -134,7 +134,7 @@ class Table:
     def command(self) -> str:
         """Give the command that makes this table."""
         paths = " ".join(argument for argument in sys.argv[1:] if argument.startswith("tests"))
-        return f"python -m pytest {paths or 'tests/benchmarks'}" + (" --short" if self.short else "")
+        return f"python -m pytest -n 0 {paths or 'tests/benchmarks'}" + (" --short" if self.short else "")
 
     def write(self, folder: Path) -> None:
         """Write ``benchmarks.md`` and ``benchmarks.json``."""

@@ -1,6 +1,6 @@
 """The table of the guide's page on speed, from the benchmark that is committed beside this file.
 
-    python -m pytest tests/benchmarks --short          measure, as .ci/run does
+    python -m pytest -n 0 tests/benchmarks --short          measure, as .ci/run does
     python tests/benchmarks/speed_table.py --keep      keep that, and write the table
     python tests/benchmarks/speed_table.py             print it
 

@@ -81,7 +81,9 @@ def record(kept: Path, paths: Sequence[str]) -> int:
     watch = coverage.Coverage(source=["hammerstein"], data_file=None, config_file=False)
     recorder = Recorder(watch)
     watch.start()
-    pytest.main(["-q", "-p", "no:cacheprovider", "--tb=short", *asked_of_pytest(paths)], plugins=[recorder])
+    pytest.main(
+        ["-n0", "-q", "-p", "no:cacheprovider", "--tb=short", *asked_of_pytest(paths)], plugins=[recorder]
+    )
     watch.stop()
     touched = _touched(watch.get_data(), tree, recorder.failed)
     seconds = {name: s for name, s in recorder.seconds.items() if name not in recorder.failed}

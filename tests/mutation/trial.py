@@ -165,5 +165,7 @@ def _pytest(tree: Path, names: Sequence[str], loops: str | None) -> int:
     with tempfile.TemporaryDirectory() as cache:
         os.environ["HAMMERSTEIN_CACHE"] = cache
         return int(
-            pytest.main(["-x", "-q", "-p", "no:cacheprovider", "--tb=no", f"--basetemp={cache}/t", *names])
+            pytest.main(
+                ["-n0", "-x", "-q", "-p", "no:cacheprovider", "--tb=no", f"--basetemp={cache}/t", *names]
+            )
         )
