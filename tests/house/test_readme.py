@@ -77,6 +77,7 @@ def test_the_python_of_the_readme_runs(own_folder, monkeypatch):
         exec(compile(block, f"README.md, block {number}", "exec"), names)
 
 
+@pytest.mark.full
 def test_the_model_of_the_readme_runs_in_scenarios(own_folder, monkeypatch, capsys):
     """Its inputs are u_x, u_y and its outputs x, y: axes of different names crashed the table of results."""
     monkeypatch.chdir(own_folder)

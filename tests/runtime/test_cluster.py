@@ -21,6 +21,8 @@ from hammerstein.runtime import cluster
 from hammerstein.runtime.provenance import computes_with, processor
 from hammerstein.runtime.store import Store
 
+pytestmark = pytest.mark.full
+
 pytest.importorskip("distributed", reason="needs hammerstein-control[cluster]")
 threadpool_info = pytest.importorskip(
     "threadpoolctl", reason="needs hammerstein-control[cluster]"
@@ -141,7 +143,6 @@ def call(*arguments):
     return int(caught.value.code or 0)
 
 
-@pytest.mark.full
 def test_a_run_is_the_same_to_the_last_byte(folder, dask, capsys):
     options = ("--no-figures", "--fresh", "--traces", "csv")
     assert call("run", "drawn.toml", "--out", "here", "--jobs", 1, *options) == 0
@@ -164,7 +165,6 @@ def test_cases_draws_and_identifications_are_what_is_sent(folder, dask):
     assert sent == ["_identified", *["rows_of"] * 3, *["_over"] * 3]
 
 
-@pytest.mark.full
 def test_a_sweep_and_a_check_are_the_same(folder, dask, capsys):
     assert call("sweep", "study.toml", "--out", "here.csv", "--fresh") == 0
     assert call("sweep", "study.toml", "--out", "there.csv", "--fresh", "--cluster", dask.address) == 0
@@ -176,7 +176,6 @@ def test_a_sweep_and_a_check_are_the_same(folder, dask, capsys):
     assert call("check", "scenarios", "--baseline", "b", "--cluster", dask.address) == 0
 
 
-@pytest.mark.full
 def test_a_killed_worker_is_survived(folder, dask, capsys):
     def kill():
         until = time.monotonic() + 60.0
@@ -197,7 +196,6 @@ def test_a_killed_worker_is_survived(folder, dask, capsys):
 
 
 @pytest.mark.parametrize("own_dask", [1], indirect=True)
-@pytest.mark.full
 def test_a_lost_scheduler_is_told_and_what_was_finished_is_kept(folder, own_dask, capsys):
     def kill():
         until = time.monotonic() + 60.0
@@ -243,7 +241,6 @@ def test_a_task_that_dask_forgets_when_the_scheduler_is_lost_is_told(own_dask, m
 
 
 @pytest.mark.long
-@pytest.mark.full
 def test_a_task_that_kills_its_workers_is_told(own_dask):
     with cluster.joined(own_dask.address) as crew:
         died = crew.submit(os._exit, 9).exception(60)
@@ -312,7 +309,6 @@ def test_results_of_another_processor_are_kept_apart(tmp_path, dask, monkeypatch
 
 
 @pytest.mark.parametrize("own_dask", [0], indirect=True)
-@pytest.mark.full
 def test_linear_algebra_runs_on_one_thread(own_dask):
     own_dask.workers.append(own_dask.worker(OPENBLAS_NUM_THREADS="2"))
     own_dask.wait_for(1)
@@ -322,7 +318,6 @@ def test_linear_algebra_runs_on_one_thread(own_dask):
 
 
 @pytest.mark.long
-@pytest.mark.full
 def test_it_waits_for_a_worker(own_dask):
     for worker in own_dask.workers:
         worker.kill()

@@ -21,7 +21,10 @@ from hammerstein.runtime.fanning import in_order
 from hammerstein.runtime.processes import _imports_from_where_this_does, loaded_beforehand
 from hammerstein.runtime.workers import Processes, ProcessesAndThis, signal_name
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of this kind are POSIX")
+pytestmark = [
+    pytest.mark.full,
+    pytest.mark.skipif(sys.platform == "win32", reason="signals of this kind are POSIX"),
+]
 
 SMALL = """
 question = "How large is a loop?"
@@ -129,7 +132,6 @@ def test_sigterm_ends_a_single_scenario_like_ctrl_c(folder, started):
     assert (code, error) == (130, "interrupted; what was finished is written, and nothing else\n")
 
 
-@pytest.mark.full
 def test_what_nohup_ignores_stays_ignored(folder, started):
     run = started("run", "scenarios/a.toml", "--no-figures", "--out", "r", preexec_fn=ignore_hang_up)
     time.sleep(1.0)
@@ -141,7 +143,6 @@ def ignore_hang_up():
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
 
-@pytest.mark.full
 def test_a_killed_worker_s_scenario_is_run_again(folder, started):
     for name in ("slow1", "slow2"):
         (folder / f"scenarios/{name}.toml").write_text(swept(60))
@@ -222,7 +223,6 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize("name", ["control", "hammerstein", "socket"])
-@pytest.mark.full
 def test_processes_take_no_module_from_the_working_folder(tmp_path, name):
     """As the command itself takes none: it is begun from the folder it is installed in."""
     script, here = tmp_path / "bin" / "command.py", tmp_path / "here"
@@ -274,7 +274,6 @@ def test_nothing_that_does_not_survive_a_fork_is_loaded_before_one(monkeypatch):
 
 
 @pytest.mark.long
-@pytest.mark.full
 def test_a_scenario_whose_process_dies_twice_is_reported_and_the_rest_goes_on(folder, started):
     (folder / "sitecustomize.py").write_text(
         "import os, signal, hammerstein.experiment.run as e\n"

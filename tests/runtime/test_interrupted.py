@@ -19,6 +19,8 @@ from hammerstein.compiled import spans
 from hammerstein.dynamics import discretise
 from hammerstein.runtime import signals
 
+pytestmark = pytest.mark.full
+
 SLOW = """
 question = "?"
 [reference]
