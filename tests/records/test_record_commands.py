@@ -250,6 +250,26 @@ def test_a_record_without_a_loop_does_not_stop_the_others(records, tmp_path, cap
     assert "u_x" in said.out
 
 
+@pytest.mark.parametrize("command", ["identify", "loops"])
+@pytest.mark.parametrize(
+    ("time", "name", "said"),
+    [
+        (1_700_000_000_000_000_000 + 50_000 * np.arange(1600), "x", "a rate of 2e-05 Hz; it must be 1e-4"),
+        (50e-6 * np.arange(1600), "x" * 150, "has 150 characters; a name has at most 100"),
+    ],
+)
+def test_a_clock_of_nanoseconds_and_a_long_name_are_told_before_the_work(
+    tmp_path, capsys, monkeypatch, command, time, name, said
+):
+    """Both ended in an internal error, the name after the whole fit."""
+    monkeypatch.chdir(tmp_path)
+    u = 10.0 * np.sin(2.0 * np.pi * np.arange(1600) / 400)
+    pd.DataFrame({"time": time, "u": u, name: 5.0 * play(u, [2.0])[0]}).to_csv("record.csv", index=False)
+    assert _call(command, "record.csv", "--inputs", "u", "--outputs", name, "--time", "time") == 2
+    assert said in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["record.csv"]
+
+
 @pytest.mark.parametrize(("lag_deg", "said"), [(305.0, True), (60.0, False), (170.0, False)])
 def test_a_loop_that_turns_backwards_is_no_hysteresis(tmp_path, capsys, monkeypatch, lag_deg, said):
     """A lag of 305 degrees looks like a lead of 55: its width of -82 % (its sine) was a plain number."""
