@@ -35,7 +35,8 @@ CAPTIONS = {
     ),
     "residual": (
         "What the models leave",
-        "What each kind of model leaves: over time, and the largest amplitude in bands of frequency.",
+        "Over time, what the kept model leaves; over frequency, the largest amplitude in each band that "
+        "every kind of model leaves.",
     ),
     "operators": (
         "Error against the number of operators",

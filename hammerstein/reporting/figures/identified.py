@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -143,7 +143,7 @@ def _slowest_cycle(fit: Fit, k: int, alone: bool) -> tuple[int, slice] | None:
 
 
 def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
-    """What the models leave, over time and over frequency, one row an output.
+    """What the kept model leaves over time, and all of them over frequency, one row an output.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
     """
     kinds: list[Kind] = [kind for kind in fit.candidates if kind != "linear" or fit.kind != "hammerstein"]
     left = {kind: fit.candidates[kind].residual(record, start) for kind in kinds}
-    most = MOST_POINTS // (2 * len(kinds) * len(fit.outputs))
+    most = MOST_POINTS // (2 * len(fit.outputs))
     with styled():
         figure = new_figure(0.9 + 2.2 * len(fit.outputs))
         panels = figure.subplots(len(fit.outputs), 2, squeeze=False)
@@ -160,7 +160,10 @@ def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
         for o, row in enumerate(panels):
             for number, kind in enumerate(kinds):
                 kept = kind == fit.kind
-                line = _draw_residual(row, left[kind][o], record.sample_time_s, number, most, on_top=kept)
+                style = unmarked_style(number) | {"linewidth": 1.0, "zorder": 20 if kept else 2 + number}
+                if kept:  # others may leave a hundred times as much, and would hide it
+                    _draw_over_time(row[0], left[kind][o], record.sample_time_s, style, most)
+                (line,) = row[1].plot(*spectrum(left[kind][o], record.sample_time_s), **style)
                 entries[KIND_NAMES[kind] + (", kept" if kept else "")] = line
             _, unit = time_axis(record.sample_time_s * record.samples)
             row[0].set(ylabel=f"error of {axis_label(fit.outputs[o], 'µm')}", xlabel=unit)
@@ -175,22 +178,19 @@ def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
     return figure
 
 
-def _draw_residual(
-    row: Sequence[Axes], error: Array, sample_time_s: float, number: int, most: int, *, on_top: bool
-) -> Artist:
-    """One curve over time, of many samples the band that they fill, and one over frequency."""
+def _draw_over_time(
+    axes: Axes, error: Array, sample_time_s: float, style: Mapping[str, Any], most: int
+) -> None:
+    """What is left over time; of many samples the band that they fill."""
     factor, _ = time_axis(sample_time_s * len(error))
-    style = unmarked_style(number) | {"linewidth": 1.0, "zorder": 20 if on_top else 2 + number}
     time = np.asarray(factor * sample_time_s * np.arange(len(error)))
     if len(error) <= most:
-        row[0].plot(time, error, **style)
+        axes.plot(time, error, **style)
     else:
         edges, low, high = extremes(time, error, BANDS)
-        band = {name: style[name] for name in ("color", "linewidth", "zorder")}
-        row[0].fill_between(edges, low, high, **band)
-    frequency_hz, amplitude_um = spectrum(error, sample_time_s)
-    (line,) = row[1].plot(frequency_hz, amplitude_um, **style)
-    return line
+        axes.fill_between(
+            edges, low, high, **{name: style[name] for name in ("color", "linewidth", "zorder")}
+        )
 
 
 def spectrum(error_um: Array, sample_time_s: float) -> tuple[Array, Array]:
