@@ -33,7 +33,7 @@ kind = "sine"
 amplitude_um = 15
 frequency_hz = 50
 [sweep]
-frequency_hz = [10, 20, 50, 80, 100]
+frequency_hz = [10, 20, 40, 50, 60, 80, 100]
 [measure]
 settle_cycles = 1
 measured_cycles = 1
