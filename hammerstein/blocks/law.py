@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -11,12 +12,10 @@ from numpy.typing import ArrayLike
 from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.memory import Memory
-from hammerstein.blocks.sample_grid import require_grid
 from hammerstein.errors import InputError, SimulationError
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.block_system import BlockSystem
-
 
 S = TypeVar("S", bound=Memory)
 
@@ -230,4 +229,15 @@ def require_square(n_inputs: int, n_outputs: int, law: str) -> None:
     if n_inputs != n_outputs:
         raise InputError(
             law, f"needs as many inputs as outputs; the model has {n_inputs} inputs and {n_outputs} outputs"
+        )
+
+
+def require_grid(designed_s: float | None, sample_time_s: float, what: str) -> None:
+    """Raise InputError where a block designed for one sample time is asked to run on another."""
+    if not (math.isfinite(sample_time_s) and sample_time_s > 0.0):
+        raise InputError("sample_time_s", f"is {sample_time_s:g}; it must be above 0")
+    if designed_s is not None and not math.isclose(designed_s, sample_time_s, rel_tol=1e-9):
+        raise InputError(
+            "sample_time_s",
+            f"is {sample_time_s:g}, but the {what} was made for {designed_s:g}; make it again, or use that",
         )

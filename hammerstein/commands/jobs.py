@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hammerstein.commands.terminal import complain
-from hammerstein.runtime.processors import processors
+from hammerstein.runtime.resources import processors
 
 if TYPE_CHECKING:
     from hammerstein.runtime import fanning

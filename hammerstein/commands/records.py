@@ -279,9 +279,9 @@ def compensate(
     as_json: AsJson = False,
 ) -> None:
     """Turn a reference into the voltages to send, with the predicted response."""
-    from hammerstein.commands.path_watch import watched
     from hammerstein.commands.periods import Period, TableRequest, run_up_of, write_cycle, write_ilc_update
     from hammerstein.commands.terminal_tables import compensation_table
+    from hammerstein.commands.watch import watched
     from hammerstein.compensators.drive_file import DRIVE, compensate as compensated
     from hammerstein.errors import InputError
 

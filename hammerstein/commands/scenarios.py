@@ -13,7 +13,7 @@ from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, 
 from hammerstein.commands.record_options import AsJson, Overwrite
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Watch
-from hammerstein.runtime.cache import folder_of_runs
+from hammerstein.runtime.resources import folder_of_runs
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

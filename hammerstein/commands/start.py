@@ -111,10 +111,10 @@ def play(
     as_json: AsJson = False,
 ) -> None:
     """Play voltages on a model and write what comes out: the counterpart of compensate."""
-    from hammerstein.commands.path_watch import watched
     from hammerstein.commands.playing import PLAYED, played
     from hammerstein.commands.refusals import refuse_output, write_output
     from hammerstein.commands.terminal_tables import played_table
+    from hammerstein.commands.watch import watched
 
     refuse_output(out, [Path(model), drive], PLAYED, overwrite)
     with watched() as onlooker:

@@ -147,7 +147,7 @@ def _alone(out: Path) -> Iterator[None]:
     The lock lies in the user's cache folder, where a killed sweep leaves nothing beside the file. Where there
     is no such folder, the one that ends last has its rows in the file.
     """
-    from hammerstein.runtime.cache import cache_folder
+    from hammerstein.runtime.resources import cache_folder
     from hammerstein.runtime.storage.lock import locked
 
     with contextlib.ExitStack() as held:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from hammerstein.commands.terminal import complain, hushed
 from hammerstein.escaping import clean
 
 if TYPE_CHECKING:
+    from hammerstein.compensators.path_file import Onlooker, PathWork
     from hammerstein.experiment.set_up import Progress
 
 
@@ -89,3 +92,21 @@ class Spinner:
         elif not hushed() and time.monotonic() - self.told_s >= EVERY_S:
             self.told_s = time.monotonic()
             complain(what)
+
+
+TOLD_S = 2.0
+"""Time from which the cost of a path is said before the work."""
+
+
+@contextmanager
+def watched() -> Iterator[Onlooker]:
+    """Say samples, memory and time of a path before the work, and show what is being done."""
+    from hammerstein.compensators.path_file import Onlooker
+
+    with Spinner() as spinner:
+
+        def begin(work: PathWork) -> None:
+            if work.seconds > TOLD_S and not hushed():
+                complain(work.statement())
+
+        yield Onlooker(begin, spinner.tell)

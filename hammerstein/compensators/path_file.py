@@ -15,7 +15,7 @@ from hammerstein.compensators.path_units import in_um
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import duration, size
-from hammerstein.runtime.memory import free_bytes
+from hammerstein.runtime.resources import free_bytes
 from hammerstein.signals.signal_files import chosen, read_signal
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array, ByValue, Complex, Indices, freeze_fields
-from hammerstein.blocks.sample_grid import require_grid
+from hammerstein.blocks.law import require_grid
 from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
@@ -196,7 +196,7 @@ class LinearBlock(SteppedBlock, ByValue):
     def carry_on(self, v_um: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
         """Put outputs into y_um (p, sample) from one sample up to another; ``state`` (n,) is moved on."""
         from hammerstein.compiled import spans
-        from hammerstein.dynamics.linear_kernel import respond_linear
+        from hammerstein.dynamics.path_kernel import respond_linear
 
         for start, end in spans(stop - first, len(self.entries[2])):
             respond_linear(*self.entries, state, v_um, first + start, first + end, y_um)

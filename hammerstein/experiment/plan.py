@@ -29,10 +29,9 @@ from hammerstein.experiment.set_up import Window, driven_axes, law_of, loaded, p
 from hammerstein.hysteresis import PrandtlIshlinskii, RateDependent
 from hammerstein.model.simulation import Plant
 from hammerstein.quantities import duration, size
-from hammerstein.runtime.memory import COPIES, free_bytes, run_bytes
+from hammerstein.runtime.resources import COPIES, free_bytes, run_bytes
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec, ModelSource
-from hammerstein.scenario.tested import TestedCompensator
+from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec, ModelSource, TestedCompensator
 from hammerstein.scenario.uncertainty import Uncertainty
 
 # Of a two-axis actuator, on a processor that takes REFERENCE_S for what ``slowness`` lets it do.

@@ -25,11 +25,10 @@ from hammerstein.model import HammersteinModel, model_text
 from hammerstein.model.simulation import BLOCK, AppliedDrive, Plant, Response
 from hammerstein.runtime.allocate_wires import allocate_wires
 from hammerstein.runtime.fanning import Jobs, on_workers
-from hammerstein.runtime.memory import refuse_too_long
+from hammerstein.runtime.resources import refuse_too_long
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.source import ModelSource
-from hammerstein.scenario.tested import TestedCompensator
+from hammerstein.scenario.source import ModelSource, TestedCompensator
 from hammerstein.signals import Excitation, FromFile, OnAxes, Reference
 from hammerstein.signals.signal_files import chosen
 from hammerstein.signals.units import Kind

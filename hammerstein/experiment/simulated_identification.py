@@ -22,7 +22,7 @@ from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.linear.creep import fit_creep
 from hammerstein.identification.static.closed_form import closed_form
-from hammerstein.metrics.cycle import settled_cycle
+from hammerstein.metrics.arrays import settled_cycle
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
 from hammerstein.records.record import Record

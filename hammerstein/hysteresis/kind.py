@@ -12,7 +12,7 @@ from pydantic import ConfigDict, model_validator
 
 from hammerstein.arrays import Array, ByValue
 from hammerstein.blocks import Memory
-from hammerstein.blocks.sample_grid import require_grid
+from hammerstein.blocks.law import require_grid
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis.pair import WeightCovariance
 from hammerstein.plugins import Family

@@ -1,17 +1,65 @@
-"""The measured window of one case: what every figure of merit is a function of."""
+"""The measured window of one case, and the errors over it: what every figure of merit is a function of."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hammerstein.arrays import Array
 from hammerstein.metrics.arrays import LoopFigures, euclidean
-from hammerstein.metrics.path_errors import PathErrors, PlaneErrors
+
+
+@dataclass(frozen=True)
+class PathErrors:
+    """How far a path is from what it is compared with [um].
+
+    rms, worst : (output,) root mean square and largest absolute error of each axis
+    distance_rms, distance_worst : the same of the distance over all axes
+    """
+
+    rms: tuple[float, ...]
+    worst: tuple[float, ...]
+    distance_rms: float
+    distance_worst: float
+
+    @classmethod
+    def of(cls, path: Array, target: Array) -> Self:
+        """Errors of a path (output, sample) against a target (output, sample) [um]."""
+        from hammerstein.metrics.error_sums_kernel import error_sums
+
+        squares, largest = np.zeros(len(path) + 1), np.zeros(len(path) + 1)
+        error_sums(_rows(path), _rows(target), squares, largest)
+        *each, whole = np.sqrt(squares / path.shape[1]).tolist()
+        *worst, farthest = np.sqrt(largest).tolist()
+        return cls(tuple(each), tuple(worst), whole, farthest)
+
+
+@dataclass(frozen=True)
+class PlaneErrors:
+    """Largest errors of the radius of a path of two axes [um], of reading and position."""
+
+    radial: float
+    radial_true: float
+
+    @classmethod
+    def of(cls, reference: Array, reading: Array, position: Array, middle: Array) -> Self:
+        """Errors of reading and position (2, sample) against a reference, all counted from a middle (2,)."""
+        from hammerstein.metrics.error_sums_kernel import plane_errors
+
+        rows = (*_rows(reference), *_rows(reading), *_rows(position))
+        radial, true = plane_errors(*rows, middle)
+        return cls(float(radial), float(true))
+
+
+def _rows(wire: Array) -> tuple[Array, ...]:
+    """Rows of a wire one by one: those of a part of it lie in one piece each, the part does not."""
+    return tuple(np.ascontiguousarray(row) for row in wire)
+
 
 RECOVERY_S = 0.01  # a cut voltage leaves a resonance ringing
 

@@ -18,7 +18,7 @@ from pydantic import ConfigDict, Field, JsonValue, ValidationError, model_valida
 from hammerstein.arrays import Array, ByValue
 from hammerstein.blocks.axis_names import unique, word
 from hammerstein.blocks.instruments import Instruments
-from hammerstein.blocks.sample_grid import require_grid
+from hammerstein.blocks.law import require_grid
 from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.dynamics import (
     Dynamics,

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hammerstein.metrics import KEY, Row
 from hammerstein.quantities import Agreed, Figure, Frequency, Size, Trial
-from hammerstein.scenario.names import MetricName
+from hammerstein.scenario.assessment import MetricName
 
 _STRICT = ConfigDict(frozen=True, extra="forbid")
 

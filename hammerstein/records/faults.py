@@ -15,8 +15,8 @@ from hammerstein.arrays import Array, Indices
 from hammerstein.records.checks import runs
 from hammerstein.records.excitation import driven_inputs, run_in
 from hammerstein.records.noise import noise_rms
+from hammerstein.records.outliers import FITTED, Products, regressors
 from hammerstein.records.record import Record
-from hammerstein.records.robust_fit import FITTED, Products, regressors
 
 PLAYS = 16
 REMAINS = 0.25

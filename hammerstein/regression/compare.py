@@ -12,7 +12,7 @@ from hammerstein.errors import InputError, Mistake
 from hammerstein.experiment.report import Report
 from hammerstein.metrics import METRICS
 from hammerstein.regression.baseline import Baseline, Key, Numbers, numbers_of
-from hammerstein.scenario.names import DEFAULT as OTHERS, numbers_of_judgements
+from hammerstein.scenario.assessment import DEFAULT as OTHERS, numbers_of_judgements
 from hammerstein.scenario.scenario import Tolerance
 
 # Another processor or NumPy differs in the last bits of sines, sums and decompositions. Tried on the shipped

@@ -7,7 +7,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, ParamSpec, TypeVar
 
-from hammerstein.runtime.processors import processors
+from hammerstein.runtime.resources import processors
 from hammerstein.runtime.workers import Threads
 
 P = ParamSpec("P")

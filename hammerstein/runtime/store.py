@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from hammerstein.errors import InputError, Notice
 from hammerstein.files import UNFINISHED, digest_of, reason_of, write_atomic
-from hammerstein.runtime.cache import folder_of_runs
 from hammerstein.runtime.provenance import computed_by
+from hammerstein.runtime.resources import folder_of_runs
 
 LARGEST_MB = 2000
 """Of all entries together, if ``HAMMERSTEIN_CACHE_MB`` does not say otherwise; with 0 nothing is kept."""

@@ -23,11 +23,9 @@ from hammerstein.metrics import Metric, metrics_of
 from hammerstein.model import place_of
 from hammerstein.plugins import load_plugins
 from hammerstein.quantities import Cycles, FileName, Frequency, NoCycles, Seed, Size, Tolerated, Trial, Wait
-from hammerstein.scenario.assessment import ASSESSMENTS, Assessment
-from hammerstein.scenario.names import MetricName, NumberName
-from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec, ModelSource
+from hammerstein.scenario.assessment import ASSESSMENTS, Assessment, MetricName, NumberName
+from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec, ModelSource, Tested
 from hammerstein.scenario.study import Study
-from hammerstein.scenario.tested import Tested
 from hammerstein.scenario.uncertainty import Uncertainty
 from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference, Shape, written
 from hammerstein.validation import Strict, mistakes_of

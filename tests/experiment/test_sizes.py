@@ -16,7 +16,7 @@ from hammerstein.experiment.plan import Part, Plan, jobs_that_fit, longest_first
 from hammerstein.experiment.run import run, simulate
 from hammerstein.experiment.set_up import Window, plant_of
 from hammerstein.plugins import load_plugins, register
-from hammerstein.runtime import control_groups, memory
+from hammerstein.runtime import resources
 from hammerstein.runtime.allocate_wires import PAGE, allocate_wires
 from hammerstein.scenario import Scenario
 
@@ -130,11 +130,11 @@ def test_free_memory_is_what_the_tightest_limit_leaves(tmp_path, monkeypatch):
         (tmp_path / "groups" / folder).mkdir(parents=True, exist_ok=True)
         (tmp_path / "groups" / folder / "memory.max").write_text(limit + "\n")
         (tmp_path / "groups" / folder / "memory.current").write_text(used + "\n")
-    monkeypatch.setattr(control_groups, "GROUPS", tmp_path / "groups")
-    monkeypatch.setattr(control_groups, "OWN_GROUP", own)
-    assert memory.free_bytes() == 600_000
-    monkeypatch.setattr(control_groups, "OWN_GROUP", tmp_path / "none")
-    assert memory.free_bytes() > 1e6
+    monkeypatch.setattr(resources, "GROUPS", tmp_path / "groups")
+    monkeypatch.setattr(resources, "OWN_GROUP", own)
+    assert resources.free_bytes() == 600_000
+    monkeypatch.setattr(resources, "OWN_GROUP", tmp_path / "none")
+    assert resources.free_bytes() > 1e6
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
@@ -142,7 +142,7 @@ def test_a_limit_on_the_addresses_counts():
     limited = (
         "import resource; resource.setrlimit(resource.RLIMIT_AS, (1_500_000_000, resource.RLIM_INFINITY))"
     )
-    code = f"{limited}\nfrom hammerstein.runtime.memory import free_bytes\nprint(free_bytes())"
+    code = f"{limited}\nfrom hammerstein.runtime.resources import free_bytes\nprint(free_bytes())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert 5e8 < float(done.stdout) < 1.5e9
 

@@ -19,7 +19,7 @@ def module(name: str, source: str) -> dict[str, object]:
 
 
 @pytest.mark.parametrize(
-    "name", ["hammerstein", "hammerstein.runtime.cache", *sorted(path.stem for path in TESTS.rglob("*.py"))]
+    "name", ["hammerstein", "hammerstein.runtime.store", *sorted(path.stem for path in TESTS.rglob("*.py"))]
 )
 def test_a_warning_of_ours_is_an_error(name: str) -> None:
     with pytest.raises(DeprecationWarning):

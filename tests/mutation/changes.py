@@ -20,7 +20,7 @@ NUMERICAL = (
     "hammerstein/records/outliers.py",
     "hammerstein/records/excitation.py",
     "hammerstein/records/swapped_columns.py",
-    "hammerstein/records/robust_fit.py",
+    "hammerstein/records/outliers.py",
     "hammerstein/records/turning_points.py",
     "hammerstein/signals/units.py",
     "hammerstein/experiment/measure.py",

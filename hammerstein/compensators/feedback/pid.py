@@ -15,7 +15,7 @@ from hammerstein.arrays import Array
 from hammerstein.blocks import Controller, Law, Memory, checked_reference
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.instruments import standard_noise
-from hammerstein.blocks.sample_grid import require_grid
+from hammerstein.blocks.law import require_grid
 from hammerstein.compensators.base import COMPENSATORS, Compensator
 from hammerstein.compensators.feedback.loop import FeedbackLoop, Gains
 from hammerstein.compensators.feedback.tuning import tuned

@@ -9,7 +9,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.experiment.report import Report, Trace
-from hammerstein.metrics.cycle import settled_cycle
+from hammerstein.metrics.arrays import settled_cycle
 from hammerstein.reporting.figures.loops import ErrorRun, LoopRun
 from hammerstein.scenario.scenario import Sweep
 

@@ -1,4 +1,4 @@
-"""How many processors a process may use: what a scheduler, a container or a person has left it."""
+"""Processors, memory limits and cache folder of a process, in containers and without a home."""
 
 import os
 import subprocess
@@ -6,10 +6,10 @@ import sys
 
 import pytest
 
-from hammerstein.runtime import control_groups
-from hammerstein.runtime.processors import processors
+from hammerstein.runtime import resources
+from hammerstein.runtime.resources import processors
 
-SAYS = [sys.executable, "-c", "from hammerstein.runtime.processors import processors; print(processors())"]
+SAYS = [sys.executable, "-c", "from hammerstein.runtime.resources import processors; print(processors())"]
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system lets no process be bound")
@@ -44,15 +44,26 @@ def test_the_tightest_limit_of_a_container_counts_and_parts_are_rounded_up(
     for name, text in files.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text + "\n")
-    monkeypatch.setattr(control_groups, "GROUPS", tmp_path)
-    monkeypatch.setattr(control_groups, "OWN_GROUP", tmp_path / "own")
+    monkeypatch.setattr(resources, "GROUPS", tmp_path)
+    monkeypatch.setattr(resources, "OWN_GROUP", tmp_path / "own")
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(64), raising=False)
     assert processors() == wanted
 
 
 def test_a_system_that_tells_no_more_tells_how_many_there_are(monkeypatch, tmp_path):
-    monkeypatch.setattr(control_groups, "OWN_GROUP", tmp_path / "none")
+    monkeypatch.setattr(resources, "OWN_GROUP", tmp_path / "none")
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     for told, wanted in ((6, 6), (None, 1)):
         monkeypatch.setattr(os, "cpu_count", lambda told=told: told)
         assert processors() == wanted
+
+
+def test_a_user_without_a_home_has_no_kept_results(monkeypatch):
+    monkeypatch.delenv("HAMMERSTEIN_CACHE")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(resources.Path, "home", homeless)
+    assert resources.cache_folder() is None
+
+
+def homeless():
+    raise RuntimeError("Could not determine home directory.")

@@ -1,0 +1,164 @@
+"""Processors, memory and cache folder that this process may use: a container may give it less than there is.
+
+Linux limits what a container may have by the groups of processes that it belongs to
+(https://docs.kernel.org/admin-guide/cgroup-v2.html, and cgroup-v1 beside it).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from hammerstein.errors import SimulationError
+
+BYTES = 8
+COPIES = 2
+"""Peak of a run in parts of the wires that it keeps."""
+SMALL_BYTES, SMALL_SHARE = 1e7, 0.01
+"""What fits beside the libraries, or is so small a part of what was free at first: the system is not asked
+again, for to read its files takes as long as a short run."""
+UNLIMITED = 2**60
+"""A limit from here on is none."""
+
+
+def run_bytes(samples: float, inputs: int, outputs: int) -> float:
+    """Bytes of the wires that one run keeps."""
+    return samples * (BYTES * (2 * inputs + 4 * outputs) + inputs)
+
+
+def refuse_too_long(samples: int, inputs: int, outputs: int) -> None:
+    """Refuse a run whose wires do not fit the memory that is free.
+
+    Parameters
+    ----------
+    samples : length of the run
+    inputs, outputs : axes of the actuator
+
+    Raises
+    ------
+    SimulationError : says how much is needed, and what to do
+    """
+    needed = COPIES * run_bytes(samples, inputs, outputs)
+    if needed < SMALL_BYTES or needed < SMALL_SHARE * _free_at_first():
+        return
+    free = free_bytes()
+    if needed > free:
+        raise SimulationError(
+            f"a run of {samples:.3g} samples needs about {needed / 1e9:.3g} GB of memory, and "
+            f"{free / 1e9:.3g} GB are free. Measure fewer cycles, settle for a shorter time, use a longer "
+            "instruments.drive.sample_time_s, or simulate it from Python with simulate_in_blocks."
+        )
+
+
+@cache
+def _free_at_first() -> float:
+    """Memory that was free when this process first asked."""
+    return free_bytes()
+
+
+def free_bytes() -> float:
+    """Memory that this process may still take."""
+    import psutil
+
+    return min([float(psutil.virtual_memory().available), *_of_the_groups(), *_of_the_process()])
+
+
+def _of_the_groups() -> Iterator[float]:
+    """What the groups around this process leave of their limits."""
+    for folder, second in groups("memory"):
+        names = ("memory.max", "memory.current")
+        if not second:
+            names = ("memory.limit_in_bytes", "memory.usage_in_bytes")
+        limit, used = (numbers(folder / name) for name in names)
+        if limit and used and limit[0] < UNLIMITED:
+            yield max(limit[0] - used[0], 0.0)
+
+
+def _of_the_process() -> Iterator[float]:
+    """What a limit on the addresses of the process leaves, as ``ulimit -v`` sets it."""
+    import psutil
+
+    process = psutil.Process()
+    if hasattr(process, "rlimit"):  # Linux; macOS holds nobody to it, and Windows has none
+        limit = process.rlimit(psutil.RLIMIT_AS)[0]
+        if limit != psutil.RLIM_INFINITY:
+            yield max(0.0, float(limit - process.memory_info().vms))
+
+
+GROUPS = Path("/sys/fs/cgroup")
+OWN_GROUP = Path("/proc/self/cgroup")
+
+
+def groups(controller: str) -> Iterator[tuple[Path, bool]]:
+    """Folders of the groups around this process, its own first, and whether they are of version 2.
+
+    controller : what they limit, such as ``memory``; none are given where the system has none
+    """
+    try:
+        lines = OWN_GROUP.read_text().splitlines()
+    except OSError:
+        return
+    for line in lines:
+        _, controllers, path = line.split(":", 2)
+        if controllers and controller not in controllers.split(","):
+            continue
+        top = GROUPS / controller if controllers else GROUPS
+        folder = top / path.lstrip("/")
+        for place in (folder, *folder.parents):
+            yield place, not controllers
+            if place == top:
+                break
+
+
+def numbers(file: Path) -> list[float]:
+    """Numbers in a file of the system; none for one that says "max" or is not there."""
+    try:
+        return [float(int(word)) for word in file.read_text().split()]
+    except (OSError, ValueError):
+        return []
+
+
+def processors() -> int:
+    """How many there are for this process, one at least.
+
+    What a container may have is rounded up: a job more than that slows nothing down, one less wastes time.
+    """
+    try:
+        allowed = len(os.sched_getaffinity(0))
+    except (AttributeError, OSError):  # macOS and Windows tell only how many there are
+        allowed = os.cpu_count() or 1
+    return max(1, min([allowed, *(math.ceil(share) for share in _shares())]))
+
+
+def _shares() -> Iterator[float]:
+    """Time of processors in each time, as far as groups around this process limit it."""
+    for folder, second in groups("cpu"):
+        if second:
+            limit = numbers(folder / "cpu.max")
+        else:
+            limit = [*numbers(folder / "cpu.cfs_quota_us"), *numbers(folder / "cpu.cfs_period_us")]
+        if len(limit) == 2 and min(limit) > 0.0:  # without a limit the first one is -1
+            yield limit[0] / limit[1]
+
+
+def cache_folder() -> Path | None:
+    """The user's cache folder, or the one that ``HAMMERSTEIN_CACHE`` names; None where nothing is kept."""
+    named = os.environ.get("HAMMERSTEIN_CACHE")
+    if named is not None:
+        return Path(named) if named else None
+    try:
+        if sys.platform == "win32":
+            return Path(os.environ.get("LOCALAPPDATA") or Path.home()) / "hammerstein"
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hammerstein"
+    except RuntimeError:  # a user without a home
+        return None
+
+
+def folder_of_runs() -> Path | None:
+    """Where results are kept; None if they are not."""
+    place = cache_folder()
+    return None if place is None else place / "kept"
