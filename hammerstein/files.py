@@ -25,20 +25,26 @@ UNFINISHED = ".hammerstein-part"
 _UNFINISHED: dict[Path, Callable[[], None]] = {}
 
 
-def read_limited(path: Path, what: str, limit: int = LARGEST_TEXT_BYTES) -> str:
-    """Text of a file; InputError if it is missing, empty, larger than ``limit`` bytes or no UTF-8 text."""
+def refuse_size(path: Path, what: str, limit: int) -> None:
+    """Refuse what is no file, is empty, or is larger than ``limit`` bytes; InputError."""
     try:
         found = path.stat()
-        if not stat.S_ISREG(found.st_mode):
-            kind = "a folder" if stat.S_ISDIR(found.st_mode) else "no ordinary file"
-            raise InputError(str(path), f"is {kind}; a {what} was expected")
-        size = found.st_size
-        if size > limit:
-            raise InputError(
-                str(path), f"has {size / 1e6:.0f} MB, too large for a {what}; is it the right file?"
-            )
-        if size == 0:
-            raise InputError(str(path), f"is empty; a {what} was expected")
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read ({reason_of(error)})") from None
+    if not stat.S_ISREG(found.st_mode):
+        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "no ordinary file"
+        raise InputError(str(path), f"is {kind}; a {what} was expected")
+    size = found.st_size
+    if size > limit:
+        raise InputError(str(path), f"has {size / 1e6:.0f} MB, too large for a {what}; is it the right file?")
+    if size == 0:
+        raise InputError(str(path), f"is empty; a {what} was expected")
+
+
+def read_limited(path: Path, what: str, limit: int = LARGEST_TEXT_BYTES) -> str:
+    """Text of a file; InputError if it is missing, empty, larger than ``limit`` bytes or no UTF-8 text."""
+    refuse_size(path, what, limit)
+    try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         row = error.object.count(b"\n", 0, error.start) + 1

@@ -20,9 +20,7 @@ from hammerstein.records import declared_size
 from hammerstein.records.declared_size import refuse_large as refuse_large
 from hammerstein.records.logger_files import excel_columns, tdms_channels
 from hammerstein.records.matlab_v5 import is_matlab_v4, is_matlab_v5, read_matlab_v5
-
-Variables = Mapping[str, Callable[[], Any]]
-"""Name of each variable in a file, and how to load it; the only one of an ``.npy`` file has no name."""
+from hammerstein.records.variable import Variable, Variables, stated_unit
 
 HDF5, HEADER_BYTES = b"\x89HDF\r\n\x1a\n", 512
 """Sign of an HDF5 file, and size of MATLAB's header before it."""
@@ -33,8 +31,8 @@ MOST_OBJECTS = 100_000
 """Of an HDF5 file: more are no record."""
 
 
-def array_columns(path: Path, wanted: Sequence[str]) -> Array:
-    """Columns (column, sample) of a file of arrays, of any of ``SUFFIXES``.
+def array_columns(path: Path, wanted: Sequence[str]) -> tuple[Array, list[str]]:
+    """Columns (column, sample) of a file of arrays, of any of ``SUFFIXES``, and the unit that each states.
 
     Parameters
     ----------
@@ -48,11 +46,13 @@ def array_columns(path: Path, wanted: Sequence[str]) -> Array:
     """
     variables = _variables(path)
     columns: list[Array] = []
+    units: list[str] = []
     mistakes: list[Mistake] = []
     for column in wanted:
         name, numbers = _parsed(column)
         try:
             columns.append(_column(_loaded(variables, name), column, numbers))
+            units.append(variables[_resolved(variables, name)].unit)
         except InputError as error:
             mistakes += [Mistake(f"column {column}", mistake.what) for mistake in error.mistakes]
     lengths = {len(column) for column in columns}
@@ -61,7 +61,12 @@ def array_columns(path: Path, wanted: Sequence[str]) -> Array:
         mistakes.append(Mistake("columns", f"have different numbers of samples: {listed}"))
     if mistakes:
         raise InputError(str(path), mistakes)
-    return np.vstack(columns)
+    return np.vstack(columns), units
+
+
+def array_units(path: Path) -> dict[str, str]:
+    """Names of the arrays of a file, and the unit that it states for each; empty where it states none."""
+    return {name: variable.unit for name, variable in _variables(path).items()}
 
 
 def arrays_in(path: Path) -> Iterator[tuple[str, str]]:
@@ -69,9 +74,9 @@ def arrays_in(path: Path) -> Iterator[tuple[str, str]]:
 
     Raises InputError where the file cannot be read.
     """
-    for name, load in _variables(path).items():
+    for name, variable in _variables(path).items():
         try:
-            shape = np.shape(load())
+            shape = np.shape(variable.load())
         except InputError as error:
             yield name or "array", error.mistakes[0].what
             continue
@@ -85,7 +90,9 @@ def arrays_in(path: Path) -> Iterator[tuple[str, str]]:
         sizes = [n for axis, n in enumerate(shape) if axis != longest]
         limits = ":".join(f"(1 to {n})" for n in sizes)
         column = f"{name}:{limits}" if name and limits else limits or name
-        yield name or "array", f"{shape[longest]} samples" + (f"; its columns are {column}" if column else "")
+        unit = f" in {variable.unit}" if variable.unit else ""
+        columns = f"; its columns are {column}" if column else ""
+        yield name or "array", f"{shape[longest]} samples{unit}{columns}"
 
 
 def whole_array(path: Path, variable: str) -> Array:
@@ -121,7 +128,7 @@ def _loaded(variables: Variables, name: str) -> Array:
         known = f"it has {', '.join(variables)}" if any(variables) else "its one array has no name"
         raise InputError("file", f"{start}{f'; did you mean {near[0]}?' if near else ';'} {known}")
     try:
-        array = np.asarray(variables[name]())
+        array = np.asarray(variables[name].load())
         refuse_large(array.shape)
     except InputError as error:
         raise InputError("file", f"{name or 'the array'} {error.mistakes[0].what}") from None
@@ -188,8 +195,8 @@ def _variables(path: Path) -> Variables:
 def _numpy_array(path: Path) -> Variables:
     array = np.load(path, mmap_mode="r", allow_pickle=False)
     if array.dtype.names:
-        return {name: partial(array.__getitem__, name) for name in array.dtype.names}
-    return {"": lambda: array}
+        return {name: Variable(partial(array.__getitem__, name)) for name in array.dtype.names}
+    return {"": Variable(lambda: array)}
 
 
 def _numpy_archive(path: Path) -> Variables:
@@ -201,7 +208,7 @@ def _numpy_archive(path: Path) -> Variables:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return archive[name]
 
-    return {name: partial(load, name) for name in names}
+    return {name: Variable(partial(load, name)) for name in names}
 
 
 def _declared(path: Path, name: str) -> tuple[tuple[int, ...], int]:
@@ -228,7 +235,7 @@ def _matlab_old(path: Path) -> Variables:
     else:
         raise ValueError("it has neither the byte-order mark of version 5 nor the first number of version 4")
     found = (pair for name, value in content.items() if name[:2] != "__" for pair in _flat(name, value))
-    return {name: partial(np.asarray, value) for name, value in found}
+    return {name: Variable(partial(np.asarray, value)) for name, value in found}
 
 
 def _matlab_v4(path: Path) -> dict[str, Any]:
@@ -297,7 +304,7 @@ def _matlab_hdf5(path: Path) -> Variables:
         for name, item in _inside(file):
             if not name.startswith("#"):
                 note(name, item)
-    return {name: partial(load, place) for name, place in places.items()}
+    return {name: Variable(partial(load, place)) for name, place in places.items()}
 
 
 def _refused(item: Any, seen: set[int]) -> bool:
@@ -350,7 +357,7 @@ def _generic_hdf5(path: Path) -> Variables:
     """Any HDF5 file: numeric arrays by their path in it, with dots; axes as they are written."""
     import h5py
 
-    places: dict[str, str] = {}
+    places: dict[str, tuple[str, str]] = {}
     seen: set[int] = set()
 
     def note(name: str, item: Any) -> None:
@@ -360,7 +367,7 @@ def _generic_hdf5(path: Path) -> Variables:
             for member, inside in _inside(item):
                 note(f"{name}.{member}" if name else member, inside)
         elif item.dtype.kind in "biuf":
-            places[name] = item.name
+            places[name] = item.name, stated_unit(item.attrs)
 
     def load(place: str) -> Any:
         with h5py.File(path, "r") as file:
@@ -369,7 +376,7 @@ def _generic_hdf5(path: Path) -> Variables:
 
     with h5py.File(path, "r") as file:
         note("", file)
-    return {name: partial(load, place) for name, place in places.items()}
+    return {name: Variable(partial(load, place), unit) for name, (place, unit) in places.items()}
 
 
 _READERS: Mapping[str, Callable[[Path], Variables]] = {

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hammerstein.arrays import Array
+from hammerstein.blocks.axis_names import unique
 from hammerstein.records.declared_size import refuse_large
+from hammerstein.records.variable import Variable, Variables, stated_unit
+from hammerstein.signals.units import is_unit
 
 
-def excel_columns(path: Path) -> Mapping[str, Callable[[], Any]]:
+def excel_columns(path: Path) -> Variables:
     """Sheets of a workbook: the columns below the first row of texts, or all of a sheet without one.
 
-    A column is called as its header says, behind the name of its sheet where there are several.
+    A column is called as its header says, behind the name of its sheet where there are several. A row of
+    units may come between the names and the numbers.
     """
     import openpyxl
 
@@ -30,9 +33,9 @@ def excel_columns(path: Path) -> Mapping[str, Callable[[], Any]]:
         book.close()
     filled = {title: columns for title, columns in sheets.items() if columns}
     return {
-        (name if len(filled) == 1 else f"{title}.{name}"): partial(np.asarray, values)
+        (name if len(filled) == 1 else f"{title}.{name}"): variable
         for title, columns in filled.items()
-        for name, values in columns.items()
+        for name, variable in columns.items()
     }
 
 
@@ -42,19 +45,28 @@ def _refuse_unpacked(path: Path) -> None:
         refuse_large((sum(part.file_size for part in archive.infolist()),), 1)
 
 
-def _sheet(sheet: Any) -> dict[str, Array]:
+def _sheet(sheet: Any) -> dict[str, Variable]:
     """Columns of a sheet by name; by number where it has no header. An empty one below it is left out."""
     rows = [row for row in sheet.iter_rows(values_only=True) if any(cell is not None for cell in row)]
     first = next((k for k, row in enumerate(rows) if _numbers(row)), len(rows))
     width = max((len(row) for row in rows[first:]), default=0)
-    head = rows[first - 1] if first else ()
-    columns: dict[str, Array] = {}
+    names, units = _header(rows[:first], width)
+    columns: dict[str, Variable] = {}
     for k in range(width):
         cells = [row[k] if k < len(row) else None for row in rows[first:]]
         if any(isinstance(cell, int | float) for cell in cells):
-            name = str(head[k]) if k < len(head) and head[k] is not None else str(k + 1)
-            columns[name] = np.array([_cell(cell) for cell in cells])
+            values = np.array([_cell(cell) for cell in cells])
+            columns[names[k]] = Variable(partial(np.asarray, values), units[k])
     return columns
+
+
+def _header(above: Sequence[Sequence[Any]], width: int) -> tuple[Sequence[str], Sequence[str]]:
+    """Names and units (width,) of the columns, out of the rows above the numbers."""
+    texts = [["" if cell is None else str(cell).strip() for cell in row] for row in above[-2:]]
+    *titles, last = [(row + [""] * width)[:width] for row in texts] or [[""] * width]
+    only_units = bool(titles) and any(last) and all(is_unit(word) for word in last)
+    names, units = (titles[0], last) if only_units else (last, [""] * width)
+    return unique([name or str(k) for k, name in enumerate(names, start=1)]), units
 
 
 def _numbers(row: Sequence[Any]) -> bool:
@@ -66,23 +78,29 @@ def _cell(cell: Any) -> float:
     return float(cell) if isinstance(cell, int | float) else math.nan
 
 
-def tdms_channels(path: Path) -> Mapping[str, Callable[[], Any]]:
+def tdms_channels(path: Path) -> Variables:
     """Channels of a TDMS file: by name, behind that of their group where there are several groups."""
     from nptdms import TdmsFile
 
     with TdmsFile.read_metadata(path) as file:
         groups = [group for group in file.groups() if group.channels()]
-        names = {
-            (channel.name if len(groups) == 1 else f"{group.name}.{channel.name}"): (group.name, channel.name)
+        channels = {
+            (channel.name if len(groups) == 1 else f"{group.name}.{channel.name}"): channel
             for group in groups
             for channel in group.channels()
             if channel.dtype is not None and np.dtype(channel.dtype).kind in "biuf"
         }
+        places = {
+            name: (channel.group_name, channel.name, stated_unit(channel.properties))
+            for name, channel in channels.items()
+        }
 
-    def load(place: tuple[str, str]) -> Any:
+    def load(group: str, name: str) -> Any:
         with TdmsFile.open(path) as file:
-            channel = file[place[0]][place[1]]
+            channel = file[group][name]
             refuse_large((len(channel),))
             return channel[:]
 
-    return {name: partial(load, place) for name, place in names.items()}
+    return {
+        name: Variable(partial(load, group, channel), unit) for name, (group, channel, unit) in places.items()
+    }

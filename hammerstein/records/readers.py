@@ -20,7 +20,13 @@ import numpy as np
 from hammerstein.arrays import Array, Indices
 from hammerstein.blocks.axis_names import unique
 from hammerstein.errors import InputError, Mistake
-from hammerstein.records.array_files import SUFFIXES, array_columns, refuse_large, whole_array
+from hammerstein.records.array_files import (
+    SUFFIXES,
+    array_columns,
+    array_units,
+    refuse_large,
+    whole_array,
+)
 from hammerstein.records.checks import gap_mistakes
 from hammerstein.signals.signal_files import OF_TIME
 from hammerstein.signals.text_tables import FORMATS, find_layout, read_text, where
@@ -72,8 +78,8 @@ def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
     refuse_missing(path)
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
-        values = array_columns(path, wanted)
-        units = [column.split(":")[0] for column in wanted]
+        values, stated = array_columns(path, wanted)
+        units = [unit or column.split(":")[0] for unit, column in zip(stated, wanted, strict=True)]
         return _columns(path, tuple(wanted), values, np.arange(1, values.shape[1] + 1), units)
     if suffix in PARQUET:
         return _parquet_columns(path, wanted)
@@ -104,7 +110,7 @@ class Header:
 
     @classmethod
     def of(cls, path: str | Path) -> Header:
-        """Give that of a file; of arrays nothing is known.
+        """Give that of a file; an array is known by its name and by the unit that the file states.
 
         Raises
         ------
@@ -114,7 +120,8 @@ class Header:
         refuse_missing(path)
         suffix = path.suffix.lower()
         if suffix in SUFFIXES:
-            return cls((), ())
+            arrays = {name: unit for name, unit in array_units(path).items() if name}
+            return cls(tuple(arrays), tuple(unit_in(unit or name) for name, unit in arrays.items()))
         if suffix in PARQUET:
             names: Sequence[str] = _parquet_names(path)
             return cls(tuple(names), tuple(map(unit_in, names)))

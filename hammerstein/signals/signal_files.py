@@ -11,8 +11,9 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import column
 from hammerstein.errors import InputError, Mistake, Notice
-from hammerstein.files import read_limited
-from hammerstein.quantities import POSITION_UM
+from hammerstein.files import refuse_size
+from hammerstein.quantities import POSITION_UM, size
+from hammerstein.runtime.memory import free_bytes
 from hammerstein.signals.text_tables import find_layout, read_text, where
 from hammerstein.signals.units import BASE, Kind, Unit, axis_name, unit_in
 
@@ -20,6 +21,9 @@ OF_TIME = ("time", "t", "zeit")
 """Names of a column of time, without its unit."""
 SHOWN = 80
 """Characters of a line that a message shows."""
+LARGEST_BYTES = 2_000_000_000
+MEMORY_SHARE = 2.0
+"""Memory that reading a table takes, in parts of its size as text."""
 
 
 def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
@@ -28,7 +32,7 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     Returns times (row,) [s], values (axis, row) in V and um by the units in the names of their columns, and
     these names. InputError names the row and column that are wrong.
     """
-    read_limited(path, what="CSV file")
+    _refuse_large(path)
     layout = find_layout(path)
     units = layout.units or [""] * layout.width
     names = [f"{name} [{unit}]" if unit else name for name, unit in zip(layout.names, units, strict=False)]
@@ -63,6 +67,15 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     names.remove(time)
     factors = [unit.factor if (unit := _unit(name)) else 1.0 for name in names]
     return times, np.array(factors)[:, None] * values, names
+
+
+def _refuse_large(path: Path) -> None:
+    """Refuse a table that the memory does not hold: a drive of minutes has hundreds of megabytes."""
+    refuse_size(path, "CSV file", LARGEST_BYTES)
+    needed, free = MEMORY_SHARE * path.stat().st_size, free_bytes()
+    if needed > free:
+        what = f"takes about {size(needed)} of memory to read, and {size(free)} are free; cut it into parts"
+        raise InputError(str(path), what)
 
 
 def _time_in(names: Sequence[str]) -> str | None:

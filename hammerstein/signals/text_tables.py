@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import gzip
 import re
+import zlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,6 +29,9 @@ SHOWN = 5
 """Places of one kind of mistake that are listed; the rest is counted."""
 HEAD_BYTES = 1 << 18
 HEAD_LINES = 3000
+GZIP = b"\x1f\x8b"
+UNPACKED_PARTS = 1000
+"""Of the size of a head, that a packed file is looked through for its end."""
 
 
 class Dialect(NamedTuple):
@@ -90,6 +95,8 @@ def find_layout(path: Path) -> Layout:
     """
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
+    if head.startswith(GZIP):
+        raise InputError(str(path), _packed(path))
     encoding = _encoding(head)
     if encoding != "utf-16" and b"\0" in head:
         raise InputError(str(path), f"is a binary file; give {FORMATS}")
@@ -106,6 +113,18 @@ def find_layout(path: Path) -> Layout:
     first = _first_row(table, width, dialect, grade)
     names, units = _header(lines[:first], dialect, width)
     return Layout(dialect, encoding, comment, first, width, names, units)
+
+
+def _packed(path: Path) -> str:
+    """What to say of a file that is packed with gzip: whether it was cut, as far as it is looked through."""
+    try:
+        with gzip.open(path) as file:
+            for _ in range(UNPACKED_PARTS):
+                if not file.read(HEAD_BYTES):
+                    break
+    except (OSError, EOFError, zlib.error):
+        return "is packed with gzip and was cut short or damaged; copy it again, then unpack it (gunzip)"
+    return "is packed with gzip; unpack it first (gunzip)"
 
 
 def _without_numbers(body: Sequence[str], lines: Sequence[str]) -> str:

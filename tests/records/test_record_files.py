@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import sys
 
@@ -541,6 +542,33 @@ class TestLoggers:
         (record,) = read(tmp_path / "a.h5", inputs=["run.volts"], outputs=["run.both:1"])
         np.testing.assert_array_equal(record.y_um[0], X)
 
+    def test_units_that_a_file_states_are_used(self, tmp_path):
+        """Attributes of TDMS channels and HDF5 arrays, and a row of units in a workbook: mV, nm and ms."""
+        stated = {"clock": ("ms", 1e3 * TIME), "drive": ("mV", 1e3 * U), "sensor": ("nm", 1e3 * X)}
+        with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
+            channels = [
+                nptdms.ChannelObject("log", name, values, {"unit_string": unit})
+                for name, (unit, values) in stated.items()
+            ]
+            file.write_segment(channels)
+        with h5py.File(tmp_path / "a.h5", "w") as file:
+            for name, (unit, values) in stated.items():
+                file[name] = values
+                file[name].attrs["units"] = unit
+        book = openpyxl.Workbook()
+        for row in (list(stated), [unit for unit, _ in stated.values()]):
+            book.active.append(row)
+        for row in np.stack([values for _, values in stated.values()], axis=1).tolist():
+            book.active.append(row)
+        book.save(tmp_path / "a.xlsx")
+        for name in ("a.tdms", "a.h5", "a.xlsx"):
+            (record,) = read_records([tmp_path / name])
+            np.testing.assert_allclose(record.u_v[0], U, atol=1e-12, err_msg=name)
+            np.testing.assert_allclose(record.y_um[0], X, atol=1e-12, err_msg=name)
+            assert record.sample_time_s == pytest.approx(TIME[1] - TIME[0], rel=1e-9)
+            (record,) = read_records([tmp_path / name], output_scale=2e-3)
+            np.testing.assert_allclose(record.y_um[0], 2.0 * X, atol=1e-12, err_msg=name)
+
     @pytest.mark.parametrize(
         ("name", "library", "extra"),
         [("a.xlsx", "openpyxl", "excel"), ("a.tdms", "nptdms", "tdms"), ("a.h5", "h5py", "matlab")],
@@ -576,3 +604,13 @@ def test_a_lone_header_is_shown(tmp_path):
     (tmp_path / "a.csv").write_text("time_s,u_x,x\n")
     text = message(read, tmp_path / "a.csv")
     assert "holds one line and no numbers below it: time_s,u_x,x; export the samples, too" in text
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_packed_table_is_called_packed_and_a_cut_one_cut(tmp_path, cut):
+    packed = gzip.compress("".join(f"{k},{k % 7}\n" for k in range(5000)).encode())
+    path = tmp_path / "a.csv.gz"
+    path.write_bytes(packed[: len(packed) // 2] if cut else packed)
+    text = message(read, path)
+    assert "is packed with gzip" in text
+    assert ("was cut short" in text) is cut

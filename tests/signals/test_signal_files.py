@@ -143,3 +143,21 @@ def test_a_file_of_a_scenario_that_contradicts_the_axes_is_refused(tmp_path, nam
     path = write(tmp_path / "path.csv", **dict(zip(names, path_um(), strict=True)))
     with pytest.raises(InputError, match=said):
         simulate(scenario(path))
+
+
+@pytest.mark.full
+def test_a_table_of_more_than_50_megabytes_is_read(tmp_path):
+    """A drive of two minutes at 20 kHz has 250 MB, and ``play`` has to read what ``compensate`` wrote."""
+    place = write(tmp_path / "drive.csv", x=np.arange(100.0))
+    with place.open("a") as file:
+        file.writelines("# " + "x" * 999_997 + "\n" for _ in range(60))
+    assert place.stat().st_size > 55e6
+    _, values, _ = read_signal(place)
+    assert values[0].tolist() == list(range(100))
+
+
+def test_a_table_that_the_memory_does_not_hold_is_refused(tmp_path, monkeypatch):
+    place = write(tmp_path / "drive.csv", x=np.arange(100.0))
+    monkeypatch.setattr("hammerstein.signals.signal_files.free_bytes", lambda: 1000.0)
+    with pytest.raises(InputError, match=r"GB of memory to read, and 1e-06 GB are free; cut it into parts"):
+        read_signal(place)
