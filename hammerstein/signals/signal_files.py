@@ -13,7 +13,7 @@ from hammerstein.blocks.axis_names import column
 from hammerstein.errors import InputError, Mistake, Notice
 from hammerstein.files import refuse_size
 from hammerstein.quantities import POSITION_UM, size
-from hammerstein.runtime.memory import free_bytes
+from hammerstein.runtime.resources import free_bytes
 from hammerstein.signals.text_tables import find_layout, read_text, where
 from hammerstein.signals.units import BASE, Kind, Unit, axis_name, unit_in
 
