@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
 SEEDS = tuple(range(1, 13))
-HEADER = ("| true position, twelve seeds of noise | [um] |", "| --- | ---: |")
+HEADER = ("| error of the true position, twelve seeds of noise | [um] |", "| --- | ---: |")
 PAPER = ("paper, 50 Hz", "paper, 100 Hz", "paper, 150 Hz", "paper, 200 Hz")
 
 
@@ -54,17 +54,21 @@ class Figure:
 DYNAMICS = ("with dynamics",)
 FIGURES = (
     Figure("rms, sines of 20 um, 10 to 420 Hz: with dynamics", "beyond_error", DYNAMICS, "rms_true_um"),
-    Figure("the same: the paper's compensators", "beyond_error", PAPER, "rms_true_um"),
+    Figure("rms, the same sines: the paper's compensators", "beyond_error", PAPER, "rms_true_um"),
     Figure("worst, circles of 50 um at 50, 100, 200 Hz: with dynamics", "beyond_circles", DYNAMICS),
     Figure("worst, spiral from 50 um: with dynamics", "beyond_spiral", DYNAMICS),
     Figure("worst, Lissajous 3:2, 48 um: with dynamics", "beyond_lissajous_3_2", DYNAMICS, amplitude_um=48.0),
     Figure("worst, Lissajous 4:3, 48 um: with dynamics", "beyond_lissajous_4_3", DYNAMICS, amplitude_um=48.0),
     Figure(
-        "worst, 28 other thresholds, circle of 50 um: the paper's partition",
+        "worst, circle of 50 um, actuator with 28 other thresholds: the paper's partition",
         "beyond_other_thresholds",
         ("thresholds uniform in time",),
     ),
-    Figure("the same: fitted thresholds", "beyond_other_thresholds", ("fitted thresholds",)),
+    Figure(
+        "worst, the same circle and actuator: fitted thresholds",
+        "beyond_other_thresholds",
+        ("fitted thresholds",),
+    ),
 )
 
 

@@ -52,7 +52,7 @@ def own_folder(folder):
 
 def test_the_readme_has_commands():
     assert len(_commands()) >= 6
-    assert len(_blocks("python")) >= 2
+    assert len(_blocks("python")) >= 1
 
 
 @pytest.mark.full
