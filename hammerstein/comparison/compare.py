@@ -25,7 +25,7 @@ from hammerstein.identification.verdict import record_flags
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.fanning import Jobs
-from hammerstein.runtime.one_thread import one_blas_thread
+from hammerstein.runtime.resources import one_blas_thread
 
 TIMED_SAMPLES = 20_000
 REPEATS = 5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -14,11 +14,13 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.experiment.case_cache import CaseCache, rows_from
 from hammerstein.experiment.measure import drawn_rows
+from hammerstein.experiment.report import Band
 from hammerstein.experiment.set_up import Case, Experiment, Progress, SetUp
 from hammerstein.metrics import Row, metrics_of
 from hammerstein.model.simulation import Plant
 from hammerstein.runtime.fanning import Jobs, in_order, on_workers
 from hammerstein.runtime.store import Kept
+from hammerstein.scenario.uncertainty import Uncertainty
 
 TOGETHER = 25  # actuators that are worked out, and kept, in one piece
 
@@ -149,3 +151,59 @@ def _known(kept: CaseCache, runs: Sequence[_Run], numbers: range) -> list[Figure
         None if entry is None else Figures(rows_from(entry.document), entry.arrays["values"])
         for entry in entries
     ]
+
+
+SEED_STEP = 7919  # keeps the noise of one draw apart from that of another scenario's seed
+NO_PART = {"draws", "sensitivity"}
+"""Keys of an uncertainty that change no draw."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnActuators(Actuators):
+    """Draws of an uncertain actuator; each has another noise."""
+
+    uncertainty: Uncertainty
+    nominal: Plant
+    scenario_seed: int
+    what = "drawing actuators"
+
+    @property
+    def key(self) -> str:
+        """How uncertain it is."""
+        return self.uncertainty.model_dump_json(exclude=NO_PART)
+
+    @property
+    def count(self) -> int:
+        """How many are drawn."""
+        return self.uncertainty.draws
+
+    def plant(self, number: int) -> Plant:
+        """Give the draw of a number."""
+        return Plant(*self.uncertainty.draw(self.nominal.model, self.nominal.instruments, number))
+
+    def seed(self, number: int) -> int:
+        """Give the seed of its noise."""
+        return self.scenario_seed + SEED_STEP * (number + 1)
+
+
+def bands_of(
+    kept: CaseCache, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
+) -> tuple[Band, ...]:
+    """Median and 5-95 % band of every row over the draws; nothing where the scenario has no uncertainty."""
+    scenario = kept.setup.scenario
+    if scenario.uncertainty is None:
+        return ()
+    drawn = DrawnActuators(scenario.uncertainty, kept.setup.plant, scenario.seed)
+    found = figures_on(drawn, kept, cases, jobs, progress)
+    return tuple(band for figures in found for band in _bands(figures))
+
+
+def _bands(figures: Figures) -> Iterator[Band]:
+    """Bands of every row of one case."""
+    for r, row in enumerate(figures.rows):
+        for m, metric in enumerate(drawn_metrics()):
+            values = figures.values[:, r, m]
+            known = values[~np.isnan(values)]
+            if len(known):
+                low, middle, high = np.percentile(known, [5.0, 50.0, 95.0]).tolist()
+                yield Band(metric=metric, p5_um=low, median_um=middle, p95_um=high, **row.key())

@@ -10,16 +10,16 @@ from dataclasses import replace
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.case_cache import CaseCache
+from hammerstein.experiment.draws import bands_of
 from hammerstein.experiment.measure import Result, statements_of
 from hammerstein.experiment.plan import Plan, identification_parts, plan_of
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.sensitivity import sensitivities_of
 from hammerstein.experiment.set_up import Case, Progress, SetUp, plant_of, set_up
-from hammerstein.experiment.uncertainty_bands import bands_of
 from hammerstein.metrics import Row
 from hammerstein.model.simulation import Response
 from hammerstein.runtime.fanning import Jobs
-from hammerstein.runtime.one_thread import one_blas_thread
+from hammerstein.runtime.resources import one_blas_thread
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario, scenario_of
 from hammerstein.scenario.scenario import ScenarioSource

@@ -18,10 +18,9 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 from hammerstein.experiment.case_cache import CaseCache
-from hammerstein.experiment.draws import Actuators, Figures, drawn_metrics, figures_on
+from hammerstein.experiment.draws import NO_PART, Actuators, Figures, drawn_metrics, figures_on
 from hammerstein.experiment.report import Sensitivity
 from hammerstein.experiment.set_up import Case, Progress
-from hammerstein.experiment.uncertainty_bands import NO_PART
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
 from hammerstein.runtime.fanning import Jobs

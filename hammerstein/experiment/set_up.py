@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, allocate_wires
 from hammerstein.blocks import Controller, Law, Learner
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Instruments
@@ -23,7 +23,6 @@ from hammerstein.errors import HammersteinError, IdentificationError, InputError
 from hammerstein.experiment.trials import IlcRun, IlcRuns, whole_period
 from hammerstein.model import HammersteinModel, model_text
 from hammerstein.model.simulation import BLOCK, AppliedDrive, Plant, Response
-from hammerstein.runtime.allocate_wires import allocate_wires
 from hammerstein.runtime.fanning import Jobs, on_workers
 from hammerstein.runtime.resources import refuse_too_long
 from hammerstein.runtime.store import Store

@@ -19,7 +19,7 @@ from hammerstein.experiment.run import rows_alone
 from hammerstein.experiment.set_up import Progress
 from hammerstein.metrics import Row
 from hammerstein.runtime.fanning import Jobs, given, in_order, on_workers
-from hammerstein.runtime.one_thread import one_blas_thread
+from hammerstein.runtime.resources import one_blas_thread
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.study import Study

@@ -36,7 +36,7 @@ from hammerstein.model import HammersteinModel
 from hammerstein.records.excitation import FEWEST_AT_REST, dead_start
 from hammerstein.records.record import Record
 from hammerstein.records.swapped_columns import refuse_swapped
-from hammerstein.runtime.one_thread import one_blas_thread
+from hammerstein.runtime.resources import one_blas_thread
 
 P = ParamSpec("P")
 T = TypeVar("T")

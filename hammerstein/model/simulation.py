@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, allocate_wires
 from hammerstein.blocks import Controller
 from hammerstein.blocks.axis_names import column
 from hammerstein.blocks.driving import DriveRange
@@ -22,7 +22,6 @@ from hammerstein.hysteresis.kind import refuse_not_finite
 from hammerstein.model import HammersteinModel
 from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V, Range
-from hammerstein.runtime.allocate_wires import allocate_wires
 
 if TYPE_CHECKING:
     import control

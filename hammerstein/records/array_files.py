@@ -16,8 +16,8 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake
-from hammerstein.records import declared_size
-from hammerstein.records.declared_size import refuse_large as refuse_large
+from hammerstein.records import checks
+from hammerstein.records.checks import refuse_large as refuse_large
 from hammerstein.records.logger_files import excel_columns, tdms_channels
 from hammerstein.records.matlab_v5 import is_matlab_v4, is_matlab_v5, read_matlab_v5
 from hammerstein.records.variable import Variable, Variables, stated_unit
@@ -229,7 +229,7 @@ def _matlab(path: Path) -> Variables:
 def _matlab_old(path: Path) -> Variables:
     """Versions 4 to 7.2."""
     if is_matlab_v5(path):
-        content = read_matlab_v5(path, most_bytes=8 * declared_size.MOST_NUMBERS)
+        content = read_matlab_v5(path, most_bytes=8 * checks.MOST_NUMBERS)
     elif is_matlab_v4(path):
         content = _matlab_v4(path)
     else:

@@ -5,15 +5,34 @@ All functions return mistakes instead of raising them, so that one message can t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from hammerstein.arrays import Array, Flags, Indices
-from hammerstein.errors import Mistake
+from hammerstein.errors import InputError, Mistake
 from hammerstein.quantities import Range
 from hammerstein.records.noise import quantum
 from hammerstein.signals.text_tables import SHOWN, not_listed, where
+
+MOST_NUMBERS = 50_000_000
+"""As many numbers are read from one variable; a file that declares more is not opened up."""
+
+
+def refuse_large(shape: Sequence[int], bytes_each: int = 8) -> None:
+    """Refuse an array before it is unpacked, by the shape that its file declares.
+
+    bytes_each : of an entry; a text counts as so many numbers as would take its place
+    """
+    numbers = math.prod(int(n) for n in shape) * max(1, bytes_each // 8)
+    if numbers > MOST_NUMBERS:
+        raise InputError(
+            "file",
+            f"holds {numbers / 1e6:,.0f} million numbers ({8e-9 * numbers:.3g} GB); at most "
+            f"{MOST_NUMBERS // 10**6} million are read: cut it into several records, or take fewer samples",
+        )
+
 
 FEWEST_SAMPLES = 20
 CLIPPED_RUN = 4

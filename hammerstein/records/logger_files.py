@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.blocks.axis_names import unique
-from hammerstein.records.declared_size import refuse_large
+from hammerstein.records.checks import refuse_large
 from hammerstein.records.variable import Variable, Variables, stated_unit
 from hammerstein.signals.units import is_unit
 

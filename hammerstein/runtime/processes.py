@@ -14,7 +14,7 @@ from multiprocessing.context import BaseContext
 
 from hammerstein.files import discard_unfinished
 from hammerstein.runtime.notices import tell_notices
-from hammerstein.runtime.one_thread import one_blas_thread
+from hammerstein.runtime.resources import one_blas_thread
 
 ENDED = 143
 GARBAGE = (50_000, 20, 50)

@@ -19,7 +19,7 @@ from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import BLOCK, Plant
-from hammerstein.runtime.one_thread import one_blas_thread
+from hammerstein.runtime.resources import one_blas_thread
 from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.scenario.scenario import Measure
 

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from hammerstein.arrays import PAGE, allocate_wires
 from hammerstein.commands import cli, watch
 from hammerstein.compensators import COMPENSATORS, NoCompensation
 from hammerstein.compensators.drive_csv import drive_csv
@@ -17,7 +18,6 @@ from hammerstein.experiment.run import run, simulate
 from hammerstein.experiment.set_up import Window, plant_of
 from hammerstein.plugins import load_plugins, register
 from hammerstein.runtime import resources
-from hammerstein.runtime.allocate_wires import PAGE, allocate_wires
 from hammerstein.scenario import Scenario
 
 

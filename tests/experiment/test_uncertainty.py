@@ -5,10 +5,9 @@ import hammerstein
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.commands.jobs import WORTH_PROCESSES_S, process_pool
 from hammerstein.errors import InputError
-from hammerstein.experiment.draws import Figures, drawn_metrics
+from hammerstein.experiment.draws import Figures, _bands, drawn_metrics
 from hammerstein.experiment.run import run
 from hammerstein.experiment.selection import number
-from hammerstein.experiment.uncertainty_bands import _bands
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.overview import write_overview

@@ -27,7 +27,7 @@ NUMERICAL = (
     "hammerstein/experiment/recording.py",
     "hammerstein/experiment/settling.py",
     "hammerstein/experiment/simulated_identification.py",
-    "hammerstein/experiment/uncertainty_bands.py",
+    "hammerstein/experiment/draws.py",
     "hammerstein/blocks/interop/limit_cycles.py",
     "hammerstein/paper/causes.py",
     "hammerstein/paper/claims.py",

@@ -14,7 +14,7 @@ from scipy.io import savemat
 from hammerstein.blocks.instruments import intervals
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
-from hammerstein.records import declared_size
+from hammerstein.records import checks
 from hammerstein.records.array_files import array_columns, arrays_in
 from hammerstein.records.matlab_v5 import COMPRESSED
 
@@ -56,7 +56,7 @@ def test_version_4_is_read_by_scipy_and_its_lengths_are_checked(tmp_path):
 
 def test_all_that_comes_out_of_a_matlab_file_has_a_limit(tmp_path, monkeypatch):
     """Twenty variables of a byte a number, each below the limit, and all of them beyond it."""
-    monkeypatch.setattr(declared_size, "MOST_NUMBERS", 100_000)
+    monkeypatch.setattr(checks, "MOST_NUMBERS", 100_000)
     count = 50_000
     parts = [element(6, np.array([6, 0], "<u4").tobytes()), element(5, np.array([1, count], "<i4").tobytes())]
     small = element(2, bytes(count))
@@ -110,7 +110,7 @@ def test_no_other_file_is_read_through_a_record(tmp_path, how):
 def test_wide_texts_of_an_npz_file_are_not_unpacked(tmp_path, monkeypatch):
     path = tmp_path / "a.npz"
     np.savez_compressed(path, u=np.zeros(1000, "U10000"))
-    monkeypatch.setattr(declared_size, "MOST_NUMBERS", 1_000_000)
+    monkeypatch.setattr(checks, "MOST_NUMBERS", 1_000_000)
     with pytest.raises(InputError, match="million numbers"):
         array_columns(path, ["u"])
 

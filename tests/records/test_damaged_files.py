@@ -77,7 +77,7 @@ def test_a_bomb_is_refused_by_what_it_declares(tmp_path):
 
 def test_a_matlab_bomb_is_refused_too(tmp_path, monkeypatch):
     savemat(tmp_path / "a.mat", {"u": np.zeros((200_000, 2))}, do_compression=True)
-    monkeypatch.setattr("hammerstein.records.declared_size.MOST_NUMBERS", 100_000)
+    monkeypatch.setattr("hammerstein.records.checks.MOST_NUMBERS", 100_000)
     with pytest.raises(InputError, match="unfolds to"):
         array_columns(tmp_path / "a.mat", ["u:1"])
 

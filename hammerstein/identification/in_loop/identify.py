@@ -24,7 +24,7 @@ from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
-from hammerstein.runtime.one_thread import one_blas_thread
+from hammerstein.runtime.resources import one_blas_thread
 
 STATES = 6
 """Of each output, where no order is given."""
