@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 KEPT = Path(__file__).parent / "measured.json"
 NEW = ROOT / "reports" / "benchmarks" / "benchmarks.json"
 PAGE = ROOT / "hammerstein" / "guide" / "speed.md"
-BEGIN, END = "Processor time, of", "The benchmark writes"
+BEGIN, END = "Processor time for", "The benchmark writes"
 SINES, NOISE = "Hysteresis, 2 x 2, 50 Hz sines", "Hysteresis, 2 x 2, white noise"
 LAWS = "Compensators, 2 x 2, 15 operators, 50 Hz sines"
 LAW_NAMES = ("none", "exact_inverse", "inverse_multiplicative", "decoupled_inverse", "hammerstein_inverse")
@@ -68,9 +68,9 @@ LINES = (
         SINES,
         "15 operators",
         "textbook",
-        "{} times as fast as the textbook loop, compiled",
+        "{} times as fast as the textbook loop, both compiled",
     ),
-    Line("the same", SINES, "15 operators", "copy", "{} times a copy of its arrays"),
+    Line("15 operators, sines", SINES, "15 operators", "copy", "{} times the time to copy its arrays"),
     Line("150 operators, sines", SINES, "150 operators", "textbook", "{} times as fast as the textbook loop"),
     Line("1500 operators, sines", SINES, "1500 operators", "textbook", "{} times as fast"),
     Line("15 operators, white noise", NOISE, "15 operators", "textbook", "{} times as fast"),
@@ -92,13 +92,13 @@ LINES = (
         "{} times the compiled loop in Python",
     ),
     Line(
-        "a step of it, median",
+        "one step of this C code, median",
         "exact_inverse exported",
         "C, median",
         "its worst",
-        "its worst step {} times that",
+        "the slowest step takes {} times as long",
     ),
-    *(Line(f"a step in Python, `{name}`", STEP, name) for name in LAW_NAMES),
+    *(Line(f"one step in Python, `{name}`", STEP, name) for name in LAW_NAMES),
     Line("whole experiment", "Whole experiment", "circle", "control", DIAGRAM),
     Line("`identify`, 15 operators, 100,000 samples", WAIT, "identify, 2 x 2"),
     Line("`hammerstein --help`", WAIT, "hammerstein --help"),
@@ -132,12 +132,12 @@ def table(measured: dict[str, Any]) -> str:
     """The table, and where it was measured."""
     machine = measured["machine"]
     lines = [
-        "Processor time, of loops a sample, for two inputs and two outputs; times differ between machines, "
-        "ratios little.",
+        "Processor time for two inputs and two outputs; for loops, the time of one sample. Times depend on "
+        "the machine, ratios much less.",
         f"Measured on {measured['date']} by `{measured['command']}`: {machine['cores']} cores "
-        f"({machine['processor']}) that {machine['load']} processes wanted, Python {machine['python']}.",
+        f"({machine['processor']}), load {machine['load']}, Python {machine['python']}.",
         "",
-        "| what | time | ratio |",
+        "| task | time | ratio |",
         "| --- | ---: | --- |",
         *(f"| {' | '.join(line.cells(measured))} |" for line in LINES),
         "",
@@ -159,7 +159,7 @@ def beside(measured: dict[str, Any]) -> str:
     return (
         f"At {listed(map(str, OPERATORS))} operators the kernel has {noise} times the speed of the best "
         f"strict textbook loop on white noise, {walk} times on a random walk, {sines} times on sines. A run "
-        f"costs {' to '.join(steps)} times its steps one by one, figures of merit included."
+        f"takes {' to '.join(steps)} times the sum of its parts, with the figures of merit."
     )
 
 
