@@ -1,7 +1,7 @@
 """Write the documentation site: ``site.py FOLDER``.
 
 No text has a second copy. The site is every Markdown page that the README links to, directly or not, with the
-files that they show, and two pages made from the package: keys of scenario files and gallery.
+files that they show, and three pages made from the package: keys of scenario files, gallery, constants.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import tomllib
 from pathlib import Path
 from urllib.parse import quote
 
+from constants import constants
 from markdown_it import MarkdownIt
 
 from hammerstein.commands.start import guide_pages
@@ -46,6 +47,7 @@ def main(folder: Path) -> None:
         site.write(notebook.with_suffix(".html"), notebook_text(notebook))
     site.write(TOP / "keys.html", keys())
     site.write(TOP / "gallery.html", gallery(site))
+    site.write(TOP / "constants.html", constant_tables())
     shutil.copy(site.place(TOP / "README.md"), folder / "index.html")
 
 
@@ -123,6 +125,7 @@ class Site:
         named |= {"Examples": self.folder / "gallery.html", "Keys of scenarios": self.folder / "keys.html"}
         for notebook in sorted((TOP / "hammerstein/examples").glob("*.ipynb")):
             named[notebook.stem.replace("_", " ").capitalize()] = self.place(notebook.with_suffix(".html"))
+        named["Constants"] = self.folder / "constants.html"
         named["Paper"] = self.folder / "paper.html"
         if (self.folder / "reference").is_dir():
             named["API reference"] = self.folder / "reference/index.html"
@@ -184,6 +187,19 @@ def kind_of(node: dict[str, object]) -> str:
     signs = {"minimum": "&ge;", "exclusiveMinimum": "&gt;", "maximum": "&le;", "exclusiveMaximum": "&lt;"}
     limits = [f" {sign} {node[limit]}" for limit, sign in signs.items() if limit in node]
     return html.escape(str(node.get("type", "any"))) + ",".join(limits)
+
+
+def constant_tables() -> str:
+    """Give the numbers by which the package decides, a table a room."""
+    rooms: dict[str, list[str]] = {}
+    for found in constants():
+        row = f"<tr><td><code>{found.names}</code><td>{html.escape(found.value)}<td>"
+        row += f"{html.escape(found.reason)}<td>{found.module.removesuffix('.py')}"
+        rooms.setdefault(found.module.partition("/")[0].removesuffix(".py"), []).append(row)
+    return "<h1>Constants</h1><p>Numbers by which the package decides, and why they are so.</p>" + "".join(
+        f'<h2 id="{room}">{room}</h2><table><tr><th>name<th>value<th>reason<th>module{"".join(rows)}</table>'
+        for room, rows in rooms.items()
+    )
 
 
 def gallery(site: Site) -> str:

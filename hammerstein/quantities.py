@@ -151,6 +151,7 @@ def _without_control_characters(text: str) -> str:
 
 
 LONGEST_NAME = 100
+"""Characters of a name that fits a table."""
 
 
 def no_name(text: str) -> str:

@@ -20,8 +20,10 @@ from hammerstein.validation import mistakes_of
 Facts = tuple[tuple[str, str], ...]
 T = TypeVar("T", bound=BaseModel)
 MOST_COLUMNS = 40
+"""Of a table, whose ranges are shown: a screen of them."""
 PAGES = (".html", ".htm", ".md")
 MOST_STATEMENTS = 5
+"""Of a report; its page has all of them."""
 OWN_TABLES = {"drive_": "drive file", "played_": "file of played voltages"}
 """How a column of each begins."""
 

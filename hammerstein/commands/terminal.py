@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 WIDTH_OF_A_FILE = 160
+"""Characters of a line where no terminal says how wide it is: the widest table fits."""
 WARNINGS = ("FLAGGED", "Verdict: FLAGGED", "Warning:")
 """How statements begin that warn."""
 _hushed = False

@@ -22,7 +22,9 @@ Say = Callable[[str], None]
 
 STARTER = Path(__file__).parents[1] / "starter"
 SAMPLE_TIME_S, AMPLITUDE_V = 50e-6, 10.0
+"""Converter of 20 kHz, and the range of the packaged actuators."""
 SINE_HZ, SINE_SAMPLES, MULTISINE_SAMPLES = 20.0, 3000, 3000
+"""Three periods of a slow sine, and a multisine as long."""
 COLUMNS = ("u_x", "u_y"), ("x", "y")
 CI = ".github/workflows/hammerstein.yml"
 

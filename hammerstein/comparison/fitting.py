@@ -29,6 +29,7 @@ Progress = Callable[[str, int, int], None]
 """Told what is being done, how many identifications are done, and of how many."""
 
 WARM_SAMPLES = 400
+"""Of the record that compiles the loops before the fits are timed; few, as only the kind of call counts."""
 LINEAR = "none"
 WITH_DYNAMICS = " with dynamics"
 OF_PLAYS: Mapping[Kind, tuple[str, str]] = {

@@ -35,7 +35,9 @@ RUN_UP_S = 0.25
 """The amplitude of a run-up grows for this time at least, in whole periods."""
 SETTLED = 1e-6  # of the range: what two periods may differ by
 PLAYED_PERIODS = 10
+"""The settled error is that of this period: hysteresis forgets in one, resonances of Q = 100 in ten."""
 CENTRING_ROUNDS = 20
+"""Each takes a step towards the middle, or halves the step."""
 
 
 @dataclass(frozen=True, eq=False)

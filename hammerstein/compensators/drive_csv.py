@@ -11,6 +11,7 @@ from hammerstein.escaping import clean
 
 Tell = Callable[[str], None]
 ROWS_AT_ONCE = 100_000
+"""Rows of text that are in memory together."""
 
 
 def drive_csv(

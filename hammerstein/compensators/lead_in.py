@@ -9,11 +9,13 @@ import numpy as np
 from hammerstein.arrays import Array
 
 SHORTEST_S, LONGEST_S = 0.02, 1.0
+"""A stage rings for less than the first; nobody waits for more than the second."""
 PEAK = 10.0 / math.sqrt(3.0)
 """Largest acceleration of a fifth-order step of size and duration 1."""
 TURNED = 4.0
 """Largest acceleration of a fifth-order way to velocity 1 in duration 1, at most."""
 AT_REST = 1e-9
+"""Start of a path, in parts of its largest position, that is rounding."""
 
 
 def lead_in(reference_um: Array, sample_time_s: float) -> Array:

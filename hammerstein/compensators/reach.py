@@ -27,6 +27,7 @@ MISSED_SHARE = 0.01  # of what the worst output is missed by; those that are mis
 ROUGH_BISECTIONS = 14
 """Of a law without inverse, which is slow and leaves more than a finer search would find."""
 PASSES = 4
+"""Passes of the law around the plays."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from hammerstein.quantities import Entry, InputNumber
 from hammerstein.validation import Strict
 
 MOST_FACTORS = 3
+"""A product of three signals is the highest term of a cubic."""
 
 
 @dataclass(frozen=True, eq=False)

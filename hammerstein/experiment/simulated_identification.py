@@ -33,7 +33,9 @@ from hammerstein.signals import MOST_LINES, Multisine, Sine, Triangle, smooth_st
 
 LOWEST_LINE_HZ = 5.0  # of the multisine
 REST_SAMPLES = 20
+"""At rest before each record, by which a start at rest is seen."""
 CREEP_SAMPLES = 12_000
+"""Of the slow record: creep is slower than a hundred samples of it."""
 CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
 """Slow steps of the creep record, in parts of the amplitude; each lasts a sixth of it."""
 

@@ -28,6 +28,7 @@ from hammerstein.validation import mistakes_of
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([1-9]\d*)\])?")
 _LAST = re.compile(r"[A-Za-z_]\w*")
 LOOKED_AT = 100
+"""Runs whose plans are averaged, of a study that has more."""
 
 
 @dataclass(frozen=True)

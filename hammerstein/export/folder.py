@@ -31,6 +31,7 @@ MODEL_FILE, REQUEST_FILE = "model.json", "export.json"
 EXPORT = Owner("export")
 ALWAYS = (REQUEST_FILE, MODEL_FILE, "README.md", "Makefile", "golden.csv", "selftest.c")
 SEARCHED = 100_000
+"""Samples of a drive that seeks the largest number of operations."""
 
 
 class ExportFile(Strict):

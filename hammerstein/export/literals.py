@@ -13,6 +13,7 @@ import numpy as np
 from hammerstein.escaping import C
 
 WIDTH = 100
+"""Characters of a line of C."""
 LARGEST = {"double": float(np.finfo(np.float64).max), "float": float(np.finfo(np.float32).max)}
 _TOKEN = re.compile(
     r"/\*.*?\*/|\"[^\"\n]*\"|[A-Za-z_]\w*|(?P<number>(?:\d+\.\d*|\.\d+)(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+)|\d+",

@@ -37,6 +37,7 @@ SEEN, TURNS, BUSY, RESTED, LAST, BEFORE = range(6)
 """Columns of a window, a row an input: samples and turns since it began, whether the form is the busy one,
 whether operator 0 rested in the last sample, and in the busy form the last two inputs [V]."""
 COLUMNS = 6
+"""How many those are."""
 
 
 @helper()

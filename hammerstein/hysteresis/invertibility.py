@@ -27,6 +27,7 @@ from hammerstein.hysteresis import (
 from hammerstein.hysteresis.slopes import every_matrix, slope_matrices
 
 SINGULAR = 1e-9
+"""Determinant, in parts of the product of the columns, that is zero but for the rounding of the weights."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,9 @@ from hammerstein.compiled import compiled, helper
 CHUNK = 1024
 """Samples of one play after the other: what they add to stays in the cache."""
 ROOT_TWO, LOG_TWO = 1.4142135623730951, 0.6931471805599453
+"""To the last bit of a double."""
 DOUBLINGS = 128
+"""2^128 is beyond every rate in thresholds."""
 SERIES = tuple(1.0 / n for n in range(23, 0, -2))
 """Coefficients of artanh(s) / s in s^2, the highest power first: for |s| < 0.172 all that a double tells."""
 

@@ -13,6 +13,7 @@ from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import Hysteresis, slopes_of
 
 LARGEST_NUMBER = 2_000_000
+"""Combinations of slopes that are written down: 16 MB a pair."""
 
 
 def slope_matrices(hysteresis: Hysteresis[Any], amplitude_v: float) -> Array:

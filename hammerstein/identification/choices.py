@@ -13,6 +13,7 @@ Solver = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
 DynamicsKind = Literal["auto", "none", "lag", "second_order", "state_space"]
 StartMode = Literal["auto", "rest", "repeated"]
 MOST_DEAD_ZONES = 50
+"""Most that are taken of an input."""
 PLAYS = "prandtl_ishlinskii"
 """Kind that is fitted where no other one is asked for."""
 

@@ -26,8 +26,11 @@ from hammerstein.quantities import DELAY_S, DELAY_SAMPLES, FREQUENCY_HZ, RIDGE, 
 from hammerstein.records.record import Record
 
 MOST_OPERATORS = 200
+"""Most that are taken; the paper has 15."""
 MOST_CREEP_MODES = 5
+"""Most that are taken, about one a decade of time."""
 MOST_STATES = 100
+"""Most that are taken."""
 CHOICES = {
     "partition": get_args(Partition),
     "solver": get_args(Solver),

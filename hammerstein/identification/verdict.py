@@ -53,6 +53,7 @@ SURE_CREEP = 3.0
 LOST = 1e-3
 """Smallest gain, in parts of the largest at low frequency, that can be inverted."""
 LINES = 400
+"""Frequencies up to Nyquist at which the gain is looked at."""
 UNTOLD = (
     "Dynamics were asked for, but the records tell none: THIS MODEL IS STATIC. Add records nearer to the "
     "resonance, such as faster sines, steps or a multisine."

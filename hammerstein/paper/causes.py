@@ -25,6 +25,7 @@ from hammerstein.scenario.source import ClosedFormSpec, ModelSource
 PASSES = 16
 FINER = 4  # parts of a sample
 LOW_HZ = 10.0
+"""Where resonance and sensor do not count."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,9 @@ FREQUENCY_HZ = 50.0
 SMOOTHNESS = 1.0  # weight of a second difference of 1 um/V against an error of 1 um in one of 400 samples
 CYCLES = 12  # the resonances ring for four cycles; the last one is used
 BANDWIDTH_HZ = (430.0, 470.0)
+"""Bandwidths of the two axes (section 5.1: 400-500 Hz)."""
 RISE = 10.0 ** (3.0 / 20.0)
+"""A gain 3 dB above that at rest."""
 
 
 def rising_resonance_hz(frequency_hz: float, damping_ratio: float) -> float:

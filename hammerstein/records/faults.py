@@ -28,9 +28,11 @@ DRIFT_EXPLAINS = 0.75
 BENT = 0.01
 """Error of a fit, in parts of the largest range, from which it is asked whether an output saturates."""
 BENT_EXPLAINS = 0.6
+"""Part to which a bend must lower that error."""
 FLAT = 0.75
 """Slope at an end, in parts of the largest, below which an output saturates."""
 STEEPER = 1.02
+"""Slope, in parts of the steepest inside, from which an end is no saturation."""
 TOP = np.linspace(0.55, 0.95, 17)
 """Levels, in parts of the range, above which a command may be clipped."""
 STANDS = 0.1

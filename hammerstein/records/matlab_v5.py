@@ -23,13 +23,16 @@ LOOKED_AT = 1000  # bytes of a compressed variable in which its size stands
 DEEPEST = 20  # structures within structures
 MEMBER_BYTES = 100  # of an empty member of a cell or structure, about
 MATRIX, COMPRESSED = 14, 15
+"""Types of an element (MAT-File Format, data types)."""
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 """How numbers are stored, by the type in their tag."""
 TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
 CELL, STRUCTURE, TEXT = 1, 2, 4
+"""Classes of an array (MAT-File Format, MATLAB array types)."""
 ARRAYS = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
 """What arrays of numbers are in MATLAB, by their class."""
 IS_COMPLEX = 0x08
+"""Flag of an array (MAT-File Format, array flags)."""
 UNREAD = object()
 """Stands for a variable of a class that is left out."""
 

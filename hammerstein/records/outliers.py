@@ -116,7 +116,9 @@ NO_WORSE = 1.05
 EXACT = 1e-12
 """Error below which a fit is exact [um]."""
 PLAYS = 8
+"""Of the fit by which samples are judged."""
 ROUNDS = 4
+"""A fit without the outliers may find further ones."""
 
 
 class Outliers(NamedTuple):

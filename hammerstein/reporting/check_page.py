@@ -13,7 +13,9 @@ from hammerstein.runtime.storage.manifest import Owner
 CHECK_PAGE = Owner("check page", single=True)
 FIRST_SHOWN = ("rms_um", "gain", "height_um", "max_um", "value")
 MOST_METRICS = 2
+"""Figures of merit that are drawn of a scenario; the table has all."""
 MOST_FIGURES = 30
+"""Of one page: more load too slowly."""
 
 
 def check_page(result: CheckResult) -> str:

@@ -60,6 +60,7 @@ IS_TRUE = "True is the actuator's position, without the sensor."
 READS_TRUTH = "The sensor is ideal: it reads the true position."
 
 MOST_STATEMENTS = 15
+"""Of a page; `report.json` has all."""
 
 # What tells the rows of rms.csv apart; each figure of merit says itself what it is.
 KEYS = {

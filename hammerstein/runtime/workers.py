@@ -26,7 +26,9 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 PATIENCE_S = 3.0
+"""What a process that was asked to end is given before it is killed."""
 TRIES = 2
+"""A process may be lost by chance once."""
 WHY_LOST = "The system does so when the memory is full: run fewer side by side (--jobs 1), or less at once."
 
 

@@ -29,6 +29,7 @@ SHOWN = 5
 """Places of one kind of mistake that are listed; the rest is counted."""
 HEAD_BYTES = 1 << 18
 HEAD_LINES = 3000
+"""Lines by which a dialect is chosen."""
 GZIP = b"\x1f\x8b"
 UNPACKED_PARTS = 1000
 """Of the size of a head, that a packed file is looked through for its end."""
@@ -49,6 +50,7 @@ DIALECTS = (
 )
 """In the order of preference: digits are grouped only where nothing else explains as many lines."""
 PLAIN_DIALECTS = 7
+"""Those without groups of digits; the others are tried only where a number looks grouped."""
 COMMENTS = ("#", "%")
 BYTE_ORDER_MARKS = (
     (b"\xef\xbb\xbf", "utf-8-sig"),

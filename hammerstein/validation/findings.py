@@ -123,6 +123,7 @@ def _types(nodes: Sequence[Node]) -> set[str]:
 
 MOST_SHOWN = 60  # characters of a value
 MOST_OWNERS = 3
+"""Tables that are named for a key in the wrong place."""
 PLAIN = (
     ("Value error, ", ""),
     ("Input should be", "must be"),

@@ -24,6 +24,7 @@ from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Volts
 
 STILL = 1e-13
+"""Step of the drive, in parts of the largest threshold, that is rounding and no motion."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,6 +46,7 @@ from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.play_kernels import at
 
 GONE = 1e-12
+"""State of a recovery [um] that is as good as zero."""
 
 
 @compiled(error_model="numpy")

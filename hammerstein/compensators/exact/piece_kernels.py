@@ -39,6 +39,7 @@ import numpy as np
 from hammerstein.compiled import helper
 
 SINGULAR, POOR = 1e-14, 1e3
+"""Pivot, in parts of the largest, of a singular matrix; and the condition number of a poor one."""
 
 END, X, D, BELOW = range(4)
 COUNT, WANTED, RAMP = range(3)

@@ -12,8 +12,11 @@ from hammerstein.compensators.feedback.loop import FeedbackLoop, Gains
 from hammerstein.errors import SimulationError
 
 LARGEST_SENSITIVITY = 1.6
+"""Usual bounds of the largest sensitivity are 1.2 to 2 (Astrom and Hagglund, Advanced PID Control, 2006)."""
 SHARES = (0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0)
+"""Ratios to the integral gain that are tried of the others, with 1 / (2 pi peak) as unit of time."""
 MOST_TRIES = 30
+"""Each takes 2 to 30 % off the gains."""
 
 
 def tuned(loop: FeedbackLoop, derivative: bool = False) -> Gains:

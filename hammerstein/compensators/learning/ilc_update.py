@@ -17,6 +17,7 @@ from hammerstein.model import HammersteinModel
 
 SIGNIFICANT = 3.0  # standard deviations of white noise: what an error must exceed to be learnt
 LEAST_PERIODS = 3
+"""Scatter between periods is known from two differences on."""
 MEASURED = "measured"
 """What the readings of a trial are called in messages, as long as they are no file."""
 

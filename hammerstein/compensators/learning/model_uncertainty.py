@@ -14,6 +14,7 @@ DEVIATIONS = 2.0  # standard deviations that are counted on
 SURE = 0.5  # relative error up to which all of an error is learnt
 FAINT = 10.0  # how many times weaker than at rest a model is no longer believed
 WEIGHTS, RESONANCE = 0.05, 0.01
+"""Relative errors of weights and of a resonance where a model file states none."""
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,13 @@ from hammerstein.dynamics import Dynamics, LinearBlock, discretise, split_delay
 from hammerstein.errors import SimulationError
 
 TAIL = 1e-8
+"""Response of the inverse, in parts of its largest, at which it is cut."""
 LONGEST_PREVIEW = 20_000
+"""Samples; a longer response decays so slowly that the inverse is ill-conditioned."""
 LARGE_GAIN = 10.0
+"""Times the drive of a slow path from which a band of frequencies is named."""
 NEGLIGIBLE = 1e-10
+"""Entry, in parts of the largest, that is rounding; its inverse is the largest condition number."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ FORMAT = "hammerstein-feedback-search/1"
 WHAT = "file of an interrupted search"
 SEARCHED = ("A", "B", "C", "D", "E", "F", "G", "c", "K")
 LEAST_THRESHOLD = 1e-4
+"""Keeps a threshold above zero."""
 
 
 @dataclass(frozen=True, eq=False)

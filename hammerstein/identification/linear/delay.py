@@ -24,6 +24,7 @@ MOST_PARTS = 4
 MOST_MORE = 60.0
 """Logarithm of the ratio of squares from which one delay is as bad as any other."""
 TINY = 1e-300
+"""Keeps the logarithm of an exact fit finite."""
 
 S = TypeVar("S")
 Attempt = Callable[[float, S], tuple[Sequence[float], S]]

@@ -15,6 +15,7 @@ import numpy as np
 from hammerstein.arrays import Array
 
 LARGEST_CHANGE = 0.5
+"""Change of a parameter up to which the normal equations are trusted."""
 TINY = float(np.finfo(float).tiny)
 
 P = TypeVar("P")

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 MOST_CYCLES = 1000  # points of a curve
 MINUTES_FROM_S = 180.0
+"""Longer runs have an axis in minutes."""
 
 
 @dataclass(frozen=True, eq=False)

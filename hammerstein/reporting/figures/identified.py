@@ -50,6 +50,7 @@ LINES = 160
 BANDS = 120
 """Parts of a noisy trace of many samples, of each of which the lowest and highest sample are drawn."""
 LEAST = 1e-12
+"""Keeps logarithms of what is zero on the axes."""
 MEASURED, SEPARATED = "measured", "measured, less the model's response to the other inputs"
 BROAD_SHARE = 0.5
 """Records from this part of the longest one's length on are used for the measured response."""

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_COURSES = 3
+"""Courses of one figure; more would be too small to read."""
 SWEPT = {
     "frequency_hz": "frequency [Hz]",
     "amplitude_um": "amplitude [um]",
@@ -39,6 +40,7 @@ SWEPT = {
     "trial": "trial",
 }
 LEAST_ALLOWED = 1e-300
+"""Keeps the quotient finite where a baseline allows nothing."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 FILLED = 0.8  # of the height that a parameter has
 PALE_ALPHA = 0.35
+"""Of the total effect, behind the first order."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,9 @@ from hammerstein.arrays import Array
 POINTS_OF_A_LAP = 60
 """Samples of a turn between which straight lines show no corner: they miss 0.14 % of its radius."""
 MOST_HARMONICS = 30
+"""Of a path that repeats, as a figure draws it."""
 FEWEST_OF_A_SPLINE = 4
+"""Points of a cubic."""
 
 
 def smooth_path(time_s: Array, path: Array, period_s: float, lap_s: float, closed: bool) -> Array:

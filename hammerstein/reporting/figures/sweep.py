@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 
 LOGARITHMIC_FROM = 12.0  # ratio of the ends from which an axis is logarithmic
 BAND_ALPHA = 0.2
+"""Two bands that lie over each other stay apart."""
 NOMINAL_WIDTH = 0.5
+"""Thin, as the band is what counts."""
 
 
 @dataclass(frozen=True, eq=False)

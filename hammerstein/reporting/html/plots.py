@@ -35,6 +35,7 @@ MOST_VALUES = 60_000
 FEWEST = 60  # points of a curve
 Data = Mapping[str, Any]
 HEIGHT = 320
+"""Of a plot [px]."""
 DASHES = ("dashed", "dotdash", "dotted", "dashdot")
 
 

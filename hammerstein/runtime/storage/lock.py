@@ -15,7 +15,9 @@ from filelock import FileLock, Timeout
 from hammerstein.errors import InputError
 
 PATIENCE_S = 30.0
+"""A report is written in less; who holds the lock longer hangs."""
 PAUSE_S = 0.05
+"""Between two looks, below what a person notices."""
 _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP)
 
 

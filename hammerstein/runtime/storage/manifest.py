@@ -21,7 +21,7 @@ from hammerstein.validation import Strict
 RESERVED = ".hammerstein"
 MANIFEST = f"{RESERVED}.json"
 EMPTY = hashlib.sha256().hexdigest()
-CHUNK_BYTES = 1 << 20
+CHUNK_BYTES = 1 << 20  # of a file that is compared, at a time
 _RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?")
 _NO_NAME = re.compile(r'[\x00-\x1f\x7f-\x9f/\\<>:"|?*]')
 
