@@ -28,22 +28,17 @@ def constants(package: Path = PACKAGE) -> Iterator[Constant]:
 
 
 def constants_of(text: str, module: str) -> Iterator[Constant]:
-    """Numbers of one module. A reason beside or below one, or above a block, serves those before it, too."""
-    lines, body, waiting = text.splitlines(), ast.parse(text).body, list[tuple[str, str]]()
-    above = ""
+    """Numbers of one module, with what stands beside, below, or above their block."""
+    lines, body, above, end = text.splitlines(), ast.parse(text).body, "", 0
     for i, node in enumerate(body):
         named = _numbers(node)
         if not named:
             continue
         before = lines[node.lineno - 2].strip() if node.lineno > 1 else ""
-        above = before.lstrip("# ") if before.startswith("#") else above if waiting or before else ""
-        waiting.append(named)
-        reason = _below(body[i + 1 : i + 2]) or lines[node.end_lineno - 1].partition("  # ")[2]
-        ends = i + 1 == len(body) or not _numbers(body[i + 1]) or body[i + 1].lineno > node.end_lineno + 1
-        if reason or ends:
-            yield from (Constant(module, *one, above or reason) for one in waiting[:-1])
-            yield Constant(module, *waiting[-1], reason or above)
-            waiting = []
+        above = before.lstrip("# ") if before.startswith("#") else above if node.lineno == end + 1 else ""
+        end = node.end_lineno or node.lineno
+        reason = _below(body[i + 1 : i + 2]) or lines[end - 1].partition("  # ")[2] or above
+        yield Constant(module, *named, reason)
 
 
 def _below(following: list[ast.stmt]) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 
 from hammerstein.errors import InputError
 
-LARGEST_TEXT_BYTES = 50_000_000
+LARGEST_TEXT_BYTES = 50_000_000  # a record of a million rows and five columns
 DEEPEST = 100
 """Brackets in brackets that a file may have; readers that call themselves end somewhere beyond."""
 _BRACKETS = re.compile(r"[\[\]{}]")

@@ -23,7 +23,7 @@ from hammerstein.hysteresis import (
 )
 from hammerstein.model import HammersteinModel
 
-RATE_PLAYS = 14
+RATE_PLAYS = 14  # plays of each input of the rate-dependent stack
 GROWTH_S, BANDWIDTH_HZ = 4.3e-4, 350.0
 """So chosen that the loop of the first axis at 10 V is 15 % wide at 1 Hz and 25 % at 200 Hz."""
 

@@ -27,7 +27,7 @@ from hammerstein.records.record import Record
 from hammerstein.runtime.fanning import Jobs
 from hammerstein.runtime.resources import one_blas_thread
 
-TIMED_SAMPLES = 20_000
+TIMED_SAMPLES = 20_000  # long beside the clock's step
 REPEATS = 5
 """Samples of the forward model that are timed, and how often; the shortest time counts."""
 

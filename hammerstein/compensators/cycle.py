@@ -28,7 +28,7 @@ from hammerstein.errors import SimulationError
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 
-TRIED_PERIODS = (4, 8, 16, 32)
+TRIED_PERIODS = (4, 8, 16, 32)  # periods after which a drive may have settled
 SHORTEST_TRY_S = 0.1
 """Short periods are tried several times over, so that a law with dynamics has this time to settle."""
 RUN_UP_S = 0.25

@@ -20,9 +20,9 @@ from hammerstein.dynamics import WithLoop, on_grid
 from hammerstein.hysteresis.kind import SLOW_S
 from hammerstein.model import HammersteinModel
 
-STROKE_SAMPLES = 50
-BISECTIONS = 40
-MISSED_UM = 1e-6
+STROKE_SAMPLES = 50  # of a quarter of a cycle
+BISECTIONS = 40  # part of the reach: 2^-40
+MISSED_UM = 1e-6  # rounding of a path that is reached
 MISSED_SHARE = 0.01  # of what the worst output is missed by; those that are missed by less are not named
 ROUGH_BISECTIONS = 14
 """Of a law without inverse, which is slow and leaves more than a finer search would find."""

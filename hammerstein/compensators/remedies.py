@@ -17,7 +17,7 @@ from hammerstein.compensators.reach import Reach
 from hammerstein.errors import HammersteinError
 from hammerstein.model import HammersteinModel
 
-FILTER_TRIALS, FILTER_DECADES = 16, 300.0
+FILTER_TRIALS, FILTER_DECADES = 16, 300.0  # frequencies tried, and how far below Nyquist
 WIDER = 100.0
 """Spans beyond each end that a drive may use which shows what a path needs."""
 SOFTENED = (0.002, 0.005, 0.01, 0.02, 0.05)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hammerstein.blocks.interop.block_system import BlockSystem
 
 CONTINUOUS = 0.0  # sample time [s] of a block in continuous time, as python-control writes it
-MOST_DELAY_STATES = 2000
+MOST_DELAY_STATES = 2000  # a matrix of 4 million entries
 ROUNDING = 1e-12  # part of its largest gain below which a block passes nothing
 
 

@@ -21,7 +21,7 @@ from hammerstein.export.compiling import FLAGS, build, compiler
 from hammerstein.export.literals import literal
 
 DESCRIPTION, BUILD, UNIT = "modelDescription.xml", "buildDescription.xml", "fmu.c"
-FIRST_IN = 1
+FIRST_IN = 1  # value references count from 1; 0 is the time
 _EARLIEST = (1980, 1, 1, 0, 0, 0)  # no clock: two exports give the same bytes
 _SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("windows", ".dll")}
 _PROCESSORS = {"AMD64": "x86_64", "arm64": "aarch64"}

@@ -12,7 +12,7 @@ from hammerstein.blocks import Law
 from hammerstein.export.forward import ForwardModel
 from hammerstein.model import HammersteinModel
 
-SAMPLES = 2000
+SAMPLES = 2000  # of the table that is shipped
 DIGITS = 6  # after the point: what a sine is in the last bits differs between machines
 BEYOND = 1.6  # times the reach, where it saturates
 

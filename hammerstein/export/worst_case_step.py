@@ -9,7 +9,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.export.golden import Uniform
 
-STARTS, ROUNDS, SAMPLES = 8, 80, 60
+STARTS, ROUNDS, SAMPLES = 8, 80, 60  # of a random search: begins, changes of each, length of a drive
 LEVELS = 40  # from the middle to the reach, and a quarter of that beyond it
 
 

@@ -36,7 +36,7 @@ DELAY_OPERATORS = 15
 """Operators with which the delay is found where their number is still open."""
 DEFAULT_OPERATORS, MOST_FITTED = 15, 20
 """Operators where no number is asked for nor tried, and the most of an input whose thresholds are fitted."""
-FIRST_OPERATORS = 20
+FIRST_OPERATORS = 20  # of the model that tells how records begin
 FIRST_SAMPLES = 50_000
 """Operators and samples of the first model, which only tells how the records begin."""
 

@@ -31,8 +31,8 @@ from hammerstein.records.turning_points import find_cycles
 
 COUNTS = (1, 2, 3, 4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60)
 """Numbers of operators that are tried."""
-CURVE_SAMPLES = 50_000
-SEGMENTS = 16
+CURVE_SAMPLES = 50_000  # of which the curve of errors is made
+SEGMENTS = 16  # of each record
 HELD_OUT = 4
 """Every fourth segment of each record is held out."""
 ENOUGH = 0.02

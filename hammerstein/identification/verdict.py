@@ -29,15 +29,15 @@ from hammerstein.records.turning_points import turning_points
 
 IMPROVED = 0.1
 """Part by which a block must lower the error to improve the model."""
-UNREPRESENTED_PERCENT = 10.0
-SATURATING_PERCENT = 2.0
+UNREPRESENTED_PERCENT = 10.0  # error of an output, of its range, from which the model is no picture of it
+SATURATING_PERCENT = 2.0  # of the range
 SATURATING_RATIO = 3.0
 """Weights of one sign must miss the record by this much, absolutely and against free weights."""
 FLATTENED = 0.6
 """Last slope, in parts of the steepest, below which a branch flattens towards its tip."""
 BUTTERFLY = 0.5
 """Distance of the outputs at the tips, in parts of the range, below which a loop is no rising one."""
-TIP = 0.05
+TIP = 0.05  # part of the range about an end of the swing
 RETURNED, WHOLE_SWING = 0.05, 0.5
 """Part of its range by which an output returns while the voltage goes on, from which a loop turns back on
 itself; swing, in parts of the largest, of which it is asked."""
@@ -45,9 +45,9 @@ ALIKE = 0.05
 """Part by which the amplitudes of two loops may differ for their widths to be compared."""
 FASTER, WIDER, WIDER_PERCENT = 1.5, 1.15, 1.0
 """Rates that are two, and what makes a loop the wider one: parts of the other, and percent of the height."""
-UNSURE_PERCENT = 5.0
-UNSURE_DAMPING_PERCENT = 30.0
-UNSURE_LAG_PERCENT = 30.0
+UNSURE_PERCENT = 5.0  # standard error of a resonance from which it is named
+UNSURE_DAMPING_PERCENT = 30.0  # the same of a damping ratio
+UNSURE_LAG_PERCENT = 30.0  # the same of a low-pass
 SURE_CREEP = 3.0
 """Standard errors that the gain of a creep mode must have, if it was not asked for."""
 LOST = 1e-3

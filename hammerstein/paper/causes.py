@@ -22,7 +22,7 @@ from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ClosedFormSpec, ModelSource
 
-PASSES = 16
+PASSES = 16  # of the law of the paper, where one is not enough
 FINER = 4  # parts of a sample
 LOW_HZ = 10.0
 """Where resonance and sensor do not count."""

@@ -15,7 +15,7 @@ from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, play
 from hammerstein.model import HammersteinModel
 
-FREQUENCY_HZ = 50.0
+FREQUENCY_HZ = 50.0  # of the sine that the paper identifies with
 SMOOTHNESS = 1.0  # weight of a second difference of 1 um/V against an error of 1 um in one of 400 samples
 CYCLES = 12  # the resonances ring for four cycles; the last one is used
 BANDWIDTH_HZ = (430.0, 470.0)

@@ -34,14 +34,14 @@ def refuse_large(shape: Sequence[int], bytes_each: int = 8) -> None:
         )
 
 
-FEWEST_SAMPLES = 20
+FEWEST_SAMPLES = 20  # fewer show no loop
 CLIPPED_RUN = 4
 """Equal extreme samples in a row that make a suspicion of clipping."""
 FEW_GAPS = 0.01
 """Part of the steps that are gaps, beyond which it is the clock that jitters."""
 AROUND_GAP = 3
 """Samples on each side of a gap over which it must remain."""
-VOLTAGE_RANGE = 1e-4, 1e4
+VOLTAGE_RANGE = 1e-4, 1e4  # [V]
 DISPLACEMENT_RANGE = 1e-3, 1e5
 """Ranges that a record in V and um can have; anything else is a matter of units."""
 

@@ -10,10 +10,10 @@ from hammerstein.records.record import Record
 
 DRIVEN_SHARE = 0.01
 """An input that moves by less than this part of the largest one is held, not driven."""
-FEWEST_AT_REST = 3
+FEWEST_AT_REST = 3  # samples, before a drift at rest is spoken of
 RESTING = 1e-4
 """Part of its range by which an output at rest may move."""
-TREND_PARTS = 4
+TREND_PARTS = 4  # of the time at rest, whose means show a trend
 VISITED = 0.05
 """An extreme counts as visited from this part of the range on."""
 

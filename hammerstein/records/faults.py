@@ -18,7 +18,7 @@ from hammerstein.records.noise import noise_rms
 from hammerstein.records.outliers import FITTED, Products, regressors
 from hammerstein.records.record import Record
 
-PLAYS = 16
+PLAYS = 16  # of the fit by which drift and bending are judged
 REMAINS = 0.25
 """Part of a record that must remain behind its run-in for drift and saturation to be looked for."""
 DRIFT = 0.005
@@ -49,8 +49,8 @@ FEWEST = 8
 """Samples from which a slope is believed."""
 LONG = 9
 """Samples from which a part at the limit has a shape."""
-JUMP = 0.1
-SURE = 5.0
+JUMP = 0.1  # of the voltage, in parts of its range: below, it moves steadily
+SURE = 5.0  # times the noise
 HUMP = 0.01
 """Rise and fall of an output while the voltage stands at its limit, in parts of its range."""
 

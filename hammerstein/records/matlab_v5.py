@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-HEADER_BYTES = 128
+HEADER_BYTES = 128  # MAT-File Format, header
 LOOKED_AT = 1000  # bytes of a compressed variable in which its size stands
 DEEPEST = 20  # structures within structures
 MEMBER_BYTES = 100  # of an empty member of a cell or structure, about

@@ -97,7 +97,7 @@ USUAL = 0.02
 """Part of the samples on each side that the usual range leaves out: more than outliers are allowed to be."""
 FAR = 0.5
 """Distance from the usual range, in parts of it, from which a sample is suspected."""
-JUMP = 4.0
+JUMP = 4.0  # times the usual large step
 SMALLEST = 0.02
 """A jump is suspected from this many times the usual large step on, and from this part of the range."""
 NEAR = 16

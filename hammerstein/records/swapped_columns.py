@@ -16,7 +16,7 @@ ALIKE = 0.5
 """Correlation of output and input from which a lead has a meaning."""
 COHERENT = 1e3
 """Condition of the inputs' power from which they are one and the same."""
-LEAD_RAD = -0.03
+LEAD_RAD = -0.03  # an output that leads by more is a voltage, or its columns are swapped
 FARTHEST_LEAD_RAD = -0.8
 """A lead beyond this is no swapped loop but a lag of more than half a turn."""
 

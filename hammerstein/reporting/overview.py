@@ -26,7 +26,7 @@ from hammerstein.scenario.assessment import Assessment
 
 OVERVIEW = Owner("overview")
 PAGE = "index.html"
-MOST_SHOWN = 3
+MOST_SHOWN = 3  # headlines on the terminal
 MOST_LINES = 7  # of what an assessment found, on the terminal
 
 

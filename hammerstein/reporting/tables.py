@@ -20,7 +20,7 @@ from hammerstein.metrics import Row
 
 MOST_LINES = 250
 """Lines of all tables together; a longer sweep is thinned."""
-SHOWN_FREQUENCIES = (1000, 40, 20, 10, 6)
+SHOWN_FREQUENCIES = (1000, 40, 20, 10, 6)  # columns of a table: the first that fits is taken
 MOST_LOOPS = 32  # more are left to rms.csv
 
 

@@ -27,8 +27,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 OPTION = "--cluster"
-PATIENCE_S = 5.0
-CLOSING_S = 1.0
+PATIENCE_S = 5.0  # for the first answer of a scheduler
+CLOSING_S = 1.0  # for a scheduler that may be gone
 LOOK_S = 2.0
 """Time between two looks at whether the scheduler and its workers are there."""
 LARGE = "100 MB"

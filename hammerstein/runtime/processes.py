@@ -16,7 +16,7 @@ from hammerstein.files import discard_unfinished
 from hammerstein.runtime.notices import tell_notices
 from hammerstein.runtime.resources import one_blas_thread
 
-ENDED = 143
+ENDED = 143  # 128 + 15, what shells give for SIGTERM
 GARBAGE = (50_000, 20, 50)
 """How seldom garbage is searched: figures are many small objects, and most of them stay until the end."""
 

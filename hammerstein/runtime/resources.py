@@ -18,7 +18,7 @@ from typing import Any
 
 from hammerstein.errors import SimulationError
 
-BYTES = 8
+BYTES = 8  # of a double
 COPIES = 2
 """Peak of a run in parts of the wires that it keeps."""
 SMALL_BYTES, SMALL_SHARE = 1e7, 0.01

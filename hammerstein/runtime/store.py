@@ -29,8 +29,8 @@ from hammerstein.runtime.resources import folder_of_runs
 LARGEST_MB = 2000
 """Of all entries together, if ``HAMMERSTEIN_CACHE_MB`` does not say otherwise; with 0 nothing is kept."""
 LIMIT = "HAMMERSTEIN_CACHE_MB"
-MOST_MB = 1e9
-MEGABYTE = 1_000_000
+MOST_MB = 1e9  # a petabyte: more is a slip
+MEGABYTE = 1_000_000  # bytes
 LEFT = 0.8
 """Part of that which is left then."""
 SHARE = 0.25

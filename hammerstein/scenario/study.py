@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from hammerstein.quantities import Draws, Figure, Seed
 from hammerstein.validation import Strict
 
-MOST_VALUES = 1_000_000
+MOST_VALUES = 1_000_000  # of a list in a file
 TOGETHER = 1024  # samples of a Sobol sequence that are made at once
 
 Values = Annotated[tuple[Figure, ...], Field(min_length=1, max_length=MOST_VALUES)]

@@ -21,7 +21,7 @@ OF_TIME = ("time", "t", "zeit")
 """Names of a column of time, without its unit."""
 SHOWN = 80
 """Characters of a line that a message shows."""
-LARGEST_BYTES = 2_000_000_000
+LARGEST_BYTES = 2_000_000_000  # of a table of samples
 MEMORY_SHARE = 2.0
 """Memory that reading a table takes, in parts of its size as text."""
 

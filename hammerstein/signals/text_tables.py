@@ -27,7 +27,7 @@ FORMATS = "CSV or other text, .npy, .npz, .mat, .h5, .xlsx, .tdms or .parquet"
 """Files that records are read from, for a message."""
 SHOWN = 5
 """Places of one kind of mistake that are listed; the rest is counted."""
-HEAD_BYTES = 1 << 18
+HEAD_BYTES = 1 << 18  # of a file that are looked at to learn its dialect
 HEAD_LINES = 3000
 """Lines by which a dialect is chosen."""
 GZIP = b"\x1f\x8b"

@@ -21,7 +21,7 @@ WORDS = "three"
 '''
 
 
-def test_reasons_stand_beside_below_or_above():
+def test_a_reason_is_beside_below_or_above_the_block():
     found = {c.names: (c.value, c.reason) for c in FOUND["constants_of"](TEXT, "module.py")}
     assert found == {
         "BARE": ("3", ""),

@@ -15,8 +15,8 @@ from hammerstein.arrays import Array, Complex
 from hammerstein.blocks.interop.linear_system import Matrices, matrices_of
 from hammerstein.errors import InputError
 
-AMPLITUDES, FREQUENCIES = 150, 800
-HELD, SAME, TINY = 1e-8, 1e-6, 1e-12
+AMPLITUDES, FREQUENCIES = 150, 800  # points of the grid on which cycles are looked for
+HELD, SAME, TINY = 1e-8, 1e-6, 1e-12  # balance of a cycle, distance of two, slope that is none
 STEP = 1e-5
 """Relative step of the numerical derivatives of the loop with respect to amplitude and frequency."""
 

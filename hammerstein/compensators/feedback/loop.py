@@ -10,7 +10,7 @@ import numpy as np
 from hammerstein.arrays import Array, ByValue, Complex
 from hammerstein.dynamics import LinearBlock
 
-POINTS = 800
+POINTS = 800  # of the grid from a tenth of the slowest resonance to Nyquist
 NEAREST, NARROW = 0.05, 0.06  # about a resonance: the first distance in half widths, ln of the ratio of two
 SMALL = 0.3  # loop gain whose distance from -1 needs no closer look
 DEEPEST, ROUNDS, CLOSER = 9, 3, 21

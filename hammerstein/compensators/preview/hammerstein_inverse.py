@@ -31,7 +31,7 @@ from hammerstein.quantities import Frequency, Volts, Wait
 
 EFFORT = 1e-4  # small: the drive then leaves its range only when the path is nearly met again
 DOUBLINGS = 11  # of one sample: a horizon of 2048
-START_SAMPLES = 64
+START_SAMPLES = 64  # of a path by which its beginning is judged
 SEEN = 1e-9  # of a mode's sixth differences: less is rounding, and the mode starts from rest
 
 

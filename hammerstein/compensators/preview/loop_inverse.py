@@ -22,7 +22,7 @@ MOST_PASSES = 24
 """Each costs a simulation of the model; strong hysteresis leaves 1e-4 of the path after so many."""
 SHARES = (1.0, 0.5, 0.25)
 """Of the range, for the slow loops whose gains are tried."""
-TRIAL_SAMPLES = 2000
+TRIAL_SAMPLES = 2000  # of the path on which the passes are tried
 TRIAL_PART = 0.3
 """Of the slow reach, for the path on which the passes are tried."""
 

@@ -19,7 +19,7 @@ from hammerstein.identification.linear.axis_task import AxisTask, axis_of, durat
 from hammerstein.identification.static.regressors import Filter, SideBySide, Start
 from hammerstein.records.record import Record
 
-CREEP_OPERATORS = 6
+CREEP_OPERATORS = 6  # few: creep is slower than any loop
 PARTS = 16
 """Parts of a record within which errors may be related."""
 NEAR = 1.15

@@ -31,19 +31,19 @@ from hammerstein.records.record import Record
 
 Progress = Callable[[str], None]
 
-GUESS_SAMPLES = 60_000
-GUESS_OPERATORS = 20
+GUESS_SAMPLES = 60_000  # of the liveliest part, for the first guess
+GUESS_OPERATORS = 20  # of the hysteresis beside that guess
 SEARCH_TURNS = 2
 """How often the hysteresis that the axis is searched with is found anew, behind the axis found."""
 COUNTED_SAMPLES = 15_000
 """Samples that are counted in the sums of a search; more than so many are thinned out evenly."""
-SEARCH_BEGINS = 3
+SEARCH_BEGINS = 3  # best places from which a search starts
 TRIED, FAR = 4, 1.5
 """Steps after which a search is given up that leaves so many times as much as the best one."""
 SAME_DAMPING, SAME_ERROR = 0.2, 1e-3
 """Logarithm of a ratio of dampings, and part of the error, within which two searches are at one place."""
-PEAK_DAMPING = 0.03
-LEAST_WINDOW, WINDOW = 256, 4096
+PEAK_DAMPING = 0.03  # of a peak that the residual shows
+LEAST_WINDOW, WINDOW = 256, 4096  # samples of a spectrum
 PROMINENT = 0.7
 """Logarithm of the ratio by which an amplitude must stand out."""
 LAG_SAMPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)

@@ -31,8 +31,8 @@ from hammerstein.identification.static.damped_search import Damping, damped_chan
 from hammerstein.identification.static.normal_equations import coefficients, squares_left
 from hammerstein.identification.static.regressors import Filter, SideBySide
 
-SMALLEST_CHANGE = 1e-6
-MOST_STEPS = 25
+SMALLEST_CHANGE = 1e-6  # of a logarithm, below which a search stands
+MOST_STEPS = 25  # a search that has not arrived is given up
 ENOUGH = 1e-7
 """Relative gain of a step under which the search has arrived."""
 ROUGHLY = 1e-5

@@ -14,7 +14,7 @@ from hammerstein.identification.static.regressors import Start
 from hammerstein.records.excitation import driven_inputs, moves_while_held, run_in
 from hammerstein.records.record import Record
 
-CLOSED_V = 0.01
+CLOSED_V = 0.01  # part of the range of the voltage
 CLOSED_UM = 0.02
 """Parts of the range by which the ends of a closed record may differ."""
 KEPT_SHARE = 0.5
@@ -35,7 +35,7 @@ TURNS, TURN_ROUNDS, START_ROUNDS = 21, 2, 4
 """Voltages tried at which an input may have turned last, and how often the search goes round."""
 KINDS = ("rest", "virgin", "stepped", "low", "high")
 """What may have gone before a record."""
-ALIKE = 2.0
+ALIKE = 2.0  # error of the beginning, in parts of that of the rest
 ALIKE_FLOOR = 0.002
 """A start from rest is believed if it explains the beginning as well as the model explains the rest."""
 

@@ -21,7 +21,7 @@ from hammerstein.identification.static.normal_equations import Moments
 
 Indices = NDArray[np.intp]
 
-FINE_COLUMNS = 96
+FINE_COLUMNS = 96  # places tried in all
 LEAST_FINER, MOST_FINER = 3, 8
 """Places tried between neighbouring thresholds: so many that there are about 96 in all, but 3 to 8."""
 WORTHWHILE = 1e-3

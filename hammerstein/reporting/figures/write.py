@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 FIGURES = Owner("figures")
 SVG = "{http://www.w3.org/2000/svg}"
-POINTS_AN_INCH = 72.0
+POINTS_AN_INCH = 72.0  # by definition
 EDGE_PT = 2.5
 """Round each part of a drawing: letters lean over the room that they are measured to take."""
 _BEYOND = re.compile(r"(?<=\.\d\d)\d+")
