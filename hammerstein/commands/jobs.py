@@ -13,7 +13,7 @@ from hammerstein.commands.terminal import complain
 from hammerstein.runtime.resources import processors
 
 if TYPE_CHECKING:
-    from hammerstein.runtime import fanning
+    from hammerstein.runtime import parallel_tasks
 
 Address = Annotated[
     str | None,
@@ -31,7 +31,7 @@ WORTH_PROCESSES_S = 4.0
 
 
 @contextmanager
-def workers(jobs: int, cluster: str | None) -> Iterator[fanning.Jobs]:
+def workers(jobs: int, cluster: str | None) -> Iterator[parallel_tasks.Jobs]:
     """Give the workers of a cluster, if there is one, or the jobs of this machine.
 
     Raises InputError where the cluster cannot be used.
@@ -46,7 +46,7 @@ def workers(jobs: int, cluster: str | None) -> Iterator[fanning.Jobs]:
         yield crew
 
 
-def process_pool(jobs: fanning.Jobs, seconds: float) -> AbstractContextManager[fanning.Jobs]:
+def process_pool(jobs: parallel_tasks.Jobs, seconds: float) -> AbstractContextManager[parallel_tasks.Jobs]:
     """Give processes for many short runs that take so long together on one processor, as planned.
 
     Threads of one process share Python's interpreter, but begin at once.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hammerstein.experiment.batch import Outcome
     from hammerstein.experiment.report import Report
     from hammerstein.reporting.folder import TraceFormat, Writer
-    from hammerstein.runtime import fanning
+    from hammerstein.runtime import parallel_tasks
     from hammerstein.scenario import Scenario
     from hammerstein.scenario.assessment import Assessment
 
@@ -223,8 +223,8 @@ def _run_what_changed(
 
 
 def _planned(
-    scenarios: dict[str, Scenario], jobs: fanning.Jobs, yes: bool
-) -> AbstractContextManager[fanning.Jobs]:
+    scenarios: dict[str, Scenario], jobs: parallel_tasks.Jobs, yes: bool
+) -> AbstractContextManager[parallel_tasks.Jobs]:
     """Give the jobs that fit the memory together; what takes long is told, and wants ``--yes`` of a person.
 
     A single scenario that is drawn often has processes; several have one each in any case.
@@ -232,7 +232,7 @@ def _planned(
     Raises InputError where a person watches and has not said yes.
     """
     from hammerstein.experiment.plan import jobs_that_fit, plans_of, together
-    from hammerstein.runtime.fanning import workers_of
+    from hammerstein.runtime.parallel_tasks import workers_of
 
     plans = plans_of(scenarios).values()
     whole = together(plans)

@@ -46,7 +46,7 @@ def sweep(
     """
     from hammerstein.experiment.study import sampled, study_of
     from hammerstein.runtime import store as kept_results
-    from hammerstein.runtime.fanning import workers_of
+    from hammerstein.runtime.parallel_tasks import workers_of
 
     table_file = _place_of(out, overwrite, dry_run)
     scenario = _scenario_of(path)

@@ -24,7 +24,7 @@ from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.verdict import record_flags
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
-from hammerstein.runtime.fanning import Jobs
+from hammerstein.runtime.parallel_tasks import Jobs
 from hammerstein.runtime.resources import one_blas_thread
 
 TIMED_SAMPLES = 20_000  # long beside the clock's step

@@ -22,7 +22,7 @@ from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
-from hammerstein.runtime.fanning import Jobs, in_order
+from hammerstein.runtime.parallel_tasks import Jobs, in_order
 from hammerstein.runtime.workers import Processes
 
 Progress = Callable[[str, int, int], None]

@@ -12,8 +12,8 @@ from hammerstein.experiment.plan import longest_first, plans_of
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.experiment.set_up import Progress
-from hammerstein.runtime.fanning import Jobs
 from hammerstein.runtime.faults import as_error
+from hammerstein.runtime.parallel_tasks import Jobs
 from hammerstein.runtime.storage.manifest import refuse_name
 from hammerstein.runtime.store import Store
 from hammerstein.runtime.workers import Processes

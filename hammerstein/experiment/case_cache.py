@@ -14,7 +14,7 @@ from hammerstein.experiment.set_up import Case, Progress, SetUp
 from hammerstein.files import digest_of, digest_of_file
 from hammerstein.metrics import Row
 from hammerstein.model.simulation import WIRES, Response
-from hammerstein.runtime.fanning import Jobs, in_order, on_workers
+from hammerstein.runtime.parallel_tasks import Jobs, in_order, on_workers
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.signals import FromFile
 

@@ -18,7 +18,7 @@ from hammerstein.experiment.report import Band
 from hammerstein.experiment.set_up import Case, Experiment, Progress, SetUp
 from hammerstein.metrics import Row, metrics_of
 from hammerstein.model.simulation import Plant
-from hammerstein.runtime.fanning import Jobs, in_order, on_workers
+from hammerstein.runtime.parallel_tasks import Jobs, in_order, on_workers
 from hammerstein.runtime.store import Kept
 from hammerstein.scenario.uncertainty import Uncertainty
 

@@ -18,7 +18,7 @@ from hammerstein.experiment.sensitivity import sensitivities_of
 from hammerstein.experiment.set_up import Case, Progress, SetUp, plant_of, set_up
 from hammerstein.metrics import Row
 from hammerstein.model.simulation import Response
-from hammerstein.runtime.fanning import Jobs
+from hammerstein.runtime.parallel_tasks import Jobs
 from hammerstein.runtime.resources import one_blas_thread
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario, scenario_of

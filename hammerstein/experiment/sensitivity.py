@@ -23,7 +23,7 @@ from hammerstein.experiment.report import Sensitivity
 from hammerstein.experiment.set_up import Case, Progress
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
-from hammerstein.runtime.fanning import Jobs
+from hammerstein.runtime.parallel_tasks import Jobs
 from hammerstein.scenario.uncertainty import Parameter, Uncertainty
 
 RESAMPLED = 200  # times, for the confidence limits

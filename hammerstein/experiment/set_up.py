@@ -23,7 +23,7 @@ from hammerstein.errors import HammersteinError, IdentificationError, InputError
 from hammerstein.experiment.trials import IlcRun, IlcRuns, whole_period
 from hammerstein.model import HammersteinModel, model_text
 from hammerstein.model.simulation import BLOCK, AppliedDrive, Plant, Response
-from hammerstein.runtime.fanning import Jobs, on_workers
+from hammerstein.runtime.parallel_tasks import Jobs, on_workers
 from hammerstein.runtime.resources import refuse_too_long
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario

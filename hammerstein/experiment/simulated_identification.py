@@ -26,7 +26,7 @@ from hammerstein.metrics.arrays import settled_cycle
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
 from hammerstein.records.record import Record
-from hammerstein.runtime.fanning import Jobs, given, in_order
+from hammerstein.runtime.parallel_tasks import Jobs, completed, in_order
 from hammerstein.runtime.store import Kept, Store, key_of, opened
 from hammerstein.scenario.source import ClosedFormSpec, IdentificationSpec, JointFitSpec
 from hammerstein.signals import MOST_LINES, Multisine, Sine, Triangle, smooth_step
@@ -74,7 +74,7 @@ def identify_each(
             store.write(keys[number], Kept(text))
 
     tasks = (
-        partial(_identified, *one) if entry is None else given(str(entry.document))
+        partial(_identified, *one) if entry is None else completed(str(entry.document))
         for entry, one in zip(kept, arguments, strict=True)
     )
     yield from map(HammersteinModel.from_json, in_order(tasks, jobs, finished))

@@ -18,7 +18,7 @@ from hammerstein.experiment.plan import Part, Plan, experiments_of, plan_of
 from hammerstein.experiment.run import rows_alone
 from hammerstein.experiment.set_up import Progress
 from hammerstein.metrics import Row
-from hammerstein.runtime.fanning import Jobs, given, in_order, on_workers
+from hammerstein.runtime.parallel_tasks import Jobs, completed, in_order, on_workers
 from hammerstein.runtime.resources import one_blas_thread
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario import Scenario
@@ -77,10 +77,10 @@ def sampled(
             here = varied(scenario, values, name)
             key = key_of("sampled", here.content())
         except HammersteinError as error:
-            return given(Sampled(number, values, (), str(error)))
+            return completed(Sampled(number, values, (), str(error)))
         entry = None if store is None else store.read(key)
         if entry is not None:
-            return given(Sampled(number, values, rows_from(entry.document)))
+            return completed(Sampled(number, values, rows_from(entry.document)))
         keys[number] = key
         return partial(_one, here, name, number, values)
 

@@ -13,7 +13,7 @@ from hammerstein.experiment.set_up import Progress
 from hammerstein.regression.baseline import Baseline, numbers_of
 from hammerstein.regression.compare import Finding, Kind, compare, new_columns
 from hammerstein.regression.result import DEFAULT_FOLDER, CheckResult, ScenarioCheck
-from hammerstein.runtime.fanning import Jobs
+from hammerstein.runtime.parallel_tasks import Jobs
 from hammerstein.scenario import scenario_of
 from hammerstein.scenario.scenario import ScenarioSource
 

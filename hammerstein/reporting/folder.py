@@ -15,7 +15,7 @@ from hammerstein.experiment.report import Report, Trace
 from hammerstein.reporting.figures.write import FIGURES
 from hammerstein.reporting.html.interactive import Interactive
 from hammerstein.reporting.kept_reports import found, keep, key_of_report
-from hammerstein.runtime.fanning import Jobs
+from hammerstein.runtime.parallel_tasks import Jobs
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import Stage, prepare, staged
 from hammerstein.runtime.store import Store

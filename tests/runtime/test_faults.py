@@ -17,7 +17,7 @@ import pytest
 
 from hammerstein.errors import LostProcessError
 from hammerstein.runtime import workers
-from hammerstein.runtime.fanning import in_order
+from hammerstein.runtime.parallel_tasks import in_order
 from hammerstein.runtime.processes import _imports_from_where_this_does, loaded_beforehand
 from hammerstein.runtime.workers import Processes, ProcessesAndThis, signal_name
 

@@ -32,7 +32,7 @@ class _Here(Executor):
         return future
 
 
-def given(result: T) -> Future[T]:
+def completed(result: T) -> Future[T]:
     """Give what is known already the form of a task that is finished."""
     future: Future[T] = Future()
     future.set_result(result)

@@ -1,4 +1,4 @@
-"""One way of fanning out: in order, flat in memory, with whatever executor."""
+"""Parallel tasks: in order, flat in memory, with whatever executor."""
 
 import threading
 import time
@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 import hammerstein
-from hammerstein.runtime.fanning import AHEAD, given, in_order
+from hammerstein.runtime.parallel_tasks import AHEAD, completed, in_order
 
 SCENARIO = {
     "question": "How large is the error of drawn actuators?",
@@ -33,7 +33,7 @@ def test_results_come_in_order_however_long_each_takes(jobs):
 
 
 def test_what_is_known_is_not_done_again():
-    assert list(in_order([given("a"), partial(str, "b"), given("c")], 2)) == ["a", "b", "c"]
+    assert list(in_order([completed("a"), partial(str, "b"), completed("c")], 2)) == ["a", "b", "c"]
 
 
 def test_no_more_is_begun_than_is_soon_wanted():
