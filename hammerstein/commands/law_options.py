@@ -112,6 +112,14 @@ class Reached:
     offset: Annotated[
         str | None, typer.Option(metavar="UM[,UM]", help="Added to the positions of the path, in um.")
     ] = None
+    approach_side: Annotated[
+        str | None,
+        typer.Option(
+            "--approach-side",
+            metavar="UM[,UM]",
+            help="Reach every hold from one side: -5 from 5 um below, 5 from above. Against backlash.",
+        ),
+    ] = None
     units: Annotated[
         str | None,
         typer.Option("--units", metavar="nm|um|mm", help="Unit of the path, where no column names one."),
@@ -134,6 +142,7 @@ class Reached:
             sent.accept_flagged,
             self.lead_in,
             volts("--offset", self.offset),
+            volts("--approach-side", self.approach_side),
             self.units,
         )
 
@@ -141,8 +150,9 @@ class Reached:
         """Raise InputError for what a period has no use for: it writes a run-up of its own."""
         from hammerstein.errors import InputError
 
-        if self.lead_in or self.offset is not None:
-            raise InputError("--lead-in, --offset", "belong to a path, not to --cycle or --table")
+        if self.lead_in or self.offset is not None or self.approach_side is not None:
+            options = "--lead-in, --offset, --approach-side"
+            raise InputError(options, "belong to a path, not to --cycle or --table")
 
 
 def volts(option: str, words: str | None) -> tuple[float, ...] | None:
@@ -160,4 +170,4 @@ def volts(option: str, words: str | None) -> tuple[float, ...] | None:
     try:
         return tuple(float(word) for word in words.split(","))
     except ValueError:
-        raise InputError(option, f"{words!r} are no voltages with commas between them") from None
+        raise InputError(option, f"{words!r} are no numbers with commas between them") from None

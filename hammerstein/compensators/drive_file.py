@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law, checked_reference
 from hammerstein.blocks.driving import DriveRange
+from hammerstein.compensators.approach import approached
 from hammerstein.compensators.attempt import Attempt, LawLike as LawLike, compensator_of
 from hammerstein.compensators.drive_csv import Tell, drive_csv
 from hammerstein.compensators.lead_in import lead_in
@@ -40,6 +41,7 @@ class Compensation:
     resampled : whether the file was interpolated onto the drive's sample time
     source : name of the model
     held : whether the range is met, and what it costs is less than the model's own error
+    approach : says which holds of the path are reached from one side, where that was asked for
     """
 
     model: HammersteinModel
@@ -50,6 +52,7 @@ class Compensation:
     resampled: bool
     source: str
     held: bool = False
+    approach: str = ""
 
     @property
     def law(self) -> Law[Any]:
@@ -137,7 +140,7 @@ class Compensation:
 
     def _path_statements(self) -> list[str]:
         """Say where the drive follows another path than the file has."""
-        said = []
+        said = [self.approach] if self.approach else []
         if self.held:
             said.append(
                 "The drive is held at the range where the path asks for more: that costs less than the "
@@ -201,6 +204,7 @@ class Terms:
     accept_flagged : accept a model that its own fit report flagged
     lead_in : go from where the actuator stands to where the path begins first
     offset_um : added to the positions of each output, or of all [um]
+    approach_um : distance by which a detour goes past each hold, see ``approached`` [um]
     units : of positions in a file whose columns name none, such as nm
     """
 
@@ -212,6 +216,7 @@ class Terms:
     accept_flagged: bool = False
     lead_in: bool = False
     offset_um: tuple[float, ...] | None = None
+    approach_um: tuple[float, ...] | None = None
     units: str | None = None
 
 
@@ -272,7 +277,7 @@ def compensation_of(
     refuse_flagged(model, called, terms)
     limits = allowed_range(model, terms)
     time_step = model.instruments.drive.sample_time_s
-    path = moved(checked_reference(reference_um, len(model.outputs)), terms.offset_um)
+    path, approach = _asked_path(model, checked_reference(reference_um, len(model.outputs)), terms)
     before = lead_in(path, time_step) if terms.lead_in else path[:, :0]
     compensator = compensator_of(law, options)
     found = Attempt.of(model, limits, compensator, np.hstack([before, path]), before.shape[1])
@@ -290,7 +295,16 @@ def compensation_of(
     if not terms.beyond_records:
         refuse_beyond(model, found.drive_v)
     time_s = (np.arange(found.reference_um.shape[1], dtype=np.float64) - found.lead) * time_step
-    return Compensation(model, found, prediction, reachable, time_s, False, called, held)
+    return Compensation(model, found, prediction, reachable, time_s, False, called, held, approach)
+
+
+def _asked_path(model: HammersteinModel, path_um: Array, terms: Terms) -> tuple[Array, str]:
+    """Path (p, N) with its offset and its detours [um], and what is to be said of them."""
+    path = moved(path_um, terms.offset_um)
+    if terms.approach_um is None:
+        return path, ""
+    found = approached(path, terms.approach_um, model.instruments.drive.sample_time_s)
+    return found.path_um, found.statement(model.outputs)
 
 
 def moved(path_um: Array, offset_um: tuple[float, ...] | None) -> Array:

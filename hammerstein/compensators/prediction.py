@@ -12,6 +12,9 @@ from hammerstein.arrays import Array
 from hammerstein.compensators.path_units import half_span_v, travel_um
 from hammerstein.model import HammersteinModel
 
+NOTHING_UM = 1e-6
+"""A picometre: less is the rounding of numbers."""
+
 
 def model_error_um(model: HammersteinModel) -> Array | None:
     """Rms error of the model itself (p,) [um], by its fit report; None where no record has judged it."""
@@ -73,7 +76,7 @@ class Prediction:
         else:
             word = "validation record" if self.validated else "fitted records only"
             own, more = f"model {self.model[o]:.2g} ({word})", ""
-        parts = [f"path {self.path[o]:.2g}", own]
+        parts = [f"path {self.path[o]:.2g}" if self.path[o] > NOTHING_UM else "path 0", own]
         parts += [f"converter step {self.converter[o]:.2g}"] if self.converter[o] else []
         parts += [f"sensor noise {self.noise:.2g}"] if self.noise else []
         return f"{name} {' + '.join(parts)} = {self.sum_um[o]:.2g} um{more}"

@@ -1,0 +1,123 @@
+"""A path whose holds are all reached from one side: unknown backlash is then the same in each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hammerstein.arrays import Array
+from hammerstein.errors import InputError
+from hammerstein.signals import smooth_step
+
+SHORTEST_HOLD_S, LONGEST_DETOUR_S = 0.08, 1.0
+"""A detour takes the first half of a hold, at most so long; in a shorter hold there is no time for one."""
+STILL = 1e-9
+"""Of the path's largest value: what an output that holds still may move by between two samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """A path with detours, and what was done for each output.
+
+    path_um : (p, N); detours, right, short : (p,) holds with a detour, those that the path reaches from the
+        right side anyway, and those that are too short for a detour
+    """
+
+    path_um: Array
+    distance_um: Array
+    detours: tuple[int, ...]
+    right: tuple[int, ...]
+    short: tuple[int, ...]
+
+    def statement(self, outputs: Sequence[str]) -> str:
+        """Say from where the holds of each output are reached, and by which of them this is not so."""
+        parts = []
+        for o, name in enumerate(outputs):
+            side = "below" if self.distance_um[o] < 0.0 else "above"
+            reached = f"{name} {self.detours[o] + self.right[o]} from {side}, {self.detours[o]} by a detour"
+            missed = f", {self.short[o]} not (shorter than {SHORTEST_HOLD_S:g} s)" if self.short[o] else ""
+            parts.append(reached + missed)
+        return f"Holds reached from one side: {'; '.join(parts)}."
+
+
+def approached(reference_um: Array, distance_um: Sequence[float], sample_time_s: float) -> Approach:
+    """Reach every hold of a path from one side: go past it first, and come back.
+
+    A hold is a part of at least 0.08 s in which an output stands still. Unless the output has already moved
+    towards it for the whole distance from the right side, the first half of the hold goes to
+    ``hold + distance`` and back, by two fifth-order steps. The times of the path stay as they are.
+
+    Parameters
+    ----------
+    reference_um : (p, N) path
+    distance_um : of each output, or of all [um]; below zero for an approach from below. It must be more than
+        the backlash, and not zero
+    sample_time_s : of the path
+
+    Raises
+    ------
+    InputError : a distance that is none, or a path without holds
+
+    Examples
+    --------
+    >>> path = np.repeat([[5.0, 2.0]], 200, axis=1)
+    >>> found = approached(path, [-1.0], 1e-3)
+    >>> found.path_um[0, [0, 50, 100, 199]].tolist(), found.path_um.min(), found.detours
+    ([5.0, 4.0, 5.0, 5.0], np.float64(1.0), (2,))
+    """
+    p = len(reference_um)
+    distance = np.array(distance_um, dtype=np.float64)
+    if len(distance) not in (1, p) or not (np.isfinite(distance).all() and distance.all()):
+        what = f"needs a distance other than 0 for all outputs, or one for each of {p}"
+        raise InputError("--approach-side", what)
+    distance = np.broadcast_to(distance, p)
+    rows, counts = [], []
+    for row, away in zip(reference_um, distance.tolist(), strict=True):
+        bent, *count = _of_output(row, away, sample_time_s)
+        rows.append(bent)
+        counts.append(count)
+    detours, right, short = zip(*counts, strict=True)
+    if not (any(detours) or any(right)):
+        what = f"finds no part of {SHORTEST_HOLD_S:g} s in which an output of the path holds still"
+        raise InputError("--approach-side", what)
+    return Approach(np.stack(rows), distance, detours, right, short)
+
+
+def _of_output(row: Array, away: float, sample_time_s: float) -> tuple[Array, int, int, int]:
+    """One output with its detours, and how many holds have one, need none and are too short."""
+    bent, counts = row.copy(), [0, 0, 0]
+    ready, before = False, 0
+    for first, end in _holds(row):
+        ready = _moved_towards(row[before : first + 1], away, ready)
+        before = end - 1
+        if ready:
+            counts[1] += 1
+        elif (end - first) * sample_time_s < SHORTEST_HOLD_S:
+            counts[2] += 1
+        else:
+            samples = min((end - first) // 2, int(LONGEST_DETOUR_S / sample_time_s))
+            x = np.arange(samples) / samples
+            bent[first : first + samples] += away * smooth_step(np.asarray(1.0 - np.abs(2.0 * x - 1.0)))
+            ready = True
+            counts[0] += 1
+    return bent, counts[0], counts[1], counts[2]
+
+
+def _holds(row: Array) -> Iterator[tuple[int, int]]:
+    """First sample and end of each part in which an output stands still for three samples or more."""
+    still = np.abs(np.diff(row)) <= STILL * max(float(np.abs(row).max()), 1e-12)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
+    for first, last in edges.reshape(-1, 2).tolist():
+        if last - first >= 2:
+            yield first, last + 1
+
+
+def _moved_towards(way: Array, away: float, ready: bool) -> bool:
+    """Whether the output has moved from the right side for the whole distance, at the end of a way."""
+    steps = -np.sign(away) * np.diff(way)
+    wrong = np.flatnonzero(steps < 0.0)
+    if not wrong.size:
+        return ready or bool(steps.sum() >= abs(away))
+    return bool(steps[wrong[-1] + 1 :].sum() >= abs(away))

@@ -1,0 +1,72 @@
+"""Plain backlash of a stage, such as that of a lead screw: record, model, inverse, and the inverse in C."""
+
+import shutil
+import subprocess
+
+import numpy as np
+import pandas as pd
+import pytest
+import theory
+
+from hammerstein import HammersteinModel
+from hammerstein.commands.cli import main
+
+STEP_S, GAIN_UM_PER_V, HALF_BACKLASH_V = 1e-3, 1.5, 2.0
+NOISE_UM = 0.01
+
+
+def _call(*arguments):
+    with pytest.raises(SystemExit) as caught:
+        main([str(a) for a in arguments])
+    assert not caught.value.code
+
+
+def _moved(u_v):
+    """Where the stage goes: nothing moves until the play is taken up."""
+    return GAIN_UM_PER_V * theory.play(u_v, HALF_BACKLASH_V)
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory):
+    """Model of two triangles with noise."""
+    folder = tmp_path_factory.mktemp("backlash")
+    t = STEP_S * np.arange(12000)
+    u = np.interp(
+        t, [0.0, 1.0, 3.0, 5.0, 7.0, 9.0, 11.0, 12.0], [0.0, 0.0, 100.0, 0.0, 100.0, 30.0, 70.0, 70.0]
+    )
+    y = _moved(u) + np.random.default_rng(5).normal(0.0, NOISE_UM, len(t))
+    table = pd.DataFrame({"time_s": t, "u_v": u, "y_um": y})
+    table.to_csv(folder / "record.csv", index=False)
+    _call("identify", folder / "record.csv", "--out", folder / "stage.json", "--no-figures")
+    return folder
+
+
+def test_its_half_width_and_gain_are_identified(stage):
+    pair = HammersteinModel.load(stage / "stage.json").hysteresis.pairs[0][0]
+    strong = np.flatnonzero(np.abs(pair.weights_um_per_v) > 0.01 * GAIN_UM_PER_V)
+    assert strong.size == 1
+    assert pair.thresholds_v[strong[0]] == pytest.approx(HALF_BACKLASH_V, abs=2e-3)
+    assert pair.weights_um_per_v[strong[0]] == pytest.approx(GAIN_UM_PER_V, rel=1e-3)
+
+
+def test_its_inverse_takes_the_backlash_up_at_each_turn(stage):
+    t = STEP_S * np.arange(4000)
+    path = 75.0 * np.minimum(1.0, t) + 30.0 * np.sin(2.0 * np.pi * t) * np.clip(t - 1.0, 0.0, 1.0)
+    pd.DataFrame({"time_s": t, "y_um": path}).to_csv(stage / "path.csv", index=False)
+    out = stage / "drive.csv"
+    _call("compensate", stage / "stage.json", stage / "path.csv", "--law", "exact_inverse", "--out", out)
+    drive = pd.read_csv(out, comment="#")["drive_u_v"].to_numpy()
+    error = np.abs(_moved(drive) - path)
+    assert np.abs(_moved(path / GAIN_UM_PER_V) - path).max() > 0.9 * GAIN_UM_PER_V * HALF_BACKLASH_V
+    assert error.max() < 0.02
+    jumps = np.abs(np.diff(drive))
+    assert jumps.max() == pytest.approx(2.0 * HALF_BACKLASH_V, abs=0.2)
+
+
+@pytest.mark.full
+@pytest.mark.skipif(shutil.which("make") is None or shutil.which("cc") is None, reason="needs make and cc")
+def test_its_inverse_in_c_has_the_same_bits(stage):
+    code = stage / "code"
+    _call("export", stage / "stage.json", "--law", "exact_inverse", "--softening-v", 0.5, "--out", code)
+    done = subprocess.run(["make", "-C", str(code), "check"], capture_output=True, text=True, check=True)
+    assert "0 numbers differ" in done.stdout
