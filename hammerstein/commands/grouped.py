@@ -9,6 +9,8 @@ from functools import wraps
 from inspect import Parameter
 from typing import Any, get_type_hints
 
+from typer.models import ArgumentInfo
+
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command an option for each field of its parameters that are dataclasses.
@@ -45,6 +47,25 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     run.__signature__ = inspect.Signature(flat)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in flat}
     return run
+
+
+def words_of(group: Any) -> list[str]:
+    """Words of a command line that give a group as it is: arguments, and options that are not their defaults.
+
+    >>> from hammerstein.commands.record_options import RecordFiles
+    >>> words_of(RecordFiles(["a.csv", "b.csv"], rate=5e3, accept_gain=True))
+    ['a.csv', 'b.csv', '--rate', '5000.0', '--accept-gain']
+    """
+    hints, words = get_type_hints(type(group), include_extras=True), list[str]()
+    for field in fields(group):
+        value, (info, *_) = getattr(group, field.name), hints[field.name].__metadata__
+        values = value if isinstance(value, list | tuple) else [value]
+        if isinstance(info, ArgumentInfo):
+            words += map(str, values)
+        elif value != field.default:
+            name = (info.param_decls or [f"--{field.name.replace('_', '-')}"])[0]
+            words += [name] if value is True else [word for one in values for word in (name, str(one))]
+    return words
 
 
 def _options(group: Any) -> Iterator[Parameter]:

@@ -196,6 +196,19 @@ class HeldBack:
 
 
 @dataclass(frozen=True)
+class StaticBlock:
+    """Kind of the static block."""
+
+    hysteresis: Annotated[
+        str,
+        typer.Option(help="Static block: prandtl_ishlinskii, asymmetric, generalised and others."),
+    ] = "prandtl_ishlinskii"
+    dead_zones: Annotated[
+        int | None, typer.Option(help="Of each input, with asymmetric; found if not given.")
+    ] = None
+
+
+@dataclass(frozen=True)
 class Identified:
     """How a model is identified; every name is that of a field of the settings."""
 

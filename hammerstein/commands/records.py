@@ -10,9 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hammerstein.commands.grouped import grouped
+from hammerstein.commands.grouped import grouped, words_of
 from hammerstein.commands.law_options import LawWords, Reached, Sent
-from hammerstein.commands.record_options import AsJson, HeldBack, Identified, Overwrite, RecordFiles
+from hammerstein.commands.record_options import (
+    AsJson,
+    HeldBack,
+    Identified,
+    Overwrite,
+    RecordFiles,
+    StaticBlock,
+)
 from hammerstein.commands.refusals import refuse_output, told_by_options, write_output
 from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_statements
 from hammerstein.commands.watch import Spinner
@@ -122,13 +129,7 @@ def identify(
     recorded: RecordFiles,
     held: HeldBack,
     identified: Identified,
-    hysteresis: Annotated[
-        str,
-        typer.Option(help="Static block: prandtl_ishlinskii, asymmetric, generalised and others."),
-    ] = "prandtl_ishlinskii",
-    dead_zones: Annotated[
-        int | None, typer.Option(help="Of each input, with asymmetric; found if not given.")
-    ] = None,
+    static: StaticBlock,
     hysteresis_in_loop: Annotated[
         bool,
         typer.Option(
@@ -155,7 +156,7 @@ def identify(
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.identify import identify as identify_model
     from hammerstein.quantities import LONGEST_NAME
-    from hammerstein.reporting.fit_page import ALWAYS, FIT, MODEL, fit_json, write_fit
+    from hammerstein.reporting.fit_page import ALWAYS, FIT, MODEL, Asked, fit_json, next_step, write_fit
     from hammerstein.runtime.storage.staging import prepare
 
     if hysteresis_in_loop:
@@ -165,7 +166,7 @@ def identify(
             raise InputError("--validate", what)
         _identify_in_loop(recorded, identified.order, minutes, out, as_json)
         return
-    settings = identified.settings(hysteresis=hysteresis, dead_zones=dead_zones)
+    settings = identified.settings(hysteresis=static.hysteresis, dead_zones=static.dead_zones)
     refuse_output(out, [*recorded.files, *(held.validate or [])], MODEL, overwrite)
     held.refuse_fitted(recorded.files)
     folder = report or out.parent / f"{out.stem}_fit"
@@ -181,7 +182,9 @@ def identify(
             name=one_line(out.stem)[:LONGEST_NAME],
             progress=spinner.tell,
         )
-    for place in write_fit(model, fit, out, folder, figures, overwrite):
+    words = [*words_of(recorded), *words_of(identified), *words_of(static), "--out", str(out)]
+    asked = Asked(out, recorded.files[: 1 if recorded.axes is None else 2], words)
+    for place in write_fit(model, fit, out, folder, figures, overwrite, asked):
         complain(kept_aside(place))
     if as_json:
         tell_json(json.loads(fit_json(model, fit)), indent=1, sort_keys=True)
@@ -189,6 +192,7 @@ def identify(
     show(gains_table(gains))
     _show_fit(fit)
     tell(f"model in {out}, fit report in {folder}")
+    tell(" ".join(next_step(model, fit, asked)).strip())
 
 
 def _identify_in_loop(

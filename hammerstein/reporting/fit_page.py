@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.escaping import Markdown, markdown, markdown_page
+from hammerstein.escaping import Markdown, code, markdown, markdown_page
 from hammerstein.experiment.selection import percent
 from hammerstein.hysteresis import BoucWen, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.choice import CLOSE
@@ -51,6 +51,17 @@ CAPTIONS = {
 }
 
 
+class Asked(NamedTuple):
+    """What a person asked of ``identify`` on the command line, so that a page can give the next command.
+
+    model_file : where the model went; files : of the first record; words : that repeat the identification
+    """
+
+    model_file: Path
+    files: Sequence[Path]
+    words: Sequence[str]
+
+
 BEGINNINGS = {
     "rest": "from rest",
     "stepped": "with a step from 0 V",
@@ -70,20 +81,25 @@ def fit_json(model: HammersteinModel, fit: Fit) -> str:
     return json.dumps(plain, indent=1, sort_keys=True, allow_nan=False) + "\n"
 
 
-def fit_page(model: HammersteinModel, fit: Fit, figures: Collection[str] = ()) -> Page:
+def fit_page(
+    model: HammersteinModel, fit: Fit, figures: Collection[str] = (), asked: Asked | None = None
+) -> Page:
     """Page of a fit; equal fits give equal pages.
 
     Parameters
     ----------
     model, fit : what ``identify`` gave
     figures : names of its files beside the page
+    asked : the command line that asked for it, if one did
     """
     shown = [Shown(name, *text) for name, text in CAPTIONS.items() if f"{name}.svg" in figures]
     return Page(
         heading=Markdown("# Fit report of {}").format(model.name),
         what="Fit report",
         title=f"How far to trust {model.name}",
-        answer=paragraphs([points(summary(model, fit)), *map(markdown, (headline(model, fit), fit.verdict))]),
+        answer=paragraphs(
+            [points(summary(model, fit, asked)), *map(markdown, (headline(model, fit), fit.verdict))]
+        ),
         facts=[
             KIND_NAMES[fit.kind],
             f"records: {', '.join(PurePath(record.source).name for record in fit.records)}",
@@ -94,7 +110,13 @@ def fit_page(model: HammersteinModel, fit: Fit, figures: Collection[str] = ()) -
 
 
 def write_fit(
-    model: HammersteinModel, fit: Fit, path: Path, folder: Path, figures: bool = True, overwrite: bool = False
+    model: HammersteinModel,
+    fit: Fit,
+    path: Path,
+    folder: Path,
+    figures: bool = True,
+    overwrite: bool = False,
+    asked: Asked | None = None,
 ) -> tuple[Path, ...]:
     """Write the model file, both pages, ``fit.json`` and the figures: all of them, or none.
 
@@ -112,12 +134,12 @@ def write_fit(
             from hammerstein.reporting.figures.write import files_of
 
             drawn = dict(files_of(identified_figures(fit)))
-        fit_page(model, fit, drawn).write(stage, "report", drawn)
+        fit_page(model, fit, drawn, asked).write(stage, "report", drawn)
         models.write(path.name, model.to_json(), MODEL)
     return tuple(dict.fromkeys(stage.kept + models.kept))
 
 
-def summary(model: HammersteinModel, fit: Fit) -> list[str]:
+def summary(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> list[Markdown]:
     """Whether the model is usable and for what, three numbers, and the next command."""
     worst = max(fit.judged[fit.kind].nrmse_percent)
     records = "validation records" if fit.validation else "the fitted records, no validation record"
@@ -130,7 +152,9 @@ def summary(model: HammersteinModel, fit: Fit) -> list[str]:
     numbers.append(
         f"Lowest resonance: {min(resonances):.4g} Hz." if resonances else f"Sampling rate: {fastest:.4g} Hz."
     )
-    return [_usable(fit), *numbers, _next(model, fit)]
+    said, command = next_step(model, fit, asked)
+    after = Markdown("{} {}").format(said, code(command)) if command else markdown(said)
+    return [*map(markdown, [_usable(fit), *numbers]), after]
 
 
 def _usable(fit: Fit) -> str:
@@ -144,16 +168,26 @@ def _usable(fit: Fit) -> str:
     return "Usable for simulation and compensation."
 
 
-def _next(model: HammersteinModel, fit: Fit) -> str:
-    """The command to go on with."""
+def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> tuple[str, str]:
+    """What to do next in words, and the whole command that does it, where one does."""
     if not fit.invertible:
-        return f"Next: {fit.invertibility}"
-    if not fit.validation:
-        return "Next: identify again with a record that is not fitted: --validate RECORD."
-    kept = isinstance(model.hysteresis, BoucWen)
-    law = "inverse_multiplicative" if kept else "exact_inverse" if fit.is_static else "hammerstein_inverse"
-    file = shlex.quote(f"{model.name}.json")
-    return f"Next: hammerstein compensate {file} path.csv --law {law} --out drive.csv"
+        return f"Next: {fit.invertibility}", ""
+    if fit.validation:
+        kept = isinstance(model.hysteresis, BoucWen)
+        law = (
+            "inverse_multiplicative" if kept else "exact_inverse" if fit.is_static else "hammerstein_inverse"
+        )
+        file = str(asked.model_file) if asked else f"{model.name}.json"
+        return "Next:", _command("compensate", file, "path.csv", "--law", law, "--out", "drive.csv")
+    if asked is None:
+        return "Next: identify again, with a validation record that is not fitted.", ""
+    files = [str(file.with_name(f"{file.stem}_validation{file.suffix}")) for file in asked.files]
+    again = _command("identify", *asked.words, *(word for file in files for word in ("--validate", file)))
+    return f"Next: record another motion as {' and '.join(files)}, then", again
+
+
+def _command(*words: str) -> str:
+    return f"hammerstein {shlex.join(words)}"
 
 
 def headline(model: HammersteinModel, fit: Fit) -> str:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import made_up
 import numpy as np
+import pandas as pd
 import pytest
+import theory
 from made_up_cases import stage_records
 from record_cases import plain
 
+from hammerstein.commands.cli import main
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.identification.identify import identify
@@ -88,10 +92,33 @@ def test_a_fit_report_begins_with_what_it_is_good_for_and_ends_with_thresholds()
     assert first[0].startswith("* Usable")
     assert first[1].startswith("* Error: ")
     assert "validation records" in first[1]
-    assert first[-1].startswith(f"* Next: hammerstein compensate {model.name}.json path.csv --law ")
+    assert first[-1].startswith(f"* Next: `hammerstein compensate {model.name}.json path.csv --law ")
     assert 4 <= len(first) <= 5
     headings = [line for line in fit_page(model, fit).markdown().splitlines() if line.startswith("## ")]
     assert headings[-1] == "## Thresholds"
     alone = fit_page(*identify(fitted, settings)).markdown().split("\n\n")[1]
     assert "untested on other records" in alone
-    assert "--validate" in alone
+    assert "with a validation record" in alone
+
+
+def test_the_next_command_after_a_fit_without_validation_can_be_pasted(tmp_path: Path) -> None:
+    """It repeats the identification as it was asked for, with a record that the person makes."""
+    t = 1e-3 * np.arange(6000)
+    for name, cycles in (("my record.csv", 2.0), ("my record_validation.csv", 3.0)):
+        u = 5.0 * np.sin(2.0 * np.pi * cycles * t / t[-1])
+        plays = theory.plays(u, np.array([0.0, 1.0]), np.zeros(2))
+        pd.DataFrame({"t": t, "volts": u, "path": plays.sum(axis=0)}).to_csv(tmp_path / name, index=False)
+    asked = [str(tmp_path / "my record.csv"), "--inputs", "volts", "--outputs", "path", "--time", "t"]
+    asked += ["--units", "um", "--thresholds", "0,1", "--out", str(tmp_path / "own.json"), "--no-figures"]
+    with pytest.raises(SystemExit):
+        main(["identify", *asked])
+    page = (tmp_path / "own_fit" / "report.md").read_text(encoding="utf-8")
+    command = next(line for line in page.splitlines() if line.startswith("* Next: record another motion"))
+    words = shlex.split(command.split("`")[1])
+    assert words[:2] == ["hammerstein", "identify"]
+    assert [word for word in asked if word not in words] == ["--no-figures"]
+    with pytest.raises(SystemExit) as caught:
+        main(words[1:])
+    assert not caught.value.code
+    page = (tmp_path / "own_fit" / "report.md").read_text(encoding="utf-8")
+    assert f"* Next: `hammerstein compensate '{tmp_path}" in page or f"compensate {tmp_path}/own.json" in page
