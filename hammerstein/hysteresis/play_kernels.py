@@ -410,3 +410,22 @@ def _branch(direction, base, r, end, x, d):  # type: ignore[no-untyped-def]
 def _line(way, turn, k, o, base, lines, tip, outputs):  # type: ignore[no-untyped-def]
     """Output o a way u - x' from the tip of the base, with the first k operators engaged."""
     return tip[at(base), at(o)] + (lines[at(k), at(o)] * way - turn * lines[at(k), at(len(outputs) + o)])
+
+
+@compiled()
+def threshold_derivatives(p, before, sign, d):  # type: ignore[no-untyped-def]
+    """dp/dr of every play: -1 after it was last moved upwards, 1 after downwards, 0 before it was moved.
+
+    p : (n, N) outputs of the plays; before : (n,) outputs before the first sample
+    sign : (n,) derivatives before the first sample, updated in place; d : (n, N) derivatives, overwritten
+    """
+    for i in range(p.shape[0]):
+        last, now = before[i], sign[i]
+        for t in range(p.shape[1]):
+            if p[i, t] > last:
+                now = -1.0
+            elif p[i, t] < last:
+                now = 1.0
+            last = p[i, t]
+            d[i, t] = now
+        sign[i] = now

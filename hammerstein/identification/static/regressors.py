@@ -260,7 +260,7 @@ def _played(u: Array, grid: Array, before: Array) -> Array:
 
 def _derivatives(outputs: Array, before: Array, signs: Array) -> Array:
     """Derivatives (operator, sample) of plays by their thresholds; ``signs`` is carried on."""
-    from hammerstein.hysteresis.motion_kernel import threshold_derivatives
+    from hammerstein.hysteresis.play_kernels import threshold_derivatives
 
     derivatives = np.empty_like(outputs)
     threshold_derivatives(outputs, before, signs, derivatives)
