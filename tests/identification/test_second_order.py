@@ -288,3 +288,29 @@ def test_a_delay_at_which_nothing_is_left_is_kept():
 
     tried = {delay: left(delay, ()) for delay in (2.0, 3.0, 4.0)}
     assert _part_of_a_sample(left, tried, 3.0) == 3.0
+
+
+def settled_cycles(*rates_hz):
+    """Last eight of 24 cycles of 10 V behind a resonance of 2 Hz, one record a rate: it rings no more."""
+    records, time_s = [], 5e-3
+    for hz in rates_hz:
+        period = round(1.0 / hz / time_s)
+        u = np.tile(10.0 * np.sin(2.0 * np.pi * np.arange(period) / period), (1, 24))
+        y = lagged(theory.prandtl_ishlinskii(u, [[R]], W[:1, :1])[0], 2.0, 0.1, sample_time_s=time_s)
+        noisy = y + 0.01 * np.random.default_rng(0).standard_normal(y.shape)
+        records.append(Record(u[:, -8 * period :], [noisy[-8 * period :]], time_s))
+    return tuple(records)
+
+
+@pytest.mark.parametrize(("rates_hz", "told"), [((1.0,), False), ((1.0, 1.25), False), ((1.0, 2.5), True)])
+def test_a_resonance_among_the_harmonics_of_the_only_rate_is_not_told(rates_hz, told):
+    """A settled loop holds multiples of its rate alone: any of them may be made by hysteresis as well."""
+    records = settled_cycles(*rates_hz)
+    starts = (Start("repeated"),) * len(records)
+    fit = fit_axis(
+        AxisTask(records, starts, (R,), 0, AxisShape(), 0, KnownSensor(SENSOR_HZ)), np.log([1.9, 0.1])
+    )
+    assert fit.axis.resonance_hz == pytest.approx(2.0, rel=0.01)
+    assert axis_identified(fit) is told
+    said = [line for line in axis_statements(("x",), [fit]) if "first harmonics of the only rate" in line]
+    assert bool(said) is not told

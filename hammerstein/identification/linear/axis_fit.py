@@ -16,6 +16,7 @@ from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_search import FirstGuess, Progress, uniform_grids
 from hammerstein.identification.linear.axis_steps import Point, alone, refine, residuals
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of, duration_s
+from hammerstein.identification.rates import drive_hz, several_rates
 from hammerstein.identification.static.regressors import Filter, SideBySide, Start
 from hammerstein.records.record import Record
 
@@ -42,6 +43,8 @@ class AxisFit:
     static_rms_um : the same without dynamics [um]
     lag_error_percent : standard error of the time constant, in percent of it; None without a lag
     excited : whether the resonance shows in the records: the model has more power near it than it leaves
+    harmonic : whether the resonance lies among the first harmonics of the only rate in the records:
+        hysteresis makes them, too, and nothing else tells which part is its own
     unsure : the same with slow modes that were left out, as the records do not tell their size
     """
 
@@ -53,6 +56,7 @@ class AxisFit:
     static_rms_um: float
     lag_error_percent: float | None = None
     excited: bool = True
+    harmonic: bool = False
     unsure: AxisFit | None = None
 
     def with_errors(self, errors: Array) -> AxisFit:
@@ -88,6 +92,7 @@ def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
         rms_um=point.rms,
         static_rms_um=static,
         excited=not shape.resonance or _excited(task, point),
+        harmonic=shape.resonance and _among_harmonics(task, point),
     )
     return found.with_errors(standard_errors(task, point))
 
@@ -137,6 +142,17 @@ def _excited(task: AxisTask, point: Point) -> bool:
         said += float(np.sum(np.abs(spectra[0][near]) ** 2))
         left += float(np.sum(np.abs(spectra[1][near]) ** 2))
     return said > EXCITED**2 * left
+
+
+def _among_harmonics(task: AxisTask, point: Point) -> bool:
+    """Whether all records are driven at one rate, of which fewer than two multiples are near the resonance.
+
+    One line of a spectrum is two numbers, as many as a resonance has: it explains any harmonic there.
+    """
+    if several_rates(task.records):
+        return False
+    width_hz = math.exp(point.x[0]) * (NEAR - 1.0 / NEAR)
+    return width_hz < 2.0 * min(drive_hz(record) for record in task.records)
 
 
 def _first_creep(task: AxisTask) -> Array:
