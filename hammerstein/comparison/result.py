@@ -8,9 +8,10 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from hammerstein.comparison.fitting import Failed
-from hammerstein.identification.choice import CLOSE, FELT, NO_BETTER, PARTS
+from hammerstein.identification.choice import CLOSE, FELT, NO_BETTER
 from hammerstein.identification.fit import finite
 from hammerstein.identification.score import Score
+from hammerstein.identification.static.folds import PARTS
 from hammerstein.model import HammersteinModel
 
 if TYPE_CHECKING:

@@ -18,14 +18,12 @@ from hammerstein.dynamics import (
     split_delay,
 )
 from hammerstein.identification.score import Candidate, columns_of, ranges
-from hammerstein.identification.static.folds import FOLDS, moments_of_folds
+from hammerstein.identification.static.folds import FOLDS, PARTS, moments_of_folds
 from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import path_filters
 from hammerstein.records.record import Record
 
-PARTS = 16
-"""Parts into which every fitted record falls; every fourth of them is left out in turn."""
 UNTOLD = 1e-3
 """Part of their power in all folds that combinations of weights must show in some, or they stay as in all. A
 fold that alone has the largest amplitude would be predicted from what the others hardly show."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,19 +11,14 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.identification.choices import Partition
 from hammerstein.identification.score import ranges
+from hammerstein.identification.static.folds import PARTS, left_out, moments_of_folds
 from hammerstein.identification.static.history import shortened
-from hammerstein.identification.static.normal_equations import (
-    Moments,
-    coefficients,
-    moments_of,
-    pooled,
-    squares_left,
-)
+from hammerstein.identification.static.normal_equations import coefficients
 from hammerstein.identification.static.partition import (
     thresholds_uniform_in_time,
     thresholds_uniform_in_voltage,
 )
-from hammerstein.identification.static.regressors import Filter, Start, delayed, regressor_blocks
+from hammerstein.identification.static.regressors import Start, delayed, regressor_blocks
 from hammerstein.identification.static.static_block import half_swing, path_filters
 from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.record import Record
@@ -31,10 +26,8 @@ from hammerstein.records.turning_points import find_cycles
 
 COUNTS = (1, 2, 3, 4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60)
 """Numbers of operators that are tried."""
-CURVE_SAMPLES = 50_000  # of which the curve of errors is made
-SEGMENTS = 16  # of each record
-HELD_OUT = 4
-"""Every fourth segment of each record is held out."""
+CURVE_SAMPLES = 50_000
+"""Samples of all records together with which numbers of operators are compared."""
 ENOUGH = 0.02
 """A number of operators is enough if its error is within this part of the least."""
 FINE = 1000
@@ -105,7 +98,7 @@ def error_curve(
 ) -> tuple[CurvePoint, ...]:
     """Error on held-out parts of the records against the number of operators.
 
-    Each record is cut in 16 parts; every fourth is held out. The plays run through all of them.
+    Each record is cut in 16 parts; every fourth is left out in turn. The plays run through all of them.
 
     Parameters
     ----------
@@ -123,40 +116,14 @@ def error_curve(
         squares = np.zeros(len(span))
         samples = 0
         for o in range(len(span)):
-            parts = [
-                _halves(
-                    record, start, grids, delay_samples, path_filters(through, i, o, columns, len(span)), o
-                )
-                for i, (record, start) in enumerate(zip(few, begun, strict=True))
-            ]
-            squares[o], samples = _held_out([p[0] for p in parts], [p[1] for p in parts])
+            parts = []
+            for i, (record, start) in enumerate(zip(few, begun, strict=True)):
+                filters = path_filters(through, i, o, columns, len(span))
+                blocks = regressor_blocks(delayed(record, start, delay_samples), start, grids, filters)
+                parts.append(moments_of_folds(blocks, record.y_um[[o]], start.first, columns, PARTS))
+            squares[o], samples = left_out(parts, lambda m: coefficients(m.gram, m.cross[:, 0]))
         points.append(CurvePoint(n, tuple((100.0 * np.sqrt(squares / samples) / span).tolist())))
     return tuple(points)
-
-
-def _halves(
-    record: Record, start: Start, grids: Sequence[Array], delay: int, filters: Sequence[Filter], o: int
-) -> tuple[Moments, Moments]:
-    """Moments of the fitted and of the held-out parts."""
-    u, y = delayed(record, start, delay), record.y_um[[o]]
-    blocks = list(regressor_blocks(u, start, grids, filters))
-    columns = sum(map(len, grids))
-
-    def chosen(held: bool) -> Iterator[tuple[Array, Array]]:
-        for k, x in blocks:
-            samples = np.arange(k, k + x.shape[1])
-            mask = (samples * SEGMENTS // record.samples % HELD_OUT == HELD_OUT - 1) == held
-            if mask.any():
-                yield x[:, mask], y[:, samples[mask]]
-
-    return moments_of(chosen(False), columns, 1), moments_of(chosen(True), columns, 1)
-
-
-def _held_out(fitted: Sequence[Moments], held: Sequence[Moments]) -> tuple[float, int]:
-    """Squares left in the held-out parts, and how many samples they have."""
-    train, test = pooled(fitted), pooled(held)
-    found = coefficients(train.gram, train.cross[:, 0])
-    return squares_left(test.gram, test.cross[:, 0], float(test.power[0]), found), test.samples
 
 
 def enough_operators(curve: Sequence[CurvePoint]) -> int:

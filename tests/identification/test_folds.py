@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hammerstein.errors import IdentificationError
-from hammerstein.identification.static.folds import FOLDS, moments_of_folds
+from hammerstein.identification.static.folds import FOLDS, left_out, moments_of_folds
 
 
 def folds(parts, samples=90):
@@ -23,3 +23,22 @@ def test_folds_together_hold_every_sample_once(parts):
 def test_one_part_leaves_nothing_to_choose_by():
     with pytest.raises(IdentificationError, match="too short to choose"):
         folds(1)
+
+
+def test_what_is_left_out_is_judged_with_the_coefficients_of_the_rest():
+    """Sample by sample, each fold about its own mean."""
+    samples, parts = 96, 16
+    generator = np.random.default_rng(2)
+    x, y = generator.normal(size=(3, samples)), generator.normal(size=(1, samples))
+    found = moments_of_folds([(0, x)], y, 0, 3, parts)
+    total, counted = left_out([found], lambda m: np.linalg.solve(m.gram, m.cross[:, 0]))
+    own = np.arange(samples) * parts // samples % FOLDS
+    about = [np.vstack([x, y])[:, own == f] for f in range(FOLDS)]
+    about = [one - one.mean(axis=1, keepdims=True) for one in about]
+    expected = 0.0
+    for f, held in enumerate(about):
+        rest = np.hstack([one for k, one in enumerate(about) if k != f])
+        weights = np.linalg.lstsq(rest[:3].T, rest[3], rcond=None)[0]
+        expected += np.sum((held[3] - weights @ held[:3]) ** 2)
+    assert counted == samples
+    assert total == pytest.approx(expected, rel=1e-9)

@@ -13,6 +13,8 @@ from hammerstein.identification.static.normal_equations import Moments, moments_
 
 FOLDS = 4
 """Parts of which one is left out at a time."""
+PARTS = 16
+"""Parts into which a record falls; every fourth of them is one fold."""
 
 
 def moments_of_folds(
