@@ -38,13 +38,18 @@ def folder(tmp_path, monkeypatch):
 
 def shell(redirection, *arguments, **environment):
     command = f'exec "{sys.executable}" -m hammerstein "$@" {redirection}'
-    return subprocess.run(
+    done = subprocess.run(
         ["bash", "-c", command, "bash", *arguments],
         capture_output=True,
         env=os.environ | environment,
         check=False,
         timeout=100,
     )
+    lines = done.stderr.splitlines(keepends=True)
+    done.stderr = b"".join(
+        line for line in lines if not line.startswith(b"compiling ")
+    )  # where no loop is kept
+    return done
 
 
 @pytest.mark.parametrize(
