@@ -44,6 +44,7 @@ from .hysteresis import (
     Parallel as Parallel,
     PlayState as PlayState,
     PrandtlIshlinskii as PrandtlIshlinskii,
+    Preisach as Preisach,
     RateDependent as RateDependent,
     RatePlays as RatePlays,
     play as play,

@@ -50,4 +50,4 @@ def columns_for(kind, records, **known):
     """Block with the columns that the records call for, and the ridge."""
     task, driven = task_of(kind, records, **known)
     [first] = identifiable_kinds()[kind].first_guesses(driven)
-    return chosen_columns(task, first, driven, StaticDynamics(n_outputs=task.outputs))
+    return chosen_columns(task, [first], driven, StaticDynamics(n_outputs=task.outputs))

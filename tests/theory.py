@@ -169,3 +169,27 @@ def bouc_wen_amplitude(tip, beta, gamma):
     """Amplitude of the settled loop at whose tips z is -tip and tip: along it z falls to 0, then grows."""
     c, e = beta + gamma, beta - gamma
     return 0.5 * ((np.log1p(e * tip) / e if e else tip) - np.log1p(-c * tip) / c)
+
+
+def relay_sum(u, low, high, weights, sub=1):
+    """Preisach model as a plain sum of relays, all switched off at first: outputs (sample,).
+
+    weights[a][b] (b <= a) is the weight of a cell of the plane over its width. It is spread over sub x sub
+    relays; that of a cell of the diagonal, where a relay has no width, over sub relays on the diagonal.
+    """
+    n = len(weights)
+    width, places = (high - low) / n, (np.arange(sub) + 0.5) / sub
+    on_v, off_v, jump = [], [], []
+    for a in range(n):
+        for b in range(a + 1):
+            pairs = [(s, s) for s in places] if a == b else [(s, q) for s in places for q in places]
+            for s, q in pairs:
+                on_v.append(low + (a + s) * width)
+                off_v.append(low + (b + q) * width)
+                jump.append(weights[a][b] * width / len(pairs))
+    on_v, off_v, jump = np.array(on_v), np.array(off_v), np.array(jump)
+    state, outputs = np.zeros(len(jump), dtype=bool), []
+    for voltage in u:
+        state = np.where(voltage >= on_v, True, np.where(voltage <= off_v, False, state))
+        outputs.append(jump @ state)
+    return np.array(outputs)

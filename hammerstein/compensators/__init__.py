@@ -5,7 +5,7 @@ To add one to the package, write it in a file of its own and name it here.
 
 from hammerstein.compensators.base import COMPENSATORS, Compensator
 from hammerstein.compensators.decoupled_inverse import DecoupledInverse
-from hammerstein.compensators.exact import generalised, rate_dependent  # noqa: F401  # register inverses
+from hammerstein.compensators.exact import generalised, preisach, rate_dependent  # noqa: F401  # register inverses
 from hammerstein.compensators.exact.inverse import ExactInverse
 from hammerstein.compensators.feedback.pid import Feedback
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative

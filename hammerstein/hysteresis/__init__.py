@@ -19,6 +19,7 @@ from hammerstein.hysteresis.kind import (
 from hammerstein.hysteresis.pair import Pair, WeightCovariance, play
 from hammerstein.hysteresis.parallel import Parallel, ParallelFile, ParallelState
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii, PrandtlIshlinskiiFile
+from hammerstein.hysteresis.preisach import Preisach, PreisachFile, PreisachState
 from hammerstein.hysteresis.rate_dependent import RateDependent, RateDependentFile, RatePlays, RateState
 
 __all__ = [
@@ -41,6 +42,8 @@ __all__ = [
     "ParallelState",
     "PlayState",
     "PrandtlIshlinskii",
+    "Preisach",
+    "PreisachState",
     "RateDependent",
     "RatePlays",
     "RateState",
@@ -55,4 +58,5 @@ HYSTERESIS.register(AsymmetricFile)
 HYSTERESIS.register(RateDependentFile)
 HYSTERESIS.register(BoucWenFile)
 HYSTERESIS.register(GeneralisedFile)
+HYSTERESIS.register(PreisachFile)
 HYSTERESIS.register(ParallelFile)

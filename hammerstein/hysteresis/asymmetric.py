@@ -369,13 +369,13 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         return Asymmetric(PrandtlIshlinskii(tuple(pairs)), tuple(zones), self.working_point_v)
 
     @property
-    def smoothed(self) -> Flags:
+    def roughness(self) -> Array:
         """All weights but the first play of each pair."""
         mask = np.ones(sum(self.operators[0]), dtype=np.bool_)
         ends = np.cumsum([0, *self.operators[0]])
         sizes = [len(pair.thresholds_v) for pair in self.plays.pairs[0]]
         mask[[first for first, n in zip(ends[:-1], sizes, strict=True) if n]] = False
-        return mask
+        return np.eye(len(mask))[mask]
 
     def columns(self, u_v: Array, before_v: Array, output: int, passes: int = 1) -> tuple[Array, Array]:
         """Outputs of the plays and of the dead-zones behind the smallest one; see ``Identifiable``."""

@@ -104,7 +104,7 @@ class Identifiable(ABC):
     @classmethod
     @abstractmethod
     def first_guesses(cls, driven: Driven) -> Sequence[Self]:
-        """Blocks to begin with, of any weights; each is refined, and the best is kept.
+        """Blocks to begin with, of any weights, the smallest first; each is refined, and the best is kept.
 
         Raises IdentificationError where the records cannot determine this kind.
         """
@@ -161,7 +161,7 @@ class Identifiable(ABC):
     def column_choices(self, driven: Driven) -> Sequence[ColumnChoice]:
         """Sets of columns, the same of every output, that folds of the records choose from; none by default.
 
-        Where there are any, a ridge is chosen as well, see ``smoothed``.
+        Where there are any, a ridge is chosen as well, see ``roughness``, and of several first guesses one.
         """
         return ()
 
@@ -170,9 +170,9 @@ class Identifiable(ABC):
         raise NotImplementedError
 
     @property
-    def smoothed(self) -> Flags:
-        """Weights (weight,) of an output that a ridge makes small."""
-        return np.zeros(0, dtype=np.bool_)
+    def roughness(self) -> Array:
+        """Combinations (number, weight) of the weights of an output that a ridge makes small."""
+        return np.zeros((0, 0))
 
     def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds | None:
         """Bounds of the weights of one output so that it follows one input with an inverse.

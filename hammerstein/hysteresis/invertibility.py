@@ -23,8 +23,9 @@ from hammerstein.hysteresis import (
     Pair,
     PrandtlIshlinskii,
     RateDependent,
+    Sloped,
 )
-from hammerstein.hysteresis.slopes import every_matrix, slope_matrices
+from hammerstein.hysteresis.slopes import every_matrix, outermost, slope_matrices
 
 SINGULAR = 1e-9
 """Determinant, in parts of the product of the columns, that is zero but for the rounding of the weights."""
@@ -108,6 +109,9 @@ def invertibility(
         or lowest and highest voltage counted from it (2, m); operators with larger thresholds never move
     amplitude_v : amplitude for the gain matrix of a model with more inputs than outputs [V]
 
+    Of a kind that has no rule of its own, but knows its slopes, those at the ends decide: a determinant is
+    linear in each column.
+
     Raises
     ------
     InputError : a kind that cannot tell, more outputs than inputs, an input that moves no output, or one
@@ -119,7 +123,16 @@ def invertibility(
     >>> invertibility(PrandtlIshlinskii([[Pair([0.0, 1.0], [2.0, -3.0])]])).invertible
     False
     """
-    raise InputError("inverse", f"hysteresis of kind {hysteresis.kind!r} does not tell whether it has one")
+    if not isinstance(hysteresis, Sloped):
+        raise InputError(
+            "inverse", f"hysteresis of kind {hysteresis.kind!r} does not tell whether it has one"
+        )
+    m, p = hysteresis.n_inputs, hysteresis.n_outputs
+    require_square(m, p, "exact_inverse")
+    columns = [outermost(hysteresis.slope_columns(k)) for k in range(m)]
+    slopes = every_matrix(columns)
+    counts, first = _counted_signs(slopes)
+    return Invertibility(*counts, (), (), slopes[first], np.zeros(m))
 
 
 @invertibility.register(PrandtlIshlinskii)

@@ -253,7 +253,10 @@ class Hysteresis(ByValue, ABC, Generic[S]):
 
 @runtime_checkable
 class Sloped(Protocol):
-    """The ability of a kind whose outputs move on straight lines: it knows all slopes of an input."""
+    """The ability of a kind whose outputs move on lines: it knows the slopes of an input.
+
+    Every slope is one of them, or lies between some of them in the same shares for all outputs.
+    """
 
     @property
     def n_inputs(self) -> int:

@@ -19,6 +19,7 @@ from hammerstein.hysteresis.generalised import GeneralisedFile
 from hammerstein.hysteresis.kind import SLOW_S, Hysteresis, HysteresisFile
 from hammerstein.hysteresis.pair import WeightCovariance
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiFile
+from hammerstein.hysteresis.preisach import PreisachFile
 from hammerstein.hysteresis.rate_dependent import RateDependentFile
 
 
@@ -148,7 +149,7 @@ class Parallel(Hysteresis[ParallelState]):
 
 
 Part = Annotated[
-    PrandtlIshlinskiiFile | AsymmetricFile | GeneralisedFile | RateDependentFile | BoucWenFile,
+    PrandtlIshlinskiiFile | AsymmetricFile | GeneralisedFile | PreisachFile | RateDependentFile | BoucWenFile,
     Field(discriminator="kind"),
 ]
 

@@ -29,6 +29,21 @@ def slope_matrices(hysteresis: Hysteresis[Any], amplitude_v: float) -> Array:
     return every_matrix(columns)
 
 
+def outermost(columns: Array) -> Array:
+    """Columns (choice, row) between which all others lie; all where they have no volume."""
+    if columns.shape[1] == 1:
+        return np.unique([columns.min(axis=0), columns.max(axis=0)], axis=0)
+    from scipy.spatial import ConvexHull, QhullError
+
+    found = np.unique(columns, axis=0)
+    if len(found) <= columns.shape[1] + 1:
+        return found
+    try:
+        return np.asarray(found[ConvexHull(found).vertices])
+    except QhullError:
+        return found
+
+
 def every_matrix(columns: Sequence[Array]) -> Array:
     """Every matrix (combination, row, input) with one of the columns (choice, row) of each input."""
     if any(len(column) == 0 for column in columns):

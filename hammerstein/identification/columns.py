@@ -36,9 +36,11 @@ NEAR = 5e-3
 
 
 def chosen_columns(
-    task: Task, block: Identifiable, driven: Driven, dynamics: Dynamics, ridge: float = 0.0
+    task: Task, begins: Sequence[Identifiable], driven: Driven, dynamics: Dynamics, ridge: float = 0.0
 ) -> tuple[Identifiable, float]:
     """The block with the fewest columns, and the largest penalty, within half a percent of the least error.
+
+    Of several blocks that is the first, the smallest, whose error is within it.
 
     Every record falls into 64 parts; every fourth of them is left out in turn. Loops of one amplitude do
     not tell plays from dead-zones whose slopes are alike on both sides of the middle: what raises the one and
@@ -48,11 +50,20 @@ def chosen_columns(
     Parameters
     ----------
     task : records, starts, delay
-    block : with all its columns
+    begins : blocks with all their columns, the smallest first
     driven : how the records drive the inputs
     dynamics : what stands behind the block
     ridge : penalty that was asked for; 0: one is found
     """
+    found = [_chosen(task, block, driven, dynamics, ridge) for block in begins]
+    block, smooth, _ = _first_near(found, lambda one: one[2])
+    return block, smooth
+
+
+def _chosen(
+    task: Task, block: Identifiable, driven: Driven, dynamics: Dynamics, ridge: float
+) -> tuple[Identifiable, float, float]:
+    """One block with the columns and the penalty that are chosen, and the error that they leave."""
     choices = block.column_choices(driven)
     error = _errors_left_out(task, block, dynamics)
     taken = [choice.beside for choice in choices]
@@ -65,7 +76,7 @@ def chosen_columns(
         taken[i] = _first_near(choice.masks, with_set)
     kept = np.logical_and.reduce(taken)
     smooth = ridge or _first_near(RIDGES, lambda ridge: error(kept, ridge))
-    return block.with_columns(kept), smooth
+    return block.with_columns(kept), smooth, error(kept, smooth)
 
 
 def _first_near(trials: Sequence[T], error: Callable[[T], float]) -> T:
@@ -84,12 +95,12 @@ def _errors_left_out(task: Task, block: Identifiable, dynamics: Dynamics) -> Cal
     folds = [moments_of_output(candidate, few, starts, o, PARTS) for o in range(len(span))]
 
     def error(kept: Flags, ridge: float) -> float:
-        smoothed, squares = block.smoothed[kept], []
+        roughness, squares = block.roughness[:, kept], []
 
         def weights(train: Moments) -> Array:
             gram = train.gram[np.ix_(kept, kept)]
             found = np.zeros(len(kept))
-            penalised = gram + ridge_penalty(gram, ridge, smoothed)
+            penalised = gram + ridge_penalty(gram, ridge, roughness)
             found[kept] = coefficients(penalised, train.cross[kept, 0])
             return found
 

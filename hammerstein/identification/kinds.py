@@ -306,7 +306,7 @@ def _of_kind(
     ridge = known.ridge if known else task.settings.ridge
     if picked and known is None:
         task.progress("trying numbers of operators")
-        block, ridge = chosen_columns(task, begins[0], driven, _dynamics(task, found), ridge)
+        block, ridge = chosen_columns(task, begins, driven, _dynamics(task, found), ridge)
         begins = [block]
     refined = not picked and (like is None or not like.rough)
     fit = fit_block(task, begins, driven, found, refined=refined, ridge=ridge)

@@ -100,7 +100,7 @@ def fit_block(
     driven : how the records drive the inputs
     found : the axes to begin with, and the delay
     refined : whether the numbers are searched; otherwise only the weights are found
-    ridge : penalty of the weights that the kind has smoothed, relative to the power of its columns
+    ridge : penalty of what the kind has for roughness, relative to the power of its columns
     """
     late = replace(task, delay_samples=found.delay_samples)
     if len(begins) > 1:
@@ -252,7 +252,9 @@ class _Search:
         return found
 
     def _penalty(self, block: Identifiable, gram: Array) -> Array | None:
-        return ridge_penalty(gram, self.ridge, block.smoothed) if self.ridge and len(block.smoothed) else None
+        return (
+            ridge_penalty(gram, self.ridge, block.roughness) if self.ridge and len(block.roughness) else None
+        )
 
     def result(self, here: _Place) -> BlockFit:
         """The block with its weights and their covariance, and the axes."""

@@ -69,7 +69,7 @@ def test_the_model_counts_from_where_the_actuator_stood_and_is_compensated(tmp_p
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"hysteresis": "preisach"}, "is not known"),
+        ({"hysteresis": "preisac"}, "is not known"),
         ({"hysteresis": "asymmetric", "dynamics": "state_space", "order": 4}, "state_space cannot be had"),
         ({"hysteresis": "asymmetric", "solver": "closed_form"}, "closed_form cannot be had"),
         ({"dead_zones": 3}, "belong to hysteresis asymmetric"),

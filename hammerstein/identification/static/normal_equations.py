@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_solve, cholesky, orth
 from scipy.optimize import nnls
 
-from hammerstein.arrays import Array, Flags
+from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis.identifiable import Bounds as Bounds
 
@@ -242,13 +242,13 @@ def solve(
     )
 
 
-def ridge_penalty(gram: Array, ridge: float, smoothed: Flags) -> Array:
-    """Penalty (column, column) of some of the coefficients, relative to the power of the columns.
+def ridge_penalty(gram: Array, ridge: float, roughness: Array) -> Array:
+    """Penalty (column, column) of combinations of the coefficients, relative to the power of the columns.
 
-    smoothed : (column,) those that it makes small
+    roughness : (number, column) combinations that it makes small
     """
     strength = ridge * float(np.diag(gram).max(initial=0.0))
-    return np.asarray(np.diag(np.where(smoothed, strength, 0.0)))
+    return np.asarray(strength * (roughness.T @ roughness))
 
 
 def are_within(bounds: Bounds, coefficients: Array) -> bool:
