@@ -48,7 +48,7 @@ def shell(redirection, *arguments, **environment):
     lines = done.stderr.splitlines(keepends=True)
     done.stderr = b"".join(
         line for line in lines if not line.startswith(b"compiling ")
-    )  # where no loop is kept
+    )  # the first time
     return done
 
 
