@@ -47,10 +47,10 @@ CAPTIONS = {
     "operators": "The rms error of models that differ by their number of play operators alone.",
     "loops": "One row of panels for each measured axis, one column for each driven one. Each curve is the "
     "mean of the measured cycles.",
-    "errors": "The sensor's reading less what it is compared with; of a path first the distance of the true "
-    "position. Where one curve would hide others the scale is logarithmic, of errors with a sign beyond the "
-    "first tick on each side of zero. The worst error in the legend is that of the whole run, also where a "
-    "part of it is drawn.",
+    "errors": "Of a path first the distance of the true position from the reference; otherwise the sensor's "
+    "reading less what it is compared with. Where one curve would hide others the scale is logarithmic; of "
+    "errors with a sign, beyond the value that the label gives. The worst error in the legend is that of the "
+    "whole run, even if only a part of it is drawn.",
     "drift": "The mean error of the true position over each measured cycle, of the axis that is driven.",
     "path": "(a) the path in the plane, (b) the axes over time. Thin short dashes are "
     "what the path is compared with. The legend gives the worst distance of the whole run.",

@@ -46,9 +46,7 @@ def shell(redirection, *arguments, **environment):
         timeout=100,
     )
     lines = done.stderr.splitlines(keepends=True)
-    done.stderr = b"".join(
-        line for line in lines if not line.startswith(b"compiling ")
-    )  # the first time
+    done.stderr = b"".join(line for line in lines if not line.startswith(b"compiling "))  # the first time
     return done
 
 

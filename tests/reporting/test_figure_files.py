@@ -56,6 +56,19 @@ def test_a_line_drawing_is_a_small_file_in_the_hues_of_its_inks() -> None:
         assert len(shown) <= 16
 
 
+def test_a_curve_that_others_nearly_hide_keeps_its_colour_in_a_small_file() -> None:
+    """Nine tenths of it lie below another curve, and many greys are more frequent than what is left."""
+    figure = new_figure(3.0)
+    axes = figure.subplots()
+    x = np.linspace(0.0, 1.0, 400)
+    axes.plot(x, np.sin(9.0 * x), color=COLOURS[2], linewidth=0.8)
+    for part in range(12):
+        axes.plot(x[8:], np.sin(9.0 * x[8:]) + 0.02 * part, color=str(0.1 + 0.05 * part), linewidth=3.0)
+    with Image.open(io.BytesIO(png_of(figure))) as picture:
+        shown = {colour for _, colour in picture.convert("RGB").getcolors()}
+    assert tuple(round(255 * part) for part in to_rgb(COLOURS[2])) in shown
+
+
 def test_the_pictures_of_this_repository_are_small() -> None:
     reports = Path(__file__).parents[2] / "reports"
     pictures = [path for kept in ("paper", "measured") for path in (reports / kept).rglob("*.png")]

@@ -234,8 +234,24 @@ def test_distance_is_logarithmic_where_one_curve_would_hide_another() -> None:
     )
     distances = {axes.get_ylabel(): axes.get_yscale() for axes in figures_of(report)["errors"].axes}
     assert distances["true\ndistance\n[µm]"] == "log"
-    assert distances["$e_x$ [µm]"] == "symlog"
+    (signed,) = [label for label in distances if label.startswith("$e_x$")]
+    assert distances[signed] == "symlog"
+    assert "log beyond ±" in " ".join(signed.split())
     assert {axes.get_yscale() for axes in figures_of(circles())["errors"].axes} == {"linear"}
+
+
+def test_no_panel_of_a_path_has_more_than_four_curves_beside_its_target() -> None:
+    passes = [PAPER | {"label": f"{n} passes", "iterations": n} for n in range(1, 7)]
+    figures = figures_of(report_of(reference=CIRCLE, compensators=passes))
+    assert list(figures) == ["path_1", "errors_1", "path_2", "errors_2"]
+    shown = [text for name in ("path_1", "path_2") for text in legend_texts(figures[name])]
+    named = [text.partition(" (")[0] for text in shown if text != "reference"]
+    assert named == [str(label["label"]) for label in passes]
+    for name, figure in figures.items():
+        assert f"({name[-1]} of 2)" in figure.legends[0].get_title().get_text()
+        assert all(len({line.get_label() for line in axes.lines} - {"target"}) <= 4 for axes in figure.axes)
+        if name.startswith("errors"):
+            assert "true distance from the reference" in figure.legends[0].get_title().get_text()
 
 
 def test_errors_of_an_axis_are_seen_beside_those_of_a_compensator_that_fails() -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ from hammerstein.experiment.selection import (
 from hammerstein.metrics import Row
 from hammerstein.reporting.figures.loop_data import (
     MOST_CURVES,
+    MOST_OVERLAYS,
     error_runs,
     legible_parts,
     loop_runs,
@@ -79,7 +81,8 @@ def _answers(report: Report) -> dict[str, Figure]:
 def _traced(report: Report, whole: bool = False) -> dict[str, Figure]:
     """Paths, or loops and errors; all compensators in one figure, or only as many as stay legible."""
     signal = report.scenario.signal
-    return _loops(report, whole) if isinstance(signal, OnAxes) and signal.axis != "all" else _paths(report)
+    single = isinstance(signal, OnAxes) and signal.axis != "all"
+    return _loops(report, whole) if single else _paths(report, whole)
 
 
 def explored_figures(report: Report) -> tuple[dict[str, Figure], dict[str, dict[str, Figure]]]:
@@ -277,17 +280,33 @@ def _operators(report: Report) -> dict[str, Figure]:
     return {"operators": figure}
 
 
-def _paths(report: Report) -> dict[str, Figure]:
+def _paths(report: Report, whole: bool) -> dict[str, Figure]:
     runs = [run for trace in report.traces for run in path_runs_of(report, trace)]
     volts = report.scenario.drive is not None
     kind = report.scenario.signal.kind.capitalize()
     compared = runs[0].target_um is not None
     what = "predictions of the models" if volts and compared else "sensor's reading"
     target = "sensor's reading" if volts else "reference"
-    figures = {"path": path_figure(runs, report.axes, target, f"{kind}: {what}")}
-    if compared:
-        figures["errors"] = path_errors_figure(runs, report.axes, f"{kind}: {what} less {target}")
+    truly = any(run.true_um is not None for run in runs)
+    errors = f"true distance from the {target}, errors of the reading" if truly else f"{what} less {target}"
+    figures = {}
+    for suffix, (part, shown) in ({"": ("", runs)} if whole else _few_at_a_time(runs)).items():
+        figures[f"path{suffix}"] = path_figure(shown, report.axes, target, f"{kind}: {what}{part}")
+        if compared:
+            figures[f"errors{suffix}"] = path_errors_figure(shown, report.axes, f"{kind}: {errors}{part}")
     return figures
+
+
+def _few_at_a_time(runs: Sequence[PathRun]) -> dict[str, tuple[str, list[PathRun]]]:
+    """Runs of few labels for each figure, by suffix, with words for its title: no panel has more curves."""
+    labels = list(dict.fromkeys(run.label for run in runs))
+    parts = np.array_split(np.array(labels, dtype=object), math.ceil(len(labels) / MOST_OVERLAYS))
+    if len(parts) == 1:
+        return {"": ("", list(runs))}
+    return {
+        f"_{number}": (f" ({number} of {len(parts)})", [run for run in runs if run.label in set(part)])
+        for number, part in enumerate(parts, start=1)
+    }
 
 
 def path_runs_of(report: Report, trace: Trace) -> Iterator[PathRun]:

@@ -14,7 +14,7 @@ from hammerstein.reporting.figures.loops import ErrorRun, LoopRun
 from hammerstein.scenario.scenario import Sweep
 
 MOST_CURVES = 6  # loops in one panel
-MOST_OVERLAYS = 4  # models drawn over a loop
+MOST_OVERLAYS = 4  # models drawn over a loop, or paths in a panel
 MOST_PHASES = 2000  # samples of a mean cycle
 SWEPT_WORDS = {
     "frequency_hz": "{:g} Hz",

@@ -168,11 +168,13 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
             inside = [run for run in runs if run.group == group]
             lines = _draw_errors(list(panels[:, column]), inside, _pens(runs), axes_names, most)
             entries |= {_entry(label, runs): line for label, line in lines.items()}
-            letter(panels[0, column], first + column, group)
+            for row, axes in enumerate(panels[:, column]):
+                letter(axes, None if row else first + column, group)
             for axes in panels[:, column]:
                 axes.tick_params(labelleft=True)  # each panel is read alone on a telephone
-        for name, axes in zip([name for name, _ in runs[0].drawn_errors()], panels[:, 0], strict=True):
-            _scale_distance(axes, name, runs)
+        for (name, _), row in zip(runs[0].drawn_errors(), panels, strict=True):
+            for axes in row:
+                _scale_distance(axes, name, runs)
         legend_above(figure, entries, title)
     return figure
 
@@ -314,7 +316,6 @@ def _draw_errors(
             LABELS.get(name) or in_lines(f"{symbol(next(own), 'error')} [µm]", UPRIGHT_LETTERS)
         )
         panels[i].set_xlabel(time_label)
-        _scale_distance(panels[i], name, runs)
     return entries
 
 
@@ -329,6 +330,8 @@ def _scale_signed(axes: Axes, runs: Sequence[PathRun]) -> None:
         ticks = [-tick for tick in told] + [0.0, *reversed(told)]
         axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
         axes.minorticks_off()
+        words = f"{axes.get_ylabel()}, log beyond ±{middle:g} µm"
+        axes.set_ylabel(in_lines(words, UPRIGHT_LETTERS))
 
 
 def _one_digit(value: float) -> float:

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 from hammerstein.experiment.report import Report
 from hammerstein.reporting.figures.choice import figures_of
-from hammerstein.reporting.figures.style import PNG_COLOURS, PNG_DPI, styled
+from hammerstein.reporting.figures.style import COLOURS, DARK, PALE, PNG_COLOURS, PNG_DPI, styled
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import staged
 
@@ -73,7 +73,10 @@ def files_of(figures: Mapping[str, Figure], png: bool = False) -> Iterator[tuple
 
 
 def png_of(figure: Figure) -> bytes:
-    """Bytes of a figure as PNG of its most frequent colours: half a byte a pixel of a line drawing."""
+    """Bytes of a figure as PNG of few colours: half a byte a pixel of a line drawing.
+
+    They are the colours of curves, however little of a curve is seen, and the most frequent others.
+    """
     from PIL import Image
 
     drawn, packed = io.BytesIO(), io.BytesIO()
@@ -83,7 +86,9 @@ def png_of(figure: Figure) -> bytes:
         picture = shown.convert("RGB")
     counted: Any = picture.getcolors(picture.width * picture.height)
     palette = Image.new("P", (1, 1))
-    palette.putpalette([part for _, colour in sorted(counted, reverse=True)[:PNG_COLOURS] for part in colour])
+    pens = {tuple(bytes.fromhex(pen[1:])) for pen in (*COLOURS, DARK, PALE)}
+    ordered = sorted(counted, key=lambda found: (found[1] in pens, found), reverse=True)
+    palette.putpalette([part for _, colour in ordered[:PNG_COLOURS] for part in colour])
     few = picture.quantize(palette=palette, dither=Image.Dither.NONE)
     few.save(packed, "PNG", optimize=True, dpi=(PNG_DPI, PNG_DPI))
     return packed.getvalue()
