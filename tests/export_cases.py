@@ -27,6 +27,7 @@ from hammerstein.hysteresis import (
     Pair,
     Parallel,
     PrandtlIshlinskii,
+    Preisach,
     RateDependent,
     RatePlays,
 )
@@ -131,6 +132,18 @@ def generalised():
     )
 
 
+def preisach():
+    """Two axes around 40 V with planes of other sides and ends, which the range of the drive leaves."""
+    around, rng = asymmetric(), np.random.default_rng(9)
+    rows = []
+    for o in range(2):
+        sides = (7, 12)
+        own = [np.tril(rng.uniform(0.0, 0.6 / n, (n, n))) + 0.2 * np.eye(n) for n in sides]
+        rows.append([cells if o == k else 0.05 * cells for k, cells in enumerate(own)])
+    block = Preisach([0.0, 10.0], [110.0, 120.0], rows)
+    return replace(around, name="relay stage", hysteresis=block)
+
+
 def rate_dependent(flattening=0.0, bandwidth_hz=400.0):
     """Two inputs with other plays each, whose thresholds grow with the rate."""
     inputs = (
@@ -232,6 +245,9 @@ def _cases():
     yield Export("generalised model", generalised(), "model")
     for law in ("exact_inverse", "hammerstein_inverse"):
         yield Export(f"generalised {law}", generalised(), law, {"start_v": (20.0, 60.0)})
+    yield Export("preisach model", preisach(), "model")
+    for law in ("exact_inverse", "hammerstein_inverse"):
+        yield Export(f"preisach {law}", preisach(), law, {"start_v": (20.0, 60.0)})
     yield Export("rate-dependent model", rate_dependent(), "model")
     yield Export("flattening model", rate_dependent(flattening=1e-3), "model")
     slower = rate_dependent(flattening=1e-3, bandwidth_hz=200.0)
@@ -245,6 +261,7 @@ def _cases():
     others = {
         "asymmetric": asymmetric(),
         "generalised": generalised(),
+        "preisach": preisach(),
         "rate-dependent": slower,
         "bouc-wen": bouc_wen(),
         "parallel": parallel(),

@@ -20,6 +20,8 @@ from hammerstein.hysteresis import (
     Generalised,
     PlayState,
     PrandtlIshlinskii,
+    Preisach,
+    PreisachState,
     RateDependent,
     RateState,
     bouc_wen_kernels,
@@ -202,6 +204,36 @@ def envelopes_part(hysteresis: Generalised) -> CPart:
             Table("envelope_home", hysteresis.home_v, "Value of each envelope at the working point [V]."),
             Table("envelope_zero", hysteresis.working_point_v, "Working point of each envelope [V]."),
         ),
+    )
+
+
+@c_block_of.register
+def _(hysteresis: Preisach, state: PreisachState) -> CPart:
+    """Staircases, and the Everett function at the levels."""
+    planes, turns = hysteresis.planes, state.x.shape[1]
+    stairs = [
+        {"count": int(count), "last": last, "x": x, "tip": tip}
+        for count, last, x, tip in zip(state.count, state.last, state.x, state.tip, strict=True)
+    ]
+    return CPart(
+        sizes=(
+            Size("ROWS", hysteresis.n_outputs, "outputs of the hysteresis"),
+            Size("TURNS", turns, "that the memory of an input holds"),
+        ),
+        tables=(
+            Table("FARTHEST_CORNER", np.inf, "Area of a corner of the staircase that is none."),
+            Table("plane_rest", planes.rest, "Working point of each input [V]."),
+            Table("plane_low", planes.low, "Lower end of each plane [V]."),
+            Table("plane_high", planes.high, "Upper end of each plane [V]."),
+            Table("cell_size", planes.size, "Width of a cell of each plane [V]."),
+            Table(
+                "everett", planes.node, "Everett function at the levels [um]: input, high, low, output."
+            ),
+            Table("beyond", planes.beyond, "Slopes below and above the planes [um/V]: input, side, output."),
+        ),
+        indices=(Table("cells", planes.cells, "Cells on a side of each plane."),),
+        start={"stairs": stairs},
+        values={"turns": turns, "hysteresis": "preisach", "helpers": ("least", "most")},
     )
 
 

@@ -13,6 +13,7 @@ from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
 from hammerstein.compensators.exact import inverse_kernel as exact_kernel, piece_kernels as pieces
 from hammerstein.compensators.exact.generalised import GeneralisedInverseLaw
 from hammerstein.compensators.exact.inverse import ExactInverseLaw, StaticInverse, Tables
+from hammerstein.compensators.exact.preisach import PreisachInverseLaw
 from hammerstein.compensators.exact.rate_dependent import RateDependentInverseLaw
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.compensators.kernels import STILL_V
@@ -118,6 +119,7 @@ def _(law: DecoupledInverseLaw) -> CPart:
 
 @c_law_of.register(ExactInverseLaw)
 @c_law_of.register(GeneralisedInverseLaw)
+@c_law_of.register(PreisachInverseLaw)
 @c_law_of.register(RateDependentInverseLaw)
 def _(law: StaticInverse[Any]) -> CPart:
     return c_inverse_of(law, law.rest()) + _range(law.range) + _origin(law.origin_um)
@@ -159,19 +161,39 @@ def _(law: ExactInverseLaw, start: Any) -> CPart:
 
 @c_inverse_of.register
 def _(law: RateDependentInverseLaw, start: Any) -> CPart:
-    """The same walk over the zones of each sample: one play of threshold and weight 0, dead-zones beside."""
-    m, design = law.n_inputs, law.design_tables()
+    """The walk over the zones of each sample, which are where a play is let go or taken up."""
     events = 2 * law.hysteresis.bank.r.shape[1]
+    own = CPart(
+        sizes=(Size("EVENTS", events, "voltages at which a play of an input is let go or taken up"),),
+        values={"inverse": "rate_walk"},
+    )
+    return c_block_of(law.hysteresis, start.model) + _moving_zones(law, start.drive_v, events + 1) + own
+
+
+@c_inverse_of.register
+def _(law: PreisachInverseLaw, start: Any) -> CPart:
+    """The walk over the zones of each sample, which are the pieces of the branches from its memory."""
+    zones = law.design_tables().w.shape[1]
+    own = CPart(
+        sizes=(Size("SIDE", zones // 2 + 2, "steps along one side of the memory of an input, at most"),),
+        start={"sent": start.drive_v},
+        values={"inverse": "preisach_walk"},
+    )
+    return c_block_of(law.hysteresis, start.model) + _moving_zones(law, start.drive_v, zones) + own
+
+
+def _moving_zones(law: StaticInverse[Any], drive_v: Array, zones: int) -> CPart:
+    """The walk over zones that are others in each sample: beside one play of threshold and weight 0."""
+    m, design = law.n_inputs, law.design_tables()
     hand = [
         {"count": 1, "stack": [{"end": 1, "x": u, "d": 1.0, "below": np.zeros(m)}], "wanted": u, "ramp": 1.0}
-        for u in start.drive_v.tolist()
+        for u in drive_v.tolist()
     ]
-    own = CPart(
+    return CPart(
         sizes=(
             Size("PIECES", exact_kernel.most_pieces(design.w), "pieces after which a walk is given up"),
-            Size("EVENTS", events, "voltages at which a play of an input is let go or taken up"),
-            Size("ZONES", events + 1, "zones that an input can have"),
-            Size("DEPTHS", events + 2, "pieces that a walk of an input can have passed"),
+            Size("ZONES", zones, "zones that an input can have"),
+            Size("DEPTHS", zones + 1, "pieces that a walk of an input can have passed"),
         ),
         tables=(
             *_walk_tables(design, m),
@@ -180,12 +202,8 @@ def _(law: RateDependentInverseLaw, start: Any) -> CPart:
             Table("moment", np.zeros((m, 2, m)), "Its weight times threshold [um]."),
         ),
         start={"hand": hand},
-        values={
-            **{"inverse": "rate_walk", "moving_zones": True, "zones": True, "n_zones": events + 1},
-            **{"segments": 1, "depths": events + 2},
-        },
+        values={"moving_zones": True, "zones": True, "n_zones": zones, "segments": 1, "depths": zones + 1},
     )
-    return c_block_of(law.hysteresis, start.model) + own
 
 
 @c_inverse_of.register

@@ -63,11 +63,24 @@ def test_code_that_turns_all_the_time_and_then_does_not_keeps_every_bit(name):
 
 
 @needs_compiler
+@pytest.mark.parametrize("name", ["preisach model", "preisach exact_inverse"])
+def test_a_staircase_of_more_turns_than_it_holds_keeps_every_bit(name):
+    """A ring-down of 400 cycles, then a way through all that it left."""
+    code, library = compiled(name)
+    ring = np.linspace(1.0, 0.0, 800) * np.where(np.arange(800) % 2, -1.0, 1.0)
+    signal = np.append(ring, np.linspace(0.0, 1.0, 200)) * np.ones((2, 1))
+    middle, reach = (60.0, 40.0) if name.endswith("model") else (0.0, 5.0)
+    signal = middle + reach * signal
+    assert _same_bits(library.respond(signal)[0], code.block.respond(signal)[0])
+
+
+@needs_compiler
 @pytest.mark.parametrize(
     ("name", "samples"),
     [
         ("exact_inverse", 30_000),
         ("flattening exact_inverse", 10_000),
+        ("preisach exact_inverse", 3_000),
         pytest.param("exact_inverse", MILLION, marks=pytest.mark.long),
         pytest.param("hammerstein_inverse", 100_000, marks=pytest.mark.long),
         pytest.param("parallel model", 100_000, marks=pytest.mark.long),
