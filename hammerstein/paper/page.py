@@ -102,7 +102,8 @@ def _copied(report: Report, out: Path, stage: Stage) -> list[str]:
     """
     folder = out / report.name
     drawn = [name for name in Manifest.read(folder).files if name.endswith(".png")]
-    ordered = sorted(drawn, key=lambda name: (not printed_at(report) and "_true" not in name, place_of(name)))
+    printed = bool(printed_at(report))
+    ordered = sorted(drawn, key=lambda name: (("_true" in name) is printed, place_of(name)))
     for figure in ordered[:1]:
         stage.write(f"{report.name}-{figure}", (folder / figure).read_bytes())
     return [f"{report.name}-{figure}" for figure in ordered[:1]]

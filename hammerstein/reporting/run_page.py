@@ -38,19 +38,21 @@ CAPTIONS = {
     "sensitivity": "Parts of the variance over the drawn actuators, for each compensator where its 95 % band "
     "ends highest. Dark: of the parameter alone; pale: with all it does together with others; thin: 95 % "
     "limits. Errors of the weights of one axis hang together and count as one parameter.",
-    "sweep_true": "As above, for the true position, which a sensor without lag and noise would read.",
-    "sweep": "One panel for each transfer, one curve for each compensator or model. Both axes are "
-    "logarithmic where the values span more than about a decade.",
+    "sweep_true": "The true position, which a sensor without lag and noise would read. One panel for each "
+    "transfer, one curve for each compensator. Both axes are logarithmic where the values span more than "
+    "about a decade.",
+    "sweep": "What the sensor reads. One panel for each transfer, one curve for each compensator or model. "
+    "Both axes are logarithmic where the values span more than about a decade.",
     "trials_true": "The error that no learner sees, one panel for each measured axis. Trial 1 is without "
     "learning; each one after it corrects the voltages by what the sensor read in the one before.",
     "trials": "The same, as the sensor reads it.",
     "operators": "The rms error of models that differ by their number of play operators alone.",
     "loops": "One row of panels for each measured axis, one column for each driven one. Each curve is the "
     "mean of the measured cycles.",
-    "errors": "Of a path first the distance of the true position from the reference; otherwise the sensor's "
-    "reading less what it is compared with. Where one curve would hide others the scale is logarithmic; of "
-    "errors with a sign, beyond the value that the label gives. The worst error in the legend is that of the "
-    "whole run, even if only a part of it is drawn.",
+    "errors": "Against a reference the true position; of a path its distance first, then what the sensor "
+    "reads of each axis. Against a prediction the sensor's reading. Where one curve would hide others the "
+    "scale is logarithmic; of errors with a sign, beyond the value that the label gives. The worst error in "
+    "the legend is that of the whole run, even if only a part of it is drawn.",
     "drift": "The mean error of the true position over each measured cycle, of the axis that is driven.",
     "path": "(a) the path in the plane, (b) the axes over time. Thin short dashes are "
     "what the path is compared with. The legend gives the worst distance of the whole run.",
@@ -202,10 +204,10 @@ def _kind(name: str) -> str:
 
 
 def place_of(name: str) -> tuple[int, str]:
-    """Order on the page: what is compared first, then its errors, the true position last."""
+    """Order on the page: what is compared first, then its errors, the true position before the reading."""
     order = (
-        *("drift", "loops", "path", "operators", "trials_true", "trials", "sweep"),
-        *("errors", "sweep_true", "sensitivity", ""),
+        *("drift", "loops", "path", "operators", "trials_true", "trials", "sweep_true", "sweep"),
+        *("errors", "sensitivity", ""),
     )
     return order.index(_kind(name)), name
 
@@ -218,12 +220,13 @@ def figure_of(name: str, report: Report) -> Shown:
         "A line with a band is the median of the drawn actuators, the band 5 to 95 % of them; a thin line is "
         "the nominal actuator."
     ] * bool(report.bands)
+    identified = ["A vertical tick marks the frequency of a model's identification."] * bool(
+        identified_at(report)
+    )
     remarks = {
         "loops": ["The wide grey line is the ideal.", _lag(report)] * compared
         + ["Dark broken lines are the models."] * bool(models and len(models) <= MOST_OVERLAYS),
-        "sweep": ["A vertical tick stands where a curve's model was identified."]
-        * bool(identified_at(report))
-        + banded,
+        **dict.fromkeys(("sweep", "sweep_true"), identified + banded),
         "trials_true": banded,
         "trials": banded,
         "path": [READS_TRUTH if report.reads_truth else IS_TRUE] * compared

@@ -240,6 +240,27 @@ def test_distance_is_logarithmic_where_one_curve_would_hide_another() -> None:
     assert {axes.get_yscale() for axes in figures_of(circles())["errors"].axes} == {"linear"}
 
 
+def test_errors_over_a_cycle_are_those_of_the_true_position() -> None:
+    report = report_of(reference=SINE_UM, compensators=[NONE])
+    figure = figures_of(report)["errors"]
+    assert figure.legends[0].get_title().get_text() == "True position less the reference"
+    (trace,) = [trace for trace in report.traces if trace.excited_axis == "x"]
+    wire = trace.response
+    lap = slice(0, round(0.02 / wire.sample_time_s) + 1)
+    off, seen = (np.abs(y - wire.reference_um)[0, lap].max() for y in (wire.position_um, wire.reading_um))
+    assert seen > 1.2 * off  # the sensor lags
+    assert np.abs(solid_line(figure.axes[0])[:, 1]).max() == pytest.approx(off, rel=1e-3)
+
+
+def test_panels_of_errors_are_lettered_from_a_and_say_their_group() -> None:
+    (single,) = [figures_of(report_of(reference=CIRCLE, compensators=[NONE]))["errors"]]
+    assert [axes.get_title(loc="left") for axes in single.axes] == ["(a)", "(b)", "(c)"]
+    swept = report_of(reference=CIRCLE, compensators=[NONE], sweep={"radius_um": [20.0, 40.0]})
+    panels = figures_of(swept)["errors"].axes
+    assert [axes.get_title(loc="left") for axes in panels] == ["(a)", "(b)", "", "", "", ""]
+    assert [axes.get_title(loc="right") for axes in panels] == ["radius 20 µm", "radius 40 µm"] * 3
+
+
 def test_no_panel_of_a_path_has_more_than_four_curves_beside_its_target() -> None:
     passes = [PAPER | {"label": f"{n} passes", "iterations": n} for n in range(1, 7)]
     figures = figures_of(report_of(reference=CIRCLE, compensators=passes))

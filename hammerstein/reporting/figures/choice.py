@@ -159,15 +159,20 @@ def _loops(report: Report, whole: bool) -> dict[str, Figure]:
     figures = {}
     parts = {"": report.traces} if whole else legible_parts(report.traces)
     for suffix, traces in parts.items():
-        whose = f"{plain(traces[0].label)}: sensor's" if suffix else "Sensor's"
-        title = f"{whose} reading over the {role}{mean}"
+        title = _titled(traces if suffix else (), f"sensor's reading over the {role}{mean}")
         runs = loop_runs(report, traces)
         figures[f"loops{suffix}"] = loops_figure(runs, inputs, readings, title, ideal=not volts)
         errors = error_runs(report, traces)
         if errors and (whole or len({run.label for run in errors}) <= MOST_CURVES):
-            title = f"{whose} reading less the {'prediction' if volts else 'reference'}"
+            what = "sensor's reading less the prediction" if volts else "true position less the reference"
+            title = _titled(traces if suffix else (), what)
             figures[f"errors{suffix}"] = errors_figure(errors, driven, errors_of, title)
     return figures
+
+
+def _titled(of: Sequence[Trace], what: str) -> str:
+    """Title of a figure: of one compensator, or of all."""
+    return f"{plain(of[0].label)}: {what}" if of else f"{what[:1].upper()}{what[1:]}"
 
 
 def _sweeps(report: Report, over: Over) -> dict[str, Figure]:

@@ -115,14 +115,16 @@ def _closed_cycle(trace: Trace, signals: Array) -> Array:
 
 
 def errors_of(trace: Trace, label: str, driven: int) -> Iterator[ErrorRun]:
-    """First measured cycle of the errors of a trace, one run for each thing that it is compared with."""
+    """First measured cycle of the errors of a trace, one run for each thing that it is compared with.
+
+    A reference is compared with the true position, the prediction of a model with the reading.
+    """
     response, period = trace.response, trace.signal.period_s
     first = slice(0, round(period / response.sample_time_s) + 1)
-    targets = [(p.label, p.reading_um) for p in trace.predictions]
+    errors = [(p.label, response.reading_um - p.reading_um) for p in trace.predictions]
     if response.reference_um is not None:
-        targets = [("", response.reference_um)]
-    for name, target_um in targets:
-        error_um = response.reading_um - target_um
+        errors = [("", response.position_um - response.reference_um)]
+    for name, error_um in errors:
         worst_um = float(np.abs(error_um).max())
         words = ", ".join(word for word in (name, label) if word)
         yield ErrorRun(words, driven, response.time_s[first] / period, error_um[:, first], worst_um)

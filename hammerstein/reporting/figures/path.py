@@ -148,13 +148,9 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
 
 
 def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title: str = "") -> Figure:
-    """Errors over time, a column a group; every run has a target.
-
-    Those of a single group go on with the letters of ``path_figure``: (c) of the paper's Figs. 10 to 13.
-    """
+    """Errors over time, a column a group; every run has a target."""
     groups = list(dict.fromkeys(run.group for run in runs))
     rows = len(runs[0].drawn_errors())
-    first = 0 if len(groups) > 1 else _panels_of_path(len(axes_names))
     with styled():
         high, wide = (rows, len(groups)) if len(groups) > 1 else side_by_side(rows)
         figure = new_figure(0.8 + 1.5 * high, wide)
@@ -169,7 +165,7 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
             lines = _draw_errors(list(panels[:, column]), inside, _pens(runs), axes_names, most)
             entries |= {_entry(label, runs): line for label, line in lines.items()}
             for row, axes in enumerate(panels[:, column]):
-                letter(axes, None if row else first + column, group)
+                letter(axes, row if len(groups) == 1 else None if row else column, group)
             for axes in panels[:, column]:
                 axes.tick_params(labelleft=True)  # each panel is read alone on a telephone
         for (name, _), row in zip(runs[0].drawn_errors(), panels, strict=True):
@@ -208,11 +204,6 @@ def _of_different_sizes(runs: Sequence[PathRun]) -> bool:
         sizes[run.group] = max(sizes.get(run.group, 0.0), float(np.abs(path).max()))
     ordered = sorted(sizes.values())
     return all(b > APART * a for a, b in itertools.pairwise(ordered))
-
-
-def _panels_of_path(n_axes: int) -> int:
-    """Lettered panels of ``path_figure``: the plane, of two axes only, and the axes over time."""
-    return 2 if n_axes == 2 else 1
 
 
 def _layout(n_axes: int) -> tuple[Figure, Axes | None, list[Axes]]:
