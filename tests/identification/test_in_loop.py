@@ -74,6 +74,24 @@ def test_poles_beyond_the_bound_have_their_derivatives():
         np.testing.assert_allclose(moved[:, i], (high - low) / 2e-6, rtol=1e-4, atol=1e-6)
 
 
+def test_poles_of_small_amplitudes_count_too():
+    """Two plays, 0.1 (p - 0.9 z) each, are taken off a pole of 0.9.
+
+    At rest none moves, and the pole is 0.9 + 0.18 = 1.08; with one of them it is 0.98, with both 0.88. Such a
+    model hums by itself, although all large oscillations die away.
+    """
+    one, two, x = np.ones((1, 1)), np.ones((1, 2)), np.eye(2)[:1]
+    humming = LoopParameters(
+        A=np.diag([0.9, 0.0])[None], B=x.T, C=x, D=0.0 * one, E=x.T, F=x, G=0.0 * one,
+        c=-0.1 * two, K=np.zeros((1, 0)), r=np.array([[1.0, 1.5]]), beta=0.9 * two, limit=np.ones(1),
+        factors=np.zeros((0, 3), dtype=np.int64),
+    )  # fmt: skip
+    u = np.zeros((1, 4000))
+    u[0, 0] = 0.1
+    assert np.abs(humming.simulate(u, 0)[0, -100:]).max() > 0.1
+    assert humming.fastest(0.0)[0] == pytest.approx([0.08], rel=1e-12)
+
+
 def test_search_finds_the_model_that_made_the_periods():
     """From numbers that are all 3 % off, to a thousandth of the first error, on a period it has not seen."""
     truth = made_up()
@@ -132,11 +150,13 @@ def test_the_benchmarks_metric_on_a_made_up_case():
     assert benchmark_rms(measured, measured) == 0.0
 
 
-def test_thresholds_stay_above_zero():
+def test_thresholds_stay_above_zero_and_may_meet():
     here = made_up()
     shrunk = here.at(np.where(np.arange(here.vector().size) >= here.vector().size - 6, -50.0, here.vector()))
     assert (shrunk.r > 0.0).all()
     assert np.isfinite(replace(here, r=shrunk.r).vector()).all()
+    u, block = multisine(2), on_grid(shrunk.dynamics(1e-3), 1e-3)  # whose thresholds are one
+    np.testing.assert_allclose(block.respond(u)[0], shrunk.simulate(u, 0), rtol=1e-8, atol=1e-9)
 
 
 def test_the_committed_model_of_the_mirror_is_stable_and_knows_no_level():

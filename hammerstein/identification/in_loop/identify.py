@@ -15,7 +15,6 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.in_loop.parameters import LoopParameters
 from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
@@ -105,7 +104,8 @@ def identify_in_loop(
             f"hysteresis in the loop leaves {fit.held_um:.4g} um of what is held back, linear dynamics "
             f"alone {fit.linear_um:.4g} um: it is worth nothing here. Identify without --hysteresis-in-loop"
         )
-    return _model(fit.found, ready[0], name, max(float(np.abs(r.u_v).max()) for r in ready)), fit
+    largest, one = max(float(np.abs(r.u_v).max()) for r in ready), ready[0]
+    return fit.found.model(name, one.sample_time_s, largest, one.inputs, one.outputs), fit
 
 
 @dataclass(frozen=True)
@@ -269,15 +269,3 @@ def _digest(records: Sequence[Record]) -> str:
     for record in records:
         told.update(record.u_v.tobytes() + record.y_um.tobytes())
     return told.hexdigest()[:16]
-
-
-def _model(found: LoopParameters, record: Record, name: str, amplitude_v: float) -> HammersteinModel:
-    """Model file of the numbers; nothing is in front of the loop."""
-    m, p = len(record.u_v), len(record.y_um)
-    if m != p:
-        raise InputError("records", f"have {m} inputs and {p} outputs; a loop takes as many of both")
-    zero, one = (Pair(np.zeros(1), np.array([w])) for w in (0.0, 1.0))
-    straight = PrandtlIshlinskii(tuple(tuple(one if i == k else zero for k in range(m)) for i in range(p)))
-    return HammersteinModel(
-        name, straight, found.dynamics(record.sample_time_s), amplitude_v, record.inputs, record.outputs
-    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from hammerstein.errors import InputError
 from hammerstein.files import read_limited, write_atomic
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.in_loop.kernels import follow
+from hammerstein.model import HammersteinModel
 
 FORMAT = "hammerstein-feedback-search/1"
 WHAT = "file of an interrupted search"
@@ -118,12 +120,12 @@ class LoopParameters:
     def fastest(self, margin: float) -> tuple[Array, Array]:
         """How far poles of the loop lie beyond 1 - margin, and the derivatives (poles, P) of that.
 
-        They are those of large amplitudes, where all plays move, or all but the widest of each z.
+        They are those of every amplitude on the way from rest, where no play moves, to the largest, where all
+        do: the narrowest of each z move first. Were only the largest bounded, a model could hum at rest.
         """
-        order = np.argsort(self.r, axis=1)
-        widest = np.zeros_like(self.r)
-        np.put_along_axis(widest, order[:, -1:], 1.0, axis=1)
-        found = [self._beyond(1.0 - margin, 1.0 - without) for without in (0.0 * widest, widest)]
+        order = np.argsort(np.argsort(self.r, axis=1), axis=1)
+        ladder = [(order < moved).astype(np.float64) for moved in range(self.r.shape[1] + 1)]
+        found = [self._beyond(1.0 - margin, moving) for moving in ladder]
         return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
 
     def _beyond(self, bound: float, moving: Array) -> tuple[Array, Array]:
@@ -159,11 +161,36 @@ class LoopParameters:
             **matrices,
         )
 
+    def model(
+        self,
+        name: str,
+        sample_time_s: float,
+        amplitude_v: float,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+    ) -> HammersteinModel:
+        """Give a model file of the numbers; nothing is in front of the loop.
+
+        amplitude_v : largest voltage of the records [V]
+
+        Raises InputError for another number of inputs than of outputs.
+        """
+        m, p = len(inputs), len(outputs)
+        if m != p:
+            raise InputError("records", f"have {m} inputs and {p} outputs; a loop takes as many of both")
+        zero, one = (Pair(np.zeros(1), np.array([w])) for w in (0.0, 1.0))
+        pairs = tuple(tuple(one if i == k else zero for k in range(m)) for i in range(p))
+        dynamics = self.dynamics(sample_time_s)
+        return HammersteinModel(
+            name, PrandtlIshlinskii(pairs), dynamics, amplitude_v, tuple(inputs), tuple(outputs)
+        )
+
     def _pair(self, i: int) -> Pair:
-        """Plays of z_i, the straight part at threshold 0."""
-        order = np.argsort(self.r[i])
-        weights = np.concatenate([[-(self.c[i] * self.beta[i]).sum()], self.c[i][order]])
-        return Pair(np.concatenate([[0.0], self.r[i][order]]), weights)
+        """Plays of z_i, the straight part at threshold 0; plays that came to one threshold are one."""
+        r, place = np.unique(self.r[i], return_inverse=True)
+        weights = np.bincount(place, self.c[i])
+        straight = -(self.c[i] * self.beta[i]).sum()
+        return Pair(np.concatenate([[0.0], r]), np.concatenate([[straight], weights]))
 
     def save(self, file: Path, search: dict[str, Any] | None = None) -> None:
         """Write all numbers, and what is known of their search; nothing is left half-written."""

@@ -22,7 +22,6 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import on_grid
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.in_loop.parameters import LoopParameters
 from hammerstein.identification.in_loop.score import benchmark_rms
 from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
@@ -31,6 +30,7 @@ from hammerstein.model import HammersteinModel
 HERE = Path(__file__).parent
 LEVELS_MV = (100, 200, 300)
 TIME_S = 1.0 / 6400.0
+LARGEST_V = 1.5
 WEIGHTS_PER_UM = (1 / 0.1, 1 / 0.12, 1 / 0.09)
 """What an error counts: 0.3 V moves most of the hysteresis, and tells most of it; chosen on the fold."""
 PUBLISHED = {
@@ -116,15 +116,6 @@ def table(found: dict[str, dict[str, list[object]]]) -> str:
     return "\n".join([*head, *lines, *band_head, *over]) + "\n"
 
 
-def model_of(found: LoopParameters) -> HammersteinModel:
-    """Model file of the numbers; nothing is in front of the loop."""
-    zero, one = (Pair(np.zeros(1), np.array([w])) for w in (0.0, 1.0))
-    straight = PrandtlIshlinskii(tuple(tuple(one if i == k else zero for k in range(3)) for i in range(3)))
-    names = tuple("123")
-    axes = tuple(f"u{i}" for i in names), tuple(f"y{i}" for i in names)
-    return HammersteinModel("fine steering mirror", straight, found.dynamics(TIME_S), 1.5, *axes)
-
-
 def fit(folder: Path, file: Path, minutes: float) -> None:
     """Go on with a search; every step is kept."""
     periods, levels = [], []
@@ -143,7 +134,9 @@ def fit(folder: Path, file: Path, minutes: float) -> None:
 
     with ThreadPoolExecutor(2) as pool, contextlib.suppress(StopIteration):
         Search(enough=1e-5).run(LoopParameters.load(file), periods, pool, tell)
-    model_of(LoopParameters.load(file)).save(HERE / "model.json")
+    inputs, outputs = ([f"{axis}{i}" for i in (1, 2, 3)] for axis in "uy")
+    model = LoopParameters.load(file).model("fine steering mirror", TIME_S, LARGEST_V, inputs, outputs)
+    model.save(HERE / "model.json")
 
 
 def write_table(folder: Path) -> None:
