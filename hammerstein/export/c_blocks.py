@@ -226,9 +226,7 @@ def _(hysteresis: Preisach, state: PreisachState) -> CPart:
             Table("plane_low", planes.low, "Lower end of each plane [V]."),
             Table("plane_high", planes.high, "Upper end of each plane [V]."),
             Table("cell_size", planes.size, "Width of a cell of each plane [V]."),
-            Table(
-                "everett", planes.node, "Everett function at the levels [um]: input, high, low, output."
-            ),
+            Table("everett", planes.node, "Everett function at the levels [um]: input, high, low, output."),
             Table("beyond", planes.beyond, "Slopes below and above the planes [um/V]: input, side, output."),
         ),
         indices=(Table("cells", planes.cells, "Cells on a side of each plane."),),
