@@ -118,6 +118,40 @@ def test_a_scenario_identifies_it_through_drive_and_sensor(tmp_path):
     assert rms["asymmetric"] < 0.4 * rms["prandtl_ishlinskii"]
 
 
+def test_a_scenario_identifies_a_plane_of_relays_through_drive_and_sensor(tmp_path):
+    """Relays in a lobe aside of the diagonal, which no plays have; voltages of the actuator's whole range."""
+    on, off = np.meshgrid(*2 * [(np.arange(20) + 0.5) / 20], indexing="ij")
+    lobe = np.tril(1.0 * np.exp(-((on - 0.6) ** 2 + (off - 0.35) ** 2) / 0.05))
+    block = hammerstein.Preisach([-8.0], [8.0], [[lobe + 2.0 * np.eye(20)]])
+    axes = hammerstein.AxesDynamics(axes=(hammerstein.Axis(resonance_hz=430.0, damping_ratio=0.2),))
+    hammerstein.HammersteinModel("lobed", block, axes, 8.0, ("u",), ("x",)).save(tmp_path / "lobed.json")
+    file = tmp_path / "lobed.toml"
+    file.write_text(
+        """
+question = "What does a plane of relays gain over plays?"
+actuator = "lobed.json"
+measure = { settle_cycles = 2, measured_cycles = 2 }
+
+[reference]
+kind = "sine"
+amplitude_um = 15
+frequency_hz = 20
+axis = 1
+"""
+        + "".join(
+            f"""
+[[compensators]]
+label = "{kind}"
+law = "hammerstein_inverse"
+identification = {{ method = "hammerstein", frequencies_hz = [20, 50], hysteresis = "{kind}" }}
+"""
+            for kind in ("prandtl_ishlinskii", "preisach")
+        )
+    )
+    rms = {row.compensator: row.rms_true_um for row in hammerstein.run(file).rows}
+    assert rms["preisach"] < 0.3 * rms["prandtl_ishlinskii"]
+
+
 # ---- which of several models is kept ----
 
 
