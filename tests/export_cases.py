@@ -122,10 +122,10 @@ def asymmetric(smallest_v=0.0, working_point_v=40.0):
     )
 
 
-def generalised():
-    """Two axes around 40 V whose plays see envelopes of three lines and of one."""
+def generalised(tangent_v=0.0):
+    """Two axes around 40 V whose plays see envelopes of three lines, with a tangent or not, and of one."""
     around = asymmetric()
-    bent = Envelope([-20.0, 30.0, 70.0, 140.0], [-20.0, 30.0, 90.0, 150.0])
+    bent = Envelope([-20.0, 30.0, 70.0, 140.0], [-20.0, 30.0, 90.0, 150.0], tangent_v, 0.05, 55.0)
     straight = Envelope([0.0, 100.0], [0.0, 80.0])
     return replace(
         around, name="bent stage", hysteresis=Generalised((bent, straight), around.hysteresis.plays)
@@ -245,6 +245,9 @@ def _cases():
     yield Export("generalised model", generalised(), "model")
     for law in ("exact_inverse", "hammerstein_inverse"):
         yield Export(f"generalised {law}", generalised(), law, {"start_v": (20.0, 60.0)})
+    yield Export("saturating model", generalised(20.0), "model")
+    for law in ("exact_inverse", "hammerstein_inverse"):
+        yield Export(f"saturating {law}", generalised(20.0), law, {"start_v": (20.0, 60.0)})
     yield Export("preisach model", preisach(), "model")
     for law in ("exact_inverse", "hammerstein_inverse"):
         yield Export(f"preisach {law}", preisach(), law, {"start_v": (20.0, 60.0)})

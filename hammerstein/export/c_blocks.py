@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import singledispatch
 from typing import Any
@@ -17,6 +17,7 @@ from hammerstein.hysteresis import (
     AsymmetricState,
     BoucWen,
     BoucWenState,
+    Envelope,
     Generalised,
     PlayState,
     PrandtlIshlinskii,
@@ -26,6 +27,7 @@ from hammerstein.hysteresis import (
     RateState,
     bouc_wen_kernels,
     busy_kernels,
+    generalised,
     rate_dependent_kernels,
 )
 
@@ -173,16 +175,8 @@ def _(hysteresis: Generalised, state: PlayState) -> CPart:
 
 
 def envelopes_part(hysteresis: Generalised) -> CPart:
-    """Lines of the envelopes.
-
-    Raises
-    ------
-    InputError : an envelope with a hyperbolic tangent, for there is no mathematical library
-    """
+    """Lines of the envelopes, and their hyperbolic tangents."""
     each = hysteresis.envelopes
-    if any(one.bent for one in each):
-        what = "has no C code for an envelope with a hyperbolic tangent"
-        raise InputError("export", f"{what}; identify envelopes of lines, or give one of lines")
     lines = max(len(one.slopes) for one in each)
 
     def table(rows: list[Array], fill: float) -> Array:
@@ -191,7 +185,7 @@ def envelopes_part(hysteresis: Generalised) -> CPart:
             out[: len(row)] = row
         return padded
 
-    return CPart(
+    return _tangents(each) + CPart(
         sizes=(Size("LINES", lines, "that an envelope can have"),),
         tables=(
             Table(
@@ -204,6 +198,30 @@ def envelopes_part(hysteresis: Generalised) -> CPart:
             Table("envelope_home", hysteresis.home_v, "Value of each envelope at the working point [V]."),
             Table("envelope_zero", hysteresis.working_point_v, "Working point of each envelope [V]."),
         ),
+        values={"helpers": ("least", "most")},
+    )
+
+
+def _tangents(envelopes: Sequence[Envelope]) -> CPart:
+    """Tangents of the envelopes, where there are any, by doubling: there is no mathematical library."""
+    if not any(one.bent for one in envelopes):
+        return CPart(values={"bent": False})
+    sizes = [one.saturating_v if one.bent else 0.0 for one in envelopes]
+    return CPart(
+        sizes=(
+            Size("DOUBLINGS", generalised.DOUBLINGS, "of the argument of a hyperbolic tangent"),
+            Size("TERMS", len(generalised.SERIES), "of its series"),
+            Size("HALVINGS", generalised.HALVINGS, "in which an envelope with a tangent is inverted"),
+        ),
+        tables=(
+            Table("TANH_LIMIT", generalised.LIMIT, "Argument from which a hyperbolic tangent is 1."),
+            Table("TANH_SCALE", 2.0**generalised.DOUBLINGS, "What its argument is divided by."),
+            Table("tanh_term", generalised.SERIES, "Its series, the highest power first."),
+            Table("tangent_size", sizes, "Size of the tangent of each envelope [V]; 0: it has none."),
+            Table("tangent_steep", [one.steepness_per_v for one in envelopes], "Its steepness [1/V]."),
+            Table("tangent_centre", [one.centre_v for one in envelopes], "Its centre [V]."),
+        ),
+        values={"bent": True},
     )
 
 

@@ -5,7 +5,6 @@ import re
 import shutil
 import subprocess
 import tempfile
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
@@ -331,15 +330,6 @@ def test_a_kind_of_hysteresis_without_code_is_refused_by_name():
 
     with pytest.raises(InputError, match="bouc_wen"):
         c_block_of(Bouc(), None)
-
-
-def test_an_envelope_with_a_tangent_is_refused_by_name():
-    export = case("generalised model")
-    block = export.model.hysteresis
-    envelopes = (replace(block.envelopes[0], saturating_v=2.0, steepness_per_v=0.1), block.envelopes[1])
-    bent = replace(export, model=replace(export.model, hysteresis=replace(block, envelopes=envelopes)))
-    with pytest.raises(InputError, match="hyperbolic tangent"):
-        bent.code().header()
 
 
 def _call(*arguments):

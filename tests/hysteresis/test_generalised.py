@@ -13,6 +13,7 @@ from hammerstein.compensators.exact.inverse import exact_inverse_of
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Envelope, Generalised, Pair, PrandtlIshlinskii
+from hammerstein.hysteresis.generalised import tanh_by_doubling
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
@@ -82,6 +83,12 @@ def test_it_is_the_plays_of_the_envelope(seed, tangent):
     here = model.hysteresis
     rest = np.array(model.recorded.working_point_v)[:, None]
     np.testing.assert_allclose(here.respond(u - rest)[0], by_definition(model, u), atol=1e-11)
+
+
+def test_the_tangent_is_that_of_numpy_within_rounding():
+    x = np.concatenate([np.linspace(-25.0, 25.0, 200_001), np.logspace(-300, 0, 1000), [0.0, -0.0, 1e300]])
+    np.testing.assert_allclose(tanh_by_doubling(x), np.tanh(x), rtol=4e-15, atol=0.0)
+    assert (np.diff(tanh_by_doubling(np.linspace(-3.0, 3.0, 10_001))) > 0.0).all()
 
 
 @settings(max_examples=25, deadline=None)
