@@ -130,7 +130,7 @@ def identify(
     if not plain:
         task, built = with_hysteresis(replace(task, settings=asked), built)
         if built.untold:
-            classical = replace(asked, hysteresis=PLAYS)
+            classical = asked.with_plays()
             model, fit = identify(
                 records, classical, validation=validation, name=name, instruments=instruments, progress=tell
             )

@@ -11,7 +11,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
-from hammerstein.hysteresis import Hysteresis
+from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Driven, Identifiable
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.behind import Behind, search_behind, sure_behind
@@ -96,12 +96,21 @@ def with_hysteresis(task: Task, built: Built) -> tuple[Task, Built]:
     task = replace(task, starts=found.starts, delay_samples=found.behind.delay_samples)
     name: Kind = "static_hysteresis" if found.behind.is_static else "hammerstein"
     axes = () if found.behind.is_static else found.behind.fits
-    plays = {**built.found, "classical": before}
+    alike = before if found.behind.is_static else _plays_before(task, thresholds_v, found.behind, before)
+    plays = {**built.found, "classical": alike}
     if name == built.kind == "static_hysteresis" and task.delay_samples != with_plays:
         plays = _better(task, plays, _plays_of(task))
     models = {**plays, name: Found(found.candidate, before.blocks, axes)}
     notes, untold = (*built.notes, *found.block.notes), _untold(task, thresholds_v, found)
     return task, replace(built, found=models, kind=name, axes=axes, notes=notes, untold=untold)
+
+
+def _plays_before(task: Task, thresholds_v: Thresholds, behind: Behind, static: Found) -> Found:
+    """Plays before the axes that were found behind the other kind: what that kind is compared with."""
+    task = replace(task, settings=task.settings.with_plays())
+    plays = PrandtlIshlinskii.first_guesses(driven_of(task, thresholds_v))[0]
+    whole = _before(task, thresholds_v, behind, Replacement(plays, rough=True))
+    return Found(whole.candidate, static.blocks, behind.fits)
 
 
 def _thresholds_of_plays(built: Built) -> Thresholds:

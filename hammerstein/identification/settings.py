@@ -106,6 +106,10 @@ class Settings:
             chosen["creep_modes"] = 0  # those that are asked for stand behind the kind itself
         return replace(self, **chosen)
 
+    def with_plays(self) -> Settings:
+        """The same with plays in place of another kind of hysteresis."""
+        return replace(self, hysteresis=PLAYS, dead_zones=None)
+
     def _unknown_choices(self) -> list[Mistake]:
         return [
             Mistake(name, f"{getattr(self, name)!r} is not known; choose one of {', '.join(known)}")

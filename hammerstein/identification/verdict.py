@@ -92,6 +92,8 @@ the model: it lowers the error from 7.4 to 0.8 %.
     if {"linear_dynamics", "hammerstein"} <= errors.keys():
         sentences.append(_improves("The hysteresis block", errors["linear_dynamics"], errors["hammerstein"]))
         sentences.append(_improves("The linear dynamics", errors["static_hysteresis"], errors["hammerstein"]))
+    elif {"classical", "hammerstein"} <= errors.keys():
+        sentences.append(_improves("The linear dynamics", errors["static_hysteresis"], errors["classical"]))
     else:
         sentences.append(_improves("Hysteresis", errors["linear"], errors["static_hysteresis"]))
     if "classical" in errors:

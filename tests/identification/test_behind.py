@@ -91,6 +91,22 @@ def test_the_rate_keeps_what_is_its_own_and_the_lag_what_is_not():
     assert fit.fit["hammerstein"].rms_um[0] == pytest.approx(0.005, rel=0.02)  # its noise
 
 
+def test_plays_before_the_same_axes_are_what_a_kind_is_compared_with():
+    """Of plays behind a lag dead-zones explain nothing: static plays are no comparison."""
+    path = discretise(AxesDynamics(axes=(Axis(lag_s=1e-3),)), T)
+    records = []
+    for seed, (hz, seconds) in enumerate(BOTH):
+        u = sines(hz, seconds)
+        y = path.respond(theory.asymmetric(u, [[R]], [[W]], [[[3.0]]], [[[0.0]]], [0.0]))[0]
+        records.append(Record(u, y + 0.005 * np.random.default_rng(seed).standard_normal(y.shape), T))
+    kept = {"thresholds_v": R, "dynamics": "lag", "creep_modes": 0, "error_curve": False, "start": "rest"}
+    _, fit = identify(records, Settings(hysteresis="asymmetric", dead_zones=2, **kept))
+    assert fit.fit["static_hysteresis"].mean_percent > 10.0 * fit.fit["hammerstein"].mean_percent
+    assert fit.fit["classical"].mean_percent < 1.1 * fit.fit["hammerstein"].mean_percent
+    assert "Hysteresis beyond plays does not improve the model" in fit.verdict
+    assert "The linear dynamics improve the model" in fit.verdict
+
+
 def test_a_delay_of_parts_of_a_sample_is_found_beside_lag_and_dead_zones():
     axis = Axis(lag_s=1e-3)
     late = AxesDynamics(axes=(axis,), input_delay_s=1.4 * T)
